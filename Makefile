@@ -1,0 +1,67 @@
+# Every target makes its own virtual environment first: nothing but Python >= 3.11 and make is needed.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+READY  := $(VENV)/.ready
+JOBS   ?= 2
+DEMO   := demo
+
+# Only what was said is passed on: the config decides the rest.
+OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
+
+.PHONY: help install fit-fleet check demo-logs lint format test test-full bench docs clean
+
+help:            ## what can be made
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
+
+install: $(READY) ## the virtual environment with pinned packages
+
+$(READY): requirements.txt pyproject.toml
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python 3.11 or newer is needed; say make PYTHON=...")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	@touch $@
+
+ifdef CONFIG
+fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=2 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
+	$(BIN)/motor-leakage fit-fleet $(CONFIG) $(OPTIONS)
+check: $(READY)  ## check a fleet's config and the head of its logs: CONFIG=...
+	$(BIN)/motor-leakage check $(CONFIG)
+else
+fit-fleet: demo-logs
+	$(BIN)/motor-leakage fit-fleet $(DEMO)/configs/fleet.toml $(OPTIONS)
+check: demo-logs
+	$(BIN)/motor-leakage check $(DEMO)/configs/fleet.toml
+endif
+
+demo-logs: $(DEMO)/truth.json ## a simulated fleet of six motors in demo/
+
+$(DEMO)/truth.json: | $(READY)
+	$(BIN)/motor-leakage demo $(DEMO)
+
+lint: $(READY)   ## style, types, and that the generated docs are up to date
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/python -m pipeline.reference --check docs
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+test: $(READY)   ## the tests that judge every change
+	$(BIN)/pytest -n 2 -m "not full"
+
+test-full: $(READY) ## all tests, the long ones too
+	$(BIN)/pytest -n 2
+
+bench: $(READY)  ## the benchmarks: figures to benchmarks/results/
+	$(BIN)/python -m benchmarks
+
+docs: $(READY)   ## make the config and table reference anew
+	$(BIN)/python -m pipeline.reference docs
+
+clean:           ## remove what was made, the virtual environment included
+	rm -rf $(VENV) $(DEMO) out

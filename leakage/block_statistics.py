@@ -1,0 +1,208 @@
+r"""All that the criterion needs of a block of samples: a small triangular matrix.
+
+The samples enter the least squares criterion only through the columns of z: a regressor for each
+path with a free coefficient, then 1, the known flow and the measured flow. With the QR
+decomposition Z = QR of a block's samples,
+
+.. math:: V(\theta) = \frac{1}{N} \lVert Z v(\theta) \rVert^2
+                    = \frac{1}{N} \lVert R v(\theta) \rVert^2 ,\quad
+          v(\theta) = (K_1, \dots, K_p, C_f, 1, -1)^T ,
+
+exactly and at any parameters. Factors merge: R of two blocks is the R of the two R stacked. A
+window of any length is therefore fitted from its blocks, without the samples, and blocks of many
+nights merge. The decomposition is backward stable [1]_; the criterion is (20) of the thesis.
+
+References
+----------
+.. [1] G. H. Golub and C. F. Van Loan, *Matrix Computations*, 4th ed., section 5.3, 2013.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.errors import StatisticsError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class FlowSummary:
+    """Size, mean and spread of the measured flow of some samples.
+
+    Attributes
+    ----------
+    n
+        Number of samples.
+    mean_l_per_min
+        Mean measured flow [l/min]; nan without samples.
+    centred_norm_l_per_min
+        ‖y − ȳ‖₂ of the measured flow [l/min].
+    """
+
+    n: int
+    mean_l_per_min: float
+    centred_norm_l_per_min: float
+
+
+def factor(z: Array) -> Array:
+    """Triangular factor of a block of samples.
+
+    Parameters
+    ----------
+    z
+        Columns of the samples, shape (n, c): paths, one, known, measured [l/min per unit of
+        coefficient]. n may be 0.
+
+    Returns
+    -------
+    ndarray
+        Upper triangular, shape (c, c), diagonal not negative.
+
+    Raises
+    ------
+    StatisticsError
+        If `z` is no matrix or holds a value that is not finite.
+
+    Examples
+    --------
+    >>> factor(np.array([[3.0, 1.0], [4.0, 1.0]])).round(6)
+    array([[5. , 1.4],
+           [0. , 0.2]])
+    """
+    only: Array = factors(z, np.array([0, len(z)]))[0]
+    return only
+
+
+def factors(z: Array, borders: NDArray[np.int64]) -> Array:
+    """Triangular factors of consecutive blocks of samples, in one batched decomposition.
+
+    Parameters
+    ----------
+    z
+        Columns of the samples, shape (n, c).
+    borders
+        First row of each block and, last, the end; shape (b + 1,), not decreasing.
+
+    Returns
+    -------
+    ndarray
+        Shape (b, c, c), each as from :func:`factor`.
+
+    Raises
+    ------
+    StatisticsError
+        If `z` is no matrix or holds a value that is not finite.
+    """
+    z = np.asarray(z, dtype=np.float64)
+    if z.ndim != 2:
+        raise StatisticsError("shape", f"samples must be a matrix, not of shape {z.shape}")
+    if not np.isfinite(z).all():
+        raise StatisticsError(
+            "not_finite", "samples hold a value that is not finite; refuse it before"
+        )
+    sizes = np.diff(borders)
+    columns = z.shape[1]
+    # Rows of zeros change no factor: blocks of unequal size share one batched call.
+    rows = max(int(sizes.max(initial=0)), columns)
+    padded = np.zeros((len(sizes), rows, columns))
+    inside = np.arange(rows) < sizes[:, None]
+    padded[inside] = z[borders[0] : borders[-1]]
+    return _triangular(padded)
+
+
+def merge(factors_in_time_order: Array) -> Array:
+    """Factor of the union of blocks.
+
+    Parameters
+    ----------
+    factors_in_time_order
+        Shape (b, c, c). The order changes rounding only; keep it, so that runs agree to the bit.
+
+    Returns
+    -------
+    ndarray
+        Shape (c, c).
+
+    Examples
+    --------
+    >>> z = np.array([[3.0, 1.0], [4.0, 1.0], [5.0, 2.0]])
+    >>> parts = np.stack([factor(z[:2]), factor(z[2:])])
+    >>> bool(np.allclose(merge(parts), factor(z)))
+    True
+    """
+    blocks, _, columns = factors_in_time_order.shape
+    if blocks == 0:
+        return np.zeros((columns, columns))
+    merged: Array = _triangular(factors_in_time_order.reshape(1, -1, columns))[0]
+    return merged
+
+
+def _triangular(stacked: Array) -> Array:
+    """R of each matrix of a stack, with the signs that QR leaves open made positive."""
+    r: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+    signs = np.where(np.diagonal(r, axis1=1, axis2=2) < 0, -1.0, 1.0)
+    # Adding 0 turns -0 into 0: the same statistics have the same bytes.
+    result: Array = r * signs[:, :, None] + 0.0
+    return result
+
+
+def criterion(r: Array, coefficients: Array) -> float:
+    """Mean squared prediction error V(θ), equation (20), from a factor.
+
+    Parameters
+    ----------
+    r
+        Factor, shape (c, c).
+    coefficients
+        θ: one for each path's column, then the constant flow; shape (c − 2,).
+
+    Returns
+    -------
+    float
+        V [(l/min)²]; nan without samples.
+    """
+    n = sample_count(r)
+    return float(squared_error(r, coefficients) / n) if n else float("nan")
+
+
+def squared_error(r: Array, coefficients: Array) -> float:
+    """Sum of squared prediction errors ‖y − ŷ‖² [(l/min)²] from a factor."""
+    residual = r @ np.concatenate([coefficients, (1.0, -1.0)])
+    return float(residual @ residual)
+
+
+def sample_count(r: Array) -> int:
+    """Number of samples behind a factor: the squared norm of the column of ones."""
+    one = r[:, -3]
+    return round(float(one @ one))
+
+
+def flow_summary(r: Array) -> FlowSummary:
+    """Size, mean and spread of the measured flow behind a factor.
+
+    By a QR of the columns 1 and y of R: R'R would lose half of the digits.
+    """
+    n = sample_count(r)
+    if n == 0:
+        return FlowSummary(0, float("nan"), 0.0)
+    small = factor(r[:, [-3, -1]])
+    return FlowSummary(n, float(small[0, 1] / small[0, 0]), float(small[1, 1]))
+
+
+def column_means(r: Array) -> Array:
+    """Means of all columns over the samples behind a factor, shape (c,); nan without samples."""
+    n = sample_count(r)
+    if n == 0:
+        return np.full(r.shape[1], np.nan)
+    means: Array = r[:, -3] @ r / n
+    return means
+
+
+def normal_matrix(r: Array) -> Array:
+    """Z'Z = R'R, shape (c, c)."""
+    product: Array = r.T @ r
+    return product

@@ -1,0 +1,195 @@
+"""What all laws of leakage paths share: parameters within bounds, and one surface."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.errors import ParameterError
+
+LITRES_PER_MINUTE = 60_000.0  # in 1 m³/s
+
+CoefficientUnit = Literal["m3", "1", "l_per_min"]
+Values: TypeAlias = Sequence[float] | NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A physical quantity that is estimated within bounds, or held fixed.
+
+    Parameters
+    ----------
+    name
+        Name in tables, such as ``"h_o"``.
+    unit
+        Unit of the values as the optimiser sees them: ``"um"``, ``"1"``, ``"m3"``, ``"l_per_min"``.
+    value
+        Initial value, or the value held where `fixed`, [unit].
+    minimum, maximum
+        Bounds, [unit].
+    fixed
+        Whether the value is held.
+
+    Raises
+    ------
+    ParameterError
+        If a figure is not finite or the value lies outside its bounds.
+    """
+
+    name: str
+    unit: str
+    value: float
+    minimum: float
+    maximum: float
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.value, self.minimum, self.maximum))):
+            raise ParameterError(
+                "parameter_not_finite",
+                f"parameter {self.name!r}: value {self.value:g}, minimum {self.minimum:g} and"
+                f" maximum {self.maximum:g} must all be finite",
+            )
+        if not self.minimum <= self.value <= self.maximum:
+            raise ParameterError(
+                "parameter_bounds",
+                f"parameter {self.name!r}: {self.value:g} {self.unit} lies outside its bounds"
+                f" {self.minimum:g} to {self.maximum:g}",
+            )
+
+    @property
+    def lowest(self) -> float:
+        """Smallest value the parameter can take: the value itself where it is fixed, [unit]."""
+        return self.value if self.fixed else self.minimum
+
+    @property
+    def highest(self) -> float:
+        """Largest value the parameter can take: the value itself where it is fixed, [unit]."""
+        return self.value if self.fixed else self.maximum
+
+
+class Law(ABC):
+    """What every law offers; the laws below differ only in equation and parameters."""
+
+    __slots__ = ()
+    name: str
+    coefficient_unit: ClassVar[CoefficientUnit]
+
+    @property
+    @abstractmethod
+    def parameters(self) -> tuple[Parameter, ...]:
+        """The law's parameters, in the order in which values are passed."""
+
+    @property
+    @abstractmethod
+    def coefficient_name(self) -> str:
+        """Name of the coefficient in tables."""
+
+    @abstractmethod
+    def coefficient(self, values: Values) -> float:
+        """Lumped coefficient of all interfaces of the path.
+
+        Parameters
+        ----------
+        values
+            Parameter values in the order of `parameters`, in their units.
+
+        Returns
+        -------
+        float
+            The coefficient, [coefficient_unit].
+        """
+
+    @abstractmethod
+    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
+        """Derivative of the coefficient by each parameter.
+
+        Parameters
+        ----------
+        values
+            Parameter values in the order of `parameters`, in their units.
+
+        Returns
+        -------
+        ndarray
+            One derivative a parameter, [coefficient_unit per the parameter's unit].
+        """
+
+    @abstractmethod
+    def regressor(
+        self,
+        drive_per_s: NDArray[np.float64],
+        pressure_difference_pa: NDArray[np.float64],
+        speed_rpm: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        """Flow per unit of the coefficient; a new array, the arguments stay as they are.
+
+        Parameters
+        ----------
+        drive_per_s
+            ΔP/η, shape (n,), [1/s].
+        pressure_difference_pa
+            Pressure difference, shape (n,), [Pa]; its sign has no effect.
+        speed_rpm
+            Speed, shape (n,), [rpm]; its sign has no effect.
+
+        Returns
+        -------
+        ndarray
+            φ, shape (n,), [l/min per coefficient_unit].
+        """
+
+    @property
+    def is_free(self) -> bool:
+        """Whether any parameter is estimated."""
+        return not all(parameter.fixed for parameter in self.parameters)
+
+    @property
+    def configured_coefficient(self) -> float:
+        """Coefficient at the configured values, [coefficient_unit]."""
+        return self.coefficient([parameter.value for parameter in self.parameters])
+
+    def coefficient_bounds(self) -> tuple[float, float]:
+        """Smallest and largest coefficient over the parameters' box, [coefficient_unit].
+
+        A fixed parameter shrinks the box. The corners suffice, for a coefficient grows with each
+        parameter.
+        """
+        return (
+            self.coefficient([parameter.lowest for parameter in self.parameters]),
+            self.coefficient([parameter.highest for parameter in self.parameters]),
+        )
+
+
+def require_positive(path: str, **constants: float) -> None:
+    """Refuse a path's constants that are not finite and above 0."""
+    for name, value in constants.items():
+        if not 0.0 < value < math.inf:
+            raise ParameterError(
+                "path_constant",
+                f"path {path!r}: {name} is {value:g}; it must be finite and above 0",
+            )
+
+
+def require_parameter(
+    path: str, parameter: Parameter, unit: str, maximum: float = math.inf
+) -> None:
+    """Refuse a parameter in another unit, or one that can leave 0 to `maximum`."""
+    if parameter.unit != unit:
+        raise ParameterError(
+            "path_unit",
+            f"path {path!r}: parameter {parameter.name!r} is in {parameter.unit!r}, the law"
+            f" expects {unit!r}",
+        )
+    if parameter.lowest < 0.0 or parameter.highest > maximum:
+        raise ParameterError(
+            "parameter_bounds",
+            f"path {path!r}: parameter {parameter.name!r} may range from {parameter.lowest:g} to"
+            f" {parameter.highest:g} {unit}; it must stay within 0 to {maximum:g}",
+        )

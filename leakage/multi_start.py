@@ -1,0 +1,273 @@
+r"""The search of the thesis: bounded least squares in gap heights and eccentricities (3.4, 3.5).
+
+The trust-region-reflective method runs from several starting points over the triangular factor of
+the samples, so that a start costs milliseconds however long the window. h and e of one path enter
+only as K ∝ h³(1 + 1.5e²): runs from different points end at one minimum of the criterion with
+different (h, e). The starts therefore show that the thesis's search agrees with the certificate,
+and how far the thesis's parameters spread at the minimum.
+
+The optimiser sees µm and l/min, never metres: its step test is on an unscaled norm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from leakage.block_statistics import criterion, sample_count
+from leakage.motor import Motor
+from leakage.paths import LeakagePath, Parameter
+
+Array = NDArray[np.float64]
+
+# A start is at the minimum when its criterion is within this share of the certificate's.
+AT_MINIMUM = 1e-4
+# At e = 0 the derivative by e vanishes: a search that starts there never leaves.
+ECCENTRICITY_NUDGE = 1e-3
+
+STATUS = {
+    -2: "failed",
+    0: "iteration_limit",
+    1: "gradient_tolerance",
+    2: "function_tolerance",
+    3: "step_tolerance",
+    4: "function_and_step_tolerance",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """Settings of the search under the names that MATLAB's lsqnonlin gives them.
+
+    Attributes
+    ----------
+    starting_points
+        W, the configured point first; 0 for no search.
+    gradient_type
+        ``analytic``, ``2-point`` or ``3-point``.
+    step_tolerance, function_tolerance
+        Relative; 1e-10 (MATLAB's own 1e-6 and 1e-5 leave half of the starts short).
+    maximum_iterations
+        Evaluations of the criterion that a start may take.
+    """
+
+    starting_points: int = 10
+    gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
+    step_tolerance: float = 1e-10
+    function_tolerance: float = 1e-10
+    maximum_iterations: int = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """What came of one starting point; a failure is a row with its reason, not an exception.
+
+    Attributes
+    ----------
+    number
+        0 for the configured point.
+    status, reason
+        Why the search stopped; ``failed`` with the reason, or a tolerance.
+    cost
+        V at the end [(l/min)²]; nan where it failed.
+    iterations
+        Evaluations of the criterion.
+    initial, final
+        Values of the free parameters [µm, 1, m³ or l/min as the parameter's unit].
+    """
+
+    number: int
+    status: str
+    reason: str
+    cost: float
+    iterations: int
+    initial: Array
+    final: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Parametrisation:
+    """The thesis's parameters, and how they make the coefficients of the columns.
+
+    Attributes
+    ----------
+    paths
+        One for each coefficient: the column paths, then the constant (None: no constant flow).
+    """
+
+    paths: tuple[LeakagePath | None, ...]
+
+    @classmethod
+    def of(cls, motor: Motor) -> Parametrisation:
+        """The parametrisation of a motor, in the order of its columns."""
+        return cls((*motor.column_paths, motor.constant))
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are estimated, in the order of the columns."""
+        return tuple(parameter for parameter in self._all() if not parameter.fixed)
+
+    def _all(self) -> list[Parameter]:
+        return [parameter for path in self.paths if path for parameter in path.parameters]
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the free parameters, each of shape (number of free parameters,)."""
+        lower = np.array([parameter.minimum for parameter in self.free])
+        return lower, np.array([parameter.maximum for parameter in self.free])
+
+    def coefficient_bounds(self) -> tuple[Array, Array]:
+        """Bounds of θ that those of the parameters imply, each of shape (p + 1,)."""
+        limits = [path.coefficient_bounds() if path else (0.0, 0.0) for path in self.paths]
+        lower, upper = zip(*limits, strict=True)
+        return np.array(lower), np.array(upper)
+
+    def coefficients(self, free: Array) -> tuple[Array, Array]:
+        """θ and its Jacobian by the free parameters.
+
+        Parameters
+        ----------
+        free
+            Values of the free parameters, shape (k,).
+
+        Returns
+        -------
+        tuple of ndarray
+            θ, shape (p + 1,), and dθ/dx, shape (p + 1, k).
+        """
+        theta = np.zeros(len(self.paths))
+        jacobian = np.zeros((len(self.paths), len(free)))
+        taken = 0
+        for row, path in enumerate(self.paths):
+            if path is None:
+                continue
+            values = np.array([parameter.value for parameter in path.parameters])
+            unknown = np.array([not parameter.fixed for parameter in path.parameters])
+            count = int(unknown.sum())
+            values[unknown] = free[taken : taken + count]
+            theta[row] = path.coefficient(values)
+            if count:
+                gradient = np.asarray(path.coefficient_gradient(values))
+                jacobian[row, taken : taken + count] = gradient[unknown]
+            taken += count
+        return theta, jacobian
+
+
+def starting_points(
+    parameters: Sequence[Parameter], count: int, generator: np.random.Generator
+) -> Array:
+    """The configured point, then a Latin hypercube within the bounds.
+
+    Parameters
+    ----------
+    parameters
+        The free parameters.
+    count
+        W ≥ 1.
+    generator
+        Source of the draw; seed it from run, motor and night.
+
+    Returns
+    -------
+    ndarray
+        Shape (W, number of parameters), in the parameters' units.
+
+    Examples
+    --------
+    >>> gap = Parameter("h", "um", 8.0, 1.0, 60.0)
+    >>> points = starting_points([gap], 3, np.random.default_rng(1))
+    >>> float(points[0, 0]), points.shape
+    (8.0, (3, 1))
+    """
+    lower = np.array([parameter.minimum for parameter in parameters])
+    upper = np.array([parameter.maximum for parameter in parameters])
+    configured = np.array([parameter.value for parameter in parameters])
+    strata = np.tile(np.arange(count - 1), (len(parameters), 1))
+    drawn = (
+        generator.permuted(strata, axis=1).T + generator.random((count - 1, len(parameters)))
+    ) / max(count - 1, 1)
+    points = np.vstack([configured, lower + drawn * (upper - lower)])
+    eccentric = np.array([parameter.name.startswith("e_") for parameter in parameters], dtype=bool)
+    nudged: Array = np.where(eccentric & (points == 0.0), ECCENTRICITY_NUDGE, points)
+    return np.clip(nudged, lower, upper)
+
+
+def search(
+    r: Array, motor: Motor, settings: SearchSettings, generator: np.random.Generator
+) -> tuple[Start, ...]:
+    """Minimise the criterion from each starting point.
+
+    Parameters
+    ----------
+    r
+        Factor of the training samples, shape (c, c), columns as ``motor.columns``.
+    motor
+        Paths with their parameters and bounds.
+    settings
+        Tolerances, limits and the number of starting points.
+    generator
+        Source of the starting points.
+
+    Returns
+    -------
+    tuple of Start
+        One a starting point; empty where nothing is free.
+    """
+    parametrisation = Parametrisation.of(motor)
+    if not parametrisation.free or not settings.starting_points:
+        return ()
+    points = starting_points(parametrisation.free, settings.starting_points, generator)
+    return tuple(
+        _run(number, point, r, parametrisation, settings) for number, point in enumerate(points)
+    )
+
+
+def _run(
+    number: int,
+    initial: Array,
+    r: Array,
+    parametrisation: Parametrisation,
+    settings: SearchSettings,
+) -> Start:
+    scale = np.sqrt(sample_count(r))
+    matrix, target = r[:, :-2] / scale, (r[:, -1] - r[:, -2]) / scale
+
+    def residual(free: Array) -> Array:
+        error: Array = matrix @ parametrisation.coefficients(free)[0] - target
+        return error
+
+    def jacobian(free: Array) -> Array:
+        slope: Array = matrix @ parametrisation.coefficients(free)[1]
+        return slope
+
+    try:
+        result = least_squares(
+            residual,
+            initial,
+            jac=jacobian if settings.gradient_type == "analytic" else settings.gradient_type,
+            bounds=parametrisation.bounds(),
+            method="trf",
+            x_scale="jac",
+            xtol=settings.step_tolerance,
+            ftol=settings.function_tolerance,
+            gtol=None,
+            max_nfev=settings.maximum_iterations,
+        )
+    except (ValueError, np.linalg.LinAlgError) as error:
+        return Start(number, "failed", str(error), float("nan"), 0, initial, initial)
+    final = np.asarray(result.x, dtype=np.float64)
+    cost = criterion(r, parametrisation.coefficients(final)[0])
+    return Start(
+        number, STATUS[result.status], str(result.message), cost, int(result.nfev), initial, final
+    )
+
+
+def at_minimum(starts: Sequence[Start], minimum: float) -> NDArray[np.bool_]:
+    """Which starts ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's; shape (W,)."""
+    costs = np.array([start.cost for start in starts])
+    reached: NDArray[np.bool_] = costs <= minimum * (1 + AT_MINIMUM)
+    return reached

@@ -1,0 +1,67 @@
+"""`motor-leakage check`: the config, and a look at the logs, before a night depends on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.config import Fleet, MotorSpec
+from pipeline.ledger import FileRecord
+from pipeline.logs import find_logs, inspect_log, labels_of
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCheck:
+    """What a motor's logs look like from outside.
+
+    Attributes
+    ----------
+    n_files, n_nights
+        Log files found, and nights that they cover.
+    first, last
+        Labels of the first and last night; None without a readable file.
+    faults
+        Files that cannot be read, and files that are named but absent.
+    placeholders
+        Whether counts, geometry or curves of the type are placeholders.
+    """
+
+    motor_id: str
+    motor_type: str
+    log_format: str
+    n_files: int
+    n_nights: int
+    first: str | None
+    last: str | None
+    faults: tuple[str, ...]
+    placeholders: bool
+
+
+def check_motor(spec: MotorSpec) -> MotorCheck:
+    """Look at the ends of each of a motor's log files; nothing is fitted and nothing written."""
+    paths, absent = find_logs(spec)
+    records = [inspect_log(name, path, None, spec) for name, path in paths.items()]
+    nights = {label for record in records for label in labels_of(record)}
+    return MotorCheck(
+        motor_id=spec.motor_id,
+        motor_type=spec.file.motor_type,
+        log_format=spec.file.logs.format,
+        n_files=len(paths),
+        n_nights=len(nights),
+        first=min(nights).isoformat() if nights else None,
+        last=max(nights).isoformat() if nights else None,
+        faults=(*map(_fault, (r for r in records if r.status == "failed")), *map(_absent, absent)),
+        placeholders=any(path.source == "placeholder" for path in spec.motor_type.path),
+    )
+
+
+def _fault(record: FileRecord) -> str:
+    return f"{record.error_code}: {record.message}"
+
+
+def _absent(name: str) -> str:
+    return f"log_missing: {name}: named in the config and absent"
+
+
+def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
+    """Look at the logs of every motor."""
+    return tuple(check_motor(spec) for spec in fleet.motors)

@@ -1,0 +1,270 @@
+"""The command `motor-leakage`. Heavy imports wait until a command needs them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import logging
+import signal
+import sys
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from pipeline.errors import LockedError, MotorLeakageError, UsageError
+
+if TYPE_CHECKING:
+    from pipeline.check import MotorCheck
+    from pipeline.config import Fleet
+    from pipeline.fleet import RunResult
+    from pipeline.motor_task import MotorOutcome
+
+EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+
+app = typer.Typer(
+    name="motor-leakage",
+    help="Nightly grey-box leakage estimates for a fleet of radial piston hydraulic motors.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+
+ConfigFile = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
+
+
+@app.command("fit-fleet")
+def fit_fleet(
+    config: ConfigFile,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same time.")] = None,
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors to do, with blanks between; all if empty.")
+    ] = "",
+    since: Annotated[str | None, typer.Option(help="First night to do, YYYY-MM-DD.")] = None,
+    until: Annotated[str | None, typer.Option(help="Last night to do, YYYY-MM-DD.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Fit every new night of the fleet's motors and write the tables.
+
+    Example: motor-leakage fit-fleet configs/fleet.toml --jobs 2 --since 2026-01-01
+
+    Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
+    config; 3: another run holds the output; 4: nothing could be published.
+    """
+    from pipeline.fleet import RunRequest, run_fleet
+
+    fleet = _load(config, output, jobs)
+    request = RunRequest(
+        fleet=fleet,
+        motors=_known_motors(motors.split(), fleet),
+        since=_night(since, "--since"),
+        until=_night(until, "--until"),
+    )
+    terminated = _catch_termination()
+    with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
+        result = run_fleet(request, reporter.motor)
+        reporter.summary(result, fleet.output)
+    if result.interrupted:
+        raise typer.Exit(EXIT_TERMINATED if terminated else EXIT_INTERRUPTED)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+@app.command()
+def check(config: ConfigFile, as_json: AsJson = False) -> None:
+    """Check the config of a fleet and look at the ends of each log; nothing is fitted.
+
+    Example: motor-leakage check configs/fleet.toml
+
+    Exit code 0: no fault; 1: a log cannot be read; 2: a fault in the config.
+    """
+    from pipeline.check import check_fleet
+
+    fleet = _load(config, None, None)
+    checks = check_fleet(fleet)
+    if as_json:
+        for one in checks:
+            typer.echo(json.dumps(asdict(one)))
+    else:
+        _print_checks(checks)
+    raise typer.Exit(EXIT_MOTORS_FAILED if any(one.faults for one in checks) else EXIT_OK)
+
+
+@app.command()
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder to write; it is made.")],
+    nights: Annotated[int, typer.Option(min=1, help="Nights of logs.")] = 75,
+    minutes: Annotated[float, typer.Option(min=1.0, help="Minutes of log a night.")] = 90.0,
+    rate: Annotated[float, typer.Option(min=0.1, help="Samples a second.")] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+) -> None:
+    """Write a simulated fleet: config, logs in three formats, and the truth beside them.
+
+    Example: motor-leakage demo demo --nights 3
+
+    Then: motor-leakage fit-fleet demo/configs/fleet.toml
+    """
+    from pipeline.demo import write_demo
+
+    write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate, seed=seed, workers=jobs)
+    typer.echo(f"demo fleet written to {folder}; its config is {folder / 'configs' / 'fleet.toml'}")
+
+
+def _load(config: Path, output: Path | None, jobs: int | None) -> Fleet:
+    from pipeline.config import load_fleet
+
+    fleet = load_fleet(config)
+    if output is not None:
+        fleet = replace(fleet, output=output.resolve())
+    if jobs is not None:
+        fleet = replace(fleet, execution=fleet.execution.model_copy(update={"workers": jobs}))
+    return fleet
+
+
+def _known_motors(wanted: list[str], fleet: Fleet) -> tuple[str, ...]:
+    known = {spec.motor_id for spec in fleet.motors}
+    strangers = sorted(set(wanted) - known)
+    if strangers:
+        raise UsageError(
+            "unknown_motor",
+            f"--motors: no motor {', '.join(strangers)}; there are {', '.join(sorted(known))}",
+        )
+    return tuple(wanted)
+
+
+def _night(text: str | None, option: str) -> dt.date | None:
+    try:
+        return None if text is None else dt.date.fromisoformat(text)
+    except ValueError:
+        raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def _catch_termination() -> list[int]:
+    """Let SIGTERM end a run as SIGINT does; the list tells afterwards that it came."""
+    came: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, stop)
+    return came
+
+
+class _Reporter:
+    """Says how a run goes: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
+
+    def __init__(self, as_json: bool, n_motors: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+        self.as_json = as_json
+        self.console = Console(stderr=True)
+        self.bar = Progress(
+            TextColumn("motors"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.description}"),
+            console=self.console,
+            disable=as_json or not self.console.is_terminal,
+        )
+        self.task = self.bar.add_task("", total=n_motors)
+
+    def __enter__(self) -> _Reporter:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def motor(self, outcome: MotorOutcome) -> None:
+        """A motor has finished."""
+        self.bar.update(self.task, advance=1, description=outcome.motor_id)
+        counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
+        if self.as_json:
+            line = {
+                "event": "motor",
+                "motor_id": outcome.motor_id,
+                "status": outcome.status,
+                "error_code": outcome.error_code,
+                "message": outcome.message,
+                "nights": dict(outcome.counts),
+            }
+            typer.echo(json.dumps(line))
+            return
+        typer.echo(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
+        if outcome.error_code:
+            typer.echo(f"  {outcome.error_code}: {outcome.message}", err=True)
+
+    def summary(self, result: RunResult, output: Path) -> None:
+        """The run has finished."""
+        if self.as_json:
+            line = {
+                "event": "run",
+                "run_id": result.run_id,
+                "n_motors": len(result.outcomes),
+                "n_failed": len(result.failed),
+                "n_nights": result.n_nights,
+                "interrupted": result.interrupted,
+                "seconds": round(result.seconds, 3),
+            }
+            typer.echo(json.dumps(line))
+            return
+        state = "interrupted; " if result.interrupted else ""
+        typer.echo(
+            f"{state}{result.n_nights} nights of {len(result.outcomes)} motors in "
+            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; "
+            f"tables in {output / 'tables'}"
+        )
+
+
+def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table("motor", "type", "format", "files", "nights", "first", "last", "faults")
+    for one in checks:
+        span = (one.first or "–", one.last or "–")
+        counts = (str(one.n_files), str(one.n_nights))
+        cells = (one.motor_id, one.motor_type, one.log_format, *counts, *span)
+        table.add_row(*cells, str(len(one.faults)))
+    Console().print(table)
+    for one in checks:
+        for fault in one.faults:
+            typer.echo(f"{one.motor_id}: {fault}", err=True)
+    types = sorted({one.motor_type for one in checks if one.placeholders})
+    if types:
+        typer.echo(
+            f"{', '.join(types)}: counts, geometry or curves are placeholders; "
+            "replace them with the manufacturer's values"
+        )
+
+
+def _exit_code(error: MotorLeakageError) -> int:
+    from pipeline.config import ConfigError
+
+    if isinstance(error, UsageError | ConfigError):
+        return EXIT_USAGE
+    return EXIT_LOCKED if isinstance(error, LockedError) else EXIT_NOTHING_PUBLISHED
+
+
+def main() -> NoReturn:
+    """Run the command; every expected error is one message on stderr and a stated exit code."""
+    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    try:
+        app()
+    except MotorLeakageError as error:
+        typer.echo(f"motor-leakage: {error}", err=True)
+        sys.exit(_exit_code(error))
+    except KeyboardInterrupt:
+        sys.exit(EXIT_INTERRUPTED)
+    sys.exit(EXIT_OK)

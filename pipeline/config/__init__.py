@@ -1,0 +1,31 @@
+"""Typed config: the only door for settings."""
+
+from pipeline.config.loading import ConfigError, Fault, Fleet, MotorSpec, load_fleet
+from pipeline.config.motors import Channel, Event, MotorFile
+from pipeline.config.settings import (
+    Cleaning,
+    Estimation,
+    Nights,
+    Settings,
+    Smoothing,
+    TimeBase,
+    Windows,
+)
+
+__all__ = [
+    "Channel",
+    "Cleaning",
+    "ConfigError",
+    "Estimation",
+    "Event",
+    "Fault",
+    "Fleet",
+    "MotorFile",
+    "MotorSpec",
+    "Nights",
+    "Settings",
+    "Smoothing",
+    "TimeBase",
+    "Windows",
+    "load_fleet",
+]

@@ -1,0 +1,259 @@
+"""Motor types and oils: a type is a declared list of leakage paths, an oil its data sheet.
+
+Other motor families, and paths that the thesis leaves out, are files, not code.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from leakage import (
+    AnnularGap,
+    Laminar,
+    LeakagePath,
+    Oil,
+    Parameter,
+    SpeedCurve,
+    fit_deformation_pressure,
+    fit_speed_curve,
+    walther_coefficients,
+)
+from pipeline.config.settings import NonNegative, Positive, Section
+
+BAR = 1e5
+MILLIMETRE = 1e-3
+MICROMETRE = 1e-6
+
+Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+Source = Annotated[
+    str,
+    Field(
+        min_length=1,
+        description="Where the values are from: a document, or `placeholder` for a plausible guess",
+    ),
+]
+
+
+class Unknown(Section):
+    """An unknown of the model: starting value, bounds, and whether it is held fixed."""
+
+    value: float = Field(description="Value where fixed, else the first starting point")
+    minimum: float = Field(description="Lower bound")
+    maximum: float = Field(description="Upper bound")
+    fixed: bool = Field(False, description="Held at `value`")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Unknown:
+        if not self.minimum <= self.value <= self.maximum:
+            raise ValueError("expected minimum <= value <= maximum")
+        return self
+
+    def parameter(self, name: str, unit: str) -> Parameter:
+        """The unknown as the estimation knows it."""
+        return Parameter(name, unit, self.value, self.minimum, self.maximum, self.fixed)
+
+
+class GapHeight(Unknown):
+    """Gap height in µm."""
+
+    value: float = Field(8.0, description="Value where fixed, else the first starting point, µm")
+    minimum: Positive = Field(1.0, description="Lower bound, µm")
+    maximum: Positive = Field(60.0, description="Upper bound, µm")
+
+
+class Eccentricity(Unknown):
+    """Eccentricity between 0 (concentric) and 1 (touching)."""
+
+    value: float = Field(0.5, description="Value where fixed, else the first starting point")
+    minimum: NonNegative = Field(0.0, description="Lower bound")
+    maximum: float = Field(1.0, le=1, description="Upper bound")
+
+
+class Scale(Unknown):
+    """Factor on a curve; fixed at 1 unless freed."""
+
+    value: float = Field(1.0, description="Value where fixed, else the first starting point")
+    minimum: NonNegative = Field(0.0, description="Lower bound")
+    maximum: Positive = Field(10.0, description="Upper bound")
+    fixed: bool = Field(True, description="Held at `value`")
+
+
+class AnnularGapPath(Section):
+    """`annular_gap`: laminar flow through an annular gap, with deformation and eccentricity."""
+
+    name: Name = Field(description="Name of the path in the tables")
+    law: Literal["annular_gap"] = Field(description="The path's law")
+    source: Source
+    count: int = Field(ge=1, description="Interfaces at high pressure at any time")
+    radius_mm: Positive = Field(description="Radius of the gap")
+    length_mm: Positive = Field(description="Length of the gap in the direction of flow")
+    height_factor: Positive = Field(1.0, description="Factor on the gap height (1.1 for sleeves)")
+    deformation_pressure_bar: Positive | None = Field(
+        None, description="Deformation constant X; without it, or points, the gap does not deform"
+    )
+    deformation_points: tuple[tuple[float, float, float], ...] | None = Field(
+        None,
+        description="Points [pressure difference in bar, gap height in µm, flow in l/min] of a "
+        "simulation at constant viscosity, to which X is fitted",
+    )
+    gap_um: GapHeight = Field(default_factory=lambda: GapHeight(), description="Gap height")
+    eccentricity: Eccentricity | None = Field(None, description="Eccentricity, if the path has one")
+
+    @model_validator(mode="after")
+    def _one_source_of_deformation(self) -> AnnularGapPath:
+        if self.deformation_pressure_bar is not None and self.deformation_points is not None:
+            raise ValueError("expected deformation_pressure_bar or deformation_points, not both")
+        self.path()
+        return self
+
+    def path(self) -> AnnularGap:
+        """The path as the physics knows it."""
+        return AnnularGap(
+            name=self.name,
+            count=self.count,
+            radius_m=self.radius_mm * MILLIMETRE,
+            length_m=self.length_mm * MILLIMETRE,
+            gap=self.gap_um.parameter(f"h_{self.name}", "um"),
+            eccentricity=self._eccentricity(),
+            deformation_pressure_pa=self._deformation_pressure_pa(),
+            height_factor=self.height_factor,
+            geometry_is_placeholder=self.source == "placeholder",
+        )
+
+    def _eccentricity(self) -> Parameter | None:
+        unknown = self.eccentricity
+        return None if unknown is None else unknown.parameter(f"e_{self.name}", "1")
+
+    def _deformation_pressure_pa(self) -> float | None:
+        if self.deformation_points is None:
+            bar = self.deformation_pressure_bar
+            return None if bar is None else bar * BAR
+        pressure, gap, flow = zip(*self.deformation_points, strict=True)
+        return fit_deformation_pressure(
+            [bar * BAR for bar in pressure], [um * MICROMETRE for um in gap], flow
+        ).deformation_pressure_pa
+
+
+class SpeedCurvePath(Section):
+    """`speed_curve`: a curve over the speed from a simulation, scaled by pressure and viscosity."""
+
+    name: Name = Field(description="Name of the path in the tables")
+    law: Literal["speed_curve"] = Field(description="The path's law")
+    source: Source
+    count: int = Field(ge=1, description="Interfaces at high pressure at any time")
+    coefficients: tuple[float, ...] | None = Field(
+        None, description="Coefficients, highest power first, l/min over rpm", min_length=1
+    )
+    speed_range_rpm: tuple[float, float] | None = Field(
+        None, description="Range over which the coefficients hold; the end value is held outside"
+    )
+    points: tuple[tuple[float, float], ...] | None = Field(
+        None, description="Points [speed in rpm, flow in l/min] to which a quintic is fitted"
+    )
+    reference_pressure_bar: Positive = Field(description="Pressure difference of the simulation")
+    reference_viscosity_mpa_s: Positive = Field(description="Dynamic viscosity of the simulation")
+    scale: Scale = Field(default_factory=lambda: Scale(), description="Factor on the curve")
+
+    @model_validator(mode="after")
+    def _one_source_of_the_curve(self) -> SpeedCurvePath:
+        given = self.coefficients is not None and self.speed_range_rpm is not None
+        if given == (self.points is not None):
+            raise ValueError("expected coefficients with speed_range_rpm, or points")
+        self.path()
+        return self
+
+    def path(self) -> SpeedCurve:
+        """The path as the physics knows it."""
+        if self.points is not None:
+            speed, flow = zip(*self.points, strict=True)
+            coefficients = fit_speed_curve(speed, flow).coefficients
+            speed_range = (min(speed), max(speed))
+        else:
+            assert self.coefficients is not None
+            assert self.speed_range_rpm is not None
+            coefficients, speed_range = self.coefficients, self.speed_range_rpm
+        return SpeedCurve(
+            name=self.name,
+            count=self.count,
+            coefficients=coefficients,
+            speed_minimum_rpm=speed_range[0],
+            speed_maximum_rpm=speed_range[1],
+            reference_pressure_pa=self.reference_pressure_bar * BAR,
+            reference_viscosity_pa_s=self.reference_viscosity_mpa_s * 1e-3,
+            scale=self.scale.parameter(f"scale_{self.name}", "1"),
+        )
+
+
+class LaminarPath(Section):
+    """`laminar`: flow in proportion to pressure difference over viscosity."""
+
+    name: Name = Field(description="Name of the path in the tables")
+    law: Literal["laminar"] = Field(description="The path's law")
+    source: Source
+    count: int = Field(ge=1, description="Interfaces at high pressure at any time")
+    coefficient_m3: Unknown = Field(description="Loss factor of one interface, m³")
+
+    def path(self) -> Laminar:
+        """The path as the physics knows it."""
+        return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))
+
+
+DeclaredPath = Annotated[AnnularGapPath | SpeedCurvePath | LaminarPath, Field(discriminator="law")]
+
+
+class MotorTypeFile(Section):
+    """`motor_types/<motor_type>.toml`."""
+
+    motor_type: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$", description="The type")
+    path: tuple[DeclaredPath, ...] = Field(min_length=1, description="Leakage paths of the type")
+    surface_roughness_um: tuple[Positive, Positive] = Field(
+        (0.2, 0.2), description="R_a of the two surfaces of a gap, for the film thickness ratio"
+    )
+
+    @model_validator(mode="after")
+    def _names_once(self) -> MotorTypeFile:
+        names = [path.name for path in self.path]
+        if len(set(names)) != len(names):
+            raise ValueError("expected each path's name once")
+        return self
+
+    def paths(self) -> tuple[LeakagePath, ...]:
+        """The declared paths, in order."""
+        return tuple(path.path() for path in self.path)
+
+
+class OilFile(Section):
+    """`oils/<oil>.toml`: an oil's data sheet."""
+
+    name: str = Field(min_length=1, description="The oil's name, as reports show it")
+    source: Source
+    reference_temperatures_c: tuple[float, float] = Field(
+        description="Temperatures of the two reference viscosities"
+    )
+    reference_viscosities_mm2_per_s: tuple[Positive, Positive] = Field(
+        description="Kinematic viscosities at these temperatures"
+    )
+    density_15_c_kg_per_m3: Positive = Field(description="Density at 15 °C")
+    thermal_expansion_per_k: NonNegative = Field(7.0e-4, description="β of the density")
+    pressure_viscosity_per_pa: NonNegative = Field(2.0e-8, description="α of the Barus equation")
+
+    @model_validator(mode="after")
+    def _physical(self) -> OilFile:
+        self.oil()
+        return self
+
+    def oil(self) -> Oil:
+        """The oil as the physics knows it."""
+        (temperature_1, temperature_2) = self.reference_temperatures_c
+        (viscosity_1, viscosity_2) = self.reference_viscosities_mm2_per_s
+        a, b = walther_coefficients(temperature_1, viscosity_1, temperature_2, viscosity_2)
+        return Oil(
+            name=self.name,
+            walther_a=a,
+            walther_b=b,
+            density_15_c_kg_per_m3=self.density_15_c_kg_per_m3,
+            thermal_expansion_per_k=self.thermal_expansion_per_k,
+            pressure_viscosity_per_pa=self.pressure_viscosity_per_pa,
+        )

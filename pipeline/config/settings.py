@@ -1,0 +1,218 @@
+"""Settings of the fleet file: what a night is, how samples are cleaned, how a model is fitted.
+
+Every key has its unit in its name and its meaning in its description; ``docs/config.md`` is made
+from these models. A motor's file may override any key of any section here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+from zoneinfo import ZoneInfo, available_timezones
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(gt=0, le=1)]
+RelativeFolder = Annotated[str, Field(min_length=1)]
+
+
+class Section(BaseModel):
+    """A table of a config file: unknown keys, infinities and NaN are errors, nothing is coerced."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class Folders(Section):
+    """Where things lie; every folder is relative to the fleet file."""
+
+    motors: RelativeFolder = Field("motors", description="Folder of the motors' files, one a motor")
+    motor_types: RelativeFolder = Field("motor_types", description="Folder of the motor types")
+    oils: RelativeFolder = Field("oils", description="Folder of the oils")
+    logs: RelativeFolder = Field(
+        "../logs", description="Root of the logs; the paths in `input_files` are relative to it"
+    )
+    output: str | None = Field(
+        None, description="Output folder; without it `out/` where the command was started"
+    )
+
+
+class Nights(Section):
+    """A night is [end hour, next end hour) in local time, labelled by the date on which it ends."""
+
+    time_zone: str = Field("UTC", description="IANA time zone of the fleet, such as Europe/Oslo")
+    end_hour: int = Field(6, ge=0, le=23, description="Local hour at which a night ends")
+
+    @field_validator("time_zone")
+    @classmethod
+    def _known_zone(cls, name: str) -> str:
+        if name not in available_timezones():
+            raise ValueError("expected the name of an IANA time zone, such as Europe/Oslo")
+        return name
+
+    @property
+    def zone(self) -> ZoneInfo:
+        """The time zone itself."""
+        return ZoneInfo(self.time_zone)
+
+
+class TimeBase(Section):
+    """The one grid of time on which all channels of a motor's night are brought together."""
+
+    rate_hz: Positive | None = Field(
+        None, description="Samples a second; without it the rate of the fastest channel"
+    )
+    maximum_rate_hz: Positive = Field(10.0, description="Upper limit of the rate where not stated")
+
+
+class Cleaning(Section):
+    """Which samples are refused. Each refusal is counted in the table `quality`."""
+
+    standstill_rpm: NonNegative = Field(
+        0.5, description="Below this |speed| the motor stands still"
+    )
+    guard_before_s: NonNegative = Field(
+        10.0, description="Time refused before a standstill or a back-flow"
+    )
+    guard_after_s: NonNegative = Field(
+        30.0, description="Time refused after a standstill or a back-flow"
+    )
+    hampel_window: int = Field(
+        11, ge=3, description="Samples in the Hampel filter's centred window; odd"
+    )
+    hampel_threshold: Positive = Field(
+        5.0, description="A spike is further from the local median than this many scaled MAD"
+    )
+    frozen_after_s: Positive = Field(
+        60.0,
+        description="A sensor is frozen after this time without a change beyond its resolution",
+    )
+    gap_sample_periods: Positive = Field(
+        5.0, description="Longer silence than this many sample periods is a gap"
+    )
+    temperature_gap_s: Positive = Field(
+        5.0, description="Longer silence than this is a gap in the oil temperature"
+    )
+    refuse_transients: bool = Field(False, description="Refuse fast changes of speed or pressure")
+    transient_speed_rpm_per_s: Positive = Field(
+        5.0, description="Speed changes faster than this are transients"
+    )
+    transient_pressure_bar_per_s: Positive = Field(
+        50.0, description="Pressure changes faster than this are transients"
+    )
+
+    @field_validator("hampel_window")
+    @classmethod
+    def _odd(cls, samples: int) -> int:
+        if samples % 2 == 0:
+            raise ValueError("expected an odd number of samples")
+        return samples
+
+
+class Smoothing(Section):
+    """Moving average of the drain flow, and of its regressors with it (model.md, section 4)."""
+
+    window_s: NonNegative = Field(0.0, description="Length of the centred average; 0: none")
+    apply_to: Literal["all", "leakage"] = Field(
+        "all",
+        description="`all`: the same filter on regressors and drain flow, which leaves the loss "
+        "factors unbiased; `leakage`: on the drain flow alone, as the thesis does",
+    )
+
+
+class Windows(Section):
+    """Blocks of a night, and how they are split into training and validation."""
+
+    block_s: Positive = Field(120.0, description="Length of a block of statistics")
+    maximum_blocks: int = Field(
+        96, ge=4, description="At most this many blocks are stored a night; neighbours are merged"
+    )
+    split: Literal["chronological", "interleaved"] = Field(
+        "chronological",
+        description="`chronological`: the first blocks train, the last validate; `interleaved`: "
+        "seven blocks train, three validate, in turn",
+    )
+    training_share: Share = Field(0.8, lt=1, description="Share of the kept samples that trains")
+    guard_blocks: int = Field(
+        1, ge=0, description="Blocks left out at each border between training and validation"
+    )
+    minimum_kept_share: Share = Field(
+        0.6, description="Share of the running motor's samples that must be kept for a fit"
+    )
+    minimum_training_minutes: Positive = Field(
+        15.0, description="Kept samples needed for training, as time"
+    )
+
+
+class Model(Section):
+    """Choices of the physics that are not a property of the motor."""
+
+    film_pressure: Literal["thesis", "slot"] = Field(
+        "thesis",
+        description="`thesis`: Barus viscosity at the pressure difference times the share; `slot`: "
+        "exact laminar flow through a slot with Barus viscosity",
+    )
+    film_pressure_share: NonNegative = Field(
+        1.0, le=1, description="Share of the pressure difference in the film; `thesis` only"
+    )
+
+
+class Estimation(Section):
+    """Bounded least squares from several starting points; names as in MATLAB's lsqnonlin."""
+
+    starting_points: int = Field(
+        10, ge=0, le=1000, description="Starting points a fit, the configured one first"
+    )
+    gradient_type: Literal["analytic", "2-point", "3-point"] = Field(
+        "analytic", description="How the Jacobian is found"
+    )
+    step_tolerance: Positive = Field(1e-10, description="Stops at a relative step below this")
+    function_tolerance: Positive = Field(
+        1e-10, description="Stops at a relative change of the criterion below this"
+    )
+    maximum_iterations: int = Field(200, ge=1, description="Iterations a start may take")
+    seed: int = Field(1, ge=0, description="Seed of the run; a night's seed is derived from it")
+
+
+class ReferenceConditions(Section):
+    """Where the reference leakage is evaluated."""
+
+    pressure_bar: Positive = Field(200.0, description="Pressure difference")
+    temperature_c: float = Field(50.0, gt=-60, lt=150, description="Oil temperature")
+    speed_rpm: NonNegative = Field(30.0, description="Motor speed")
+
+
+class Execution(Section):
+    """How the work is spread; nothing here changes a figure."""
+
+    workers: int = Field(2, ge=1, le=256, description="Motors fitted at the same time")
+    backend: Literal["loky", "sequential"] = Field(
+        "loky", description="`loky`: worker processes; `sequential`: one after the other, here"
+    )
+
+
+class Settings(Section):
+    """All that a motor's file may override."""
+
+    nights: Nights = Field(default_factory=lambda: Nights())
+    time_base: TimeBase = Field(default_factory=lambda: TimeBase())
+    cleaning: Cleaning = Field(default_factory=lambda: Cleaning())
+    smoothing: Smoothing = Field(default_factory=lambda: Smoothing())
+    windows: Windows = Field(default_factory=lambda: Windows())
+    model: Model = Field(default_factory=lambda: Model())
+    estimation: Estimation = Field(default_factory=lambda: Estimation())
+    reference: ReferenceConditions = Field(default_factory=lambda: ReferenceConditions())
+
+    @model_validator(mode="after")
+    def _smoothing_fits_a_block(self) -> Settings:
+        if self.smoothing.window_s >= self.windows.block_s:
+            raise ValueError("smoothing.window_s must be shorter than windows.block_s")
+        return self
+
+
+class FleetFile(Settings):
+    """`fleet.toml`."""
+
+    name: str = Field(min_length=1, description="The fleet's name, as reports show it")
+    folders: Folders = Field(default_factory=lambda: Folders())
+    execution: Execution = Field(default_factory=lambda: Execution())

@@ -1,0 +1,213 @@
+"""How a simulated motor is run through a night: load, speed and oil temperature, and its halts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+FloatArray = NDArray[np.float64]
+
+LOW_PRESSURE_BAR: Final = 100.0  # below it the piston rings leak enough to be seen
+HOLD_S: Final = (20.0, 110.0)
+RAMP_S: Final = (8.0, 20.0)
+HALT_S: Final = (120.0, 240.0)
+RUN_DOWN_S: Final = 6.0  # shorter than the guard time before a standstill, so none of it is kept
+RUN_UP_S: Final = 8.0
+BACK_FLOW_S: Final = (3.0, 8.0)
+TEMPERATURE_PERIODS_S: Final = (1500.0, 3000.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Duty:
+    """What a motor is asked to do.
+
+    Parameters
+    ----------
+    pressure_bar
+        Lowest and highest level of the pressure difference, [bar]; the same twice: one pressure.
+    low_pressure_share
+        Share of the levels that lie below 100 bar, where the pressures reach that low, [-].
+    pressure_drift_bar, pressure_ripple_bar
+        Standard deviation of the slow and of the fast variation around a level, [bar].
+    speed_rpm
+        Lowest and highest level of the speed, [rpm]; levels are even in the logarithm.
+    temperature_c
+        Middle of a night's oil temperature and its swing to either side, [°C].
+    reverses
+        Whether the motor runs backward after every other halt.
+    """
+
+    pressure_bar: tuple[float, float] = (15.0, 300.0)
+    low_pressure_share: float = 0.45
+    pressure_drift_bar: float = 3.0
+    pressure_ripple_bar: float = 0.4
+    speed_rpm: tuple[float, float] = (3.0, 110.0)
+    temperature_c: tuple[float, float] = (49.0, 8.5)
+    reverses: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Operation:
+    """What happened in a motor, sample by sample, before any sensor saw it.
+
+    Attributes
+    ----------
+    time_s
+        Time since the start, shape (n,), [s].
+    pressure_difference_bar, speed_rpm
+        Shape (n,), [bar] and [rpm]; negative where the motor runs backward, 0 where it stands.
+    oil_temperature_c
+        Shape (n,), [°C].
+    back_flow
+        Shape (n,): the drain line empties backward through its sensor, right after a halt.
+    """
+
+    time_s: FloatArray
+    pressure_difference_bar: FloatArray
+    oil_temperature_c: FloatArray
+    speed_rpm: FloatArray
+    back_flow: NDArray[np.bool_]
+
+
+def simulate_operation(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> Operation:
+    """Random load cycles of a night.
+
+    Parameters
+    ----------
+    duty
+        What the motor is asked to do.
+    time_s
+        Evenly spaced times since the start, shape (n,), [s].
+    rng
+        Source of all randomness.
+
+    Returns
+    -------
+    Operation
+        Pressure, speed and temperature vary independently of one another; the motor halts once
+        or twice in 90 minutes.
+    """
+    halts = _halts(float(time_s[-1]), rng)
+    direction = _direction(time_s, halts) if duty.reverses else np.ones_like(time_s)
+    motion = direction * _running(time_s, halts)
+    return Operation(
+        time_s=time_s,
+        pressure_difference_bar=motion * _pressure_bar(duty, time_s, rng),
+        oil_temperature_c=_temperature_c(duty, time_s, rng),
+        speed_rpm=motion * _speed_rpm(duty, time_s, rng),
+        back_flow=_back_flow(time_s, halts, rng),
+    )
+
+
+def correlated_noise(
+    rng: np.random.Generator, samples: int, step_s: float, time_constant_s: float
+) -> FloatArray:
+    r"""First-order autoregressive noise of unit variance.
+
+    .. math:: x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k, \quad \varphi = e^{-\Delta t/\tau}
+
+    Parameters
+    ----------
+    rng
+        Source of randomness.
+    samples
+        Length n.
+    step_s, time_constant_s
+        Δt and τ, [s].
+
+    Returns
+    -------
+    ndarray
+        Shape (n,), standard deviation 1 from the first sample on, [-].
+
+    Examples
+    --------
+    >>> noise = correlated_noise(np.random.default_rng(1), 200_000, 0.2, 3.9)
+    >>> print(f"{noise.std():.1f} {np.corrcoef(noise[1:], noise[:-1])[0, 1]:.2f}")
+    1.0 0.95
+    """
+    phi = float(np.exp(-step_s / time_constant_s))
+    white = rng.standard_normal(samples)
+    white[1:] *= np.sqrt(1.0 - phi**2)
+    return np.asarray(lfilter([1.0], [1.0, -phi], white), dtype=np.float64)
+
+
+def _pressure_bar(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    low, high = duty.pressure_bar
+    border = max(low, min(LOW_PRESSURE_BAR, high))
+
+    def levels(count: int) -> FloatArray:
+        is_low = rng.random(count) < duty.low_pressure_share
+        return np.where(is_low, rng.uniform(low, border, count), rng.uniform(border, high, count))
+
+    step_s = float(time_s[1] - time_s[0])
+    level = _load_cycle(time_s, rng, levels)
+    drift = duty.pressure_drift_bar * correlated_noise(rng, time_s.size, step_s, 60.0)
+    ripple = duty.pressure_ripple_bar * correlated_noise(rng, time_s.size, step_s, 0.5)
+    room = 3.0 * (duty.pressure_drift_bar + duty.pressure_ripple_bar)
+    return np.clip(level + drift + ripple, max(0.8 * low, low - room), high + room)
+
+
+def _speed_rpm(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    low, high = np.log(duty.speed_rpm)
+    level = np.exp(_load_cycle(time_s, rng, lambda count: rng.uniform(low, high, count)))
+    ripple = 0.3 * correlated_noise(rng, time_s.size, float(time_s[1] - time_s[0]), 2.0)
+    return np.maximum(level + ripple, 0.8 * duty.speed_rpm[0])
+
+
+def _temperature_c(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Three slow waves, scaled so that every night sees the whole swing."""
+    middle, swing = duty.temperature_c
+    periods = rng.uniform(*TEMPERATURE_PERIODS_S, 3)
+    phases = rng.uniform(0.0, 2.0 * np.pi, 3)
+    waves = np.sin(2.0 * np.pi * time_s[:, None] / periods + phases).sum(axis=1)
+    span = np.ptp(waves)
+    shape = 2.0 * (waves - waves.min()) / span - 1.0
+    return np.asarray(middle + rng.uniform(-1.0, 1.0) + swing * shape, dtype=np.float64)
+
+
+def _load_cycle(
+    time_s: FloatArray, rng: np.random.Generator, levels: Callable[[int], FloatArray]
+) -> FloatArray:
+    """Random levels, each held for a while, with straight ramps between them."""
+    count = int(time_s[-1] / (HOLD_S[0] + RAMP_S[0])) + 2
+    ramps, holds = rng.uniform(*RAMP_S, count), rng.uniform(*HOLD_S, count)
+    ends = np.cumsum(ramps + holds)
+    level = levels(count)
+    knots = np.column_stack([ends - holds, ends]).ravel()
+    return np.interp(time_s, knots, np.repeat(level, 2))
+
+
+def _halts(seconds: float, rng: np.random.Generator) -> FloatArray:
+    """First and last second of each halt: one a slot of 45 minutes, shorter in short logs."""
+    count = max(1, round(seconds / 2700.0))
+    slot = seconds / count
+    lengths = np.minimum(rng.uniform(*HALT_S, count), 0.08 * slot)
+    starts = slot * (np.arange(count) + rng.uniform(0.1, 0.75, count))
+    return np.column_stack([starts, starts + lengths])
+
+
+def _running(time_s: FloatArray, halts: FloatArray) -> FloatArray:
+    """1 where the motor runs, 0 where it halts, straight between."""
+    knots: FloatArray = halts[:, [0, 0, 1, 1]] + np.array([-RUN_DOWN_S, 0.0, 0.0, RUN_UP_S])
+    states = np.tile(np.array([1.0, 0.0, 0.0, 1.0]), len(halts))
+    return np.interp(time_s, knots.ravel(), states)
+
+
+def _direction(time_s: FloatArray, halts: FloatArray) -> FloatArray:
+    """1 or -1, turned in the middle of each halt."""
+    turns = np.searchsorted(halts.mean(axis=1), time_s)
+    return np.where(turns % 2 == 0, 1.0, -1.0)
+
+
+def _back_flow(
+    time_s: FloatArray, halts: FloatArray, rng: np.random.Generator
+) -> NDArray[np.bool_]:
+    ends = halts[:, 0] + rng.uniform(*BACK_FLOW_S, len(halts))
+    latest = np.searchsorted(halts[:, 0], time_s, side="right") - 1
+    return np.logical_and(latest >= 0, time_s < ends[latest])

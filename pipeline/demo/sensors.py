@@ -1,0 +1,268 @@
+"""What the sensors and the logger make of a night: noise, coarse steps, faults, gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.config.motors import ChannelName
+from pipeline.demo.operation import FloatArray, correlated_noise
+
+NOISE_TIME_CONSTANT_S: Final = 3.9  # φ = 0.95 at 5 samples a second
+MICROSECONDS: Final = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One channel's sensor.
+
+    Parameters
+    ----------
+    resolution
+        Smallest step, [unit of the channel].
+    noise
+        Standard deviation of its white noise, [unit of the channel].
+    spike
+        Typical height of a spike, [unit of the channel].
+    error_value
+        What it says when it is broken; outside its range, [unit of the channel].
+    maximum
+        Highest value that it can say, [unit of the channel].
+    """
+
+    resolution: float
+    noise: float
+    spike: float
+    error_value: float
+    maximum: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRates:
+    """How often things go wrong, in events an hour unless said otherwise.
+
+    Parameters
+    ----------
+    spikes, values_out_of_range, not_finite
+        Single samples, in each channel.
+    blank_stretches
+        Some seconds without a value, in each channel.
+    missing_periods
+        Twenty seconds to three minutes without anything, in all channels.
+    disordered_stamps
+        Stamps that repeat the one before, and as many that lie before it.
+    """
+
+    spikes: float = 4.0
+    values_out_of_range: float = 1.0
+    not_finite: float = 0.0
+    blank_stretches: float = 0.7
+    missing_periods: float = 0.7
+    disordered_stamps: float = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A night's log before it takes a format.
+
+    Attributes
+    ----------
+    time_us
+        UTC stamp of each row in the file's order, shape (n,), [µs].
+    values
+        Each channel in its canonical unit, shape (n,); NaN: no value there.
+    own_delay_us
+        Where the channels have stamps of their own: their delay behind `time_us`, shape (n,), [µs].
+    """
+
+    time_us: NDArray[np.int64]
+    values: Mapping[ChannelName, FloatArray]
+    own_delay_us: Mapping[ChannelName, NDArray[np.int64]] = field(default_factory=dict)
+
+
+def measure(signal: FloatArray, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
+    """What a healthy sensor says: the signal with white noise, in steps, up to its maximum.
+
+    Parameters
+    ----------
+    signal
+        What reaches the sensor, shape (n,), [unit of the channel].
+    sensor
+        The sensor.
+    rng
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,), [unit of the channel].
+    """
+    noisy = signal + sensor.noise * rng.standard_normal(signal.size)
+    highest = np.inf if sensor.maximum is None else sensor.maximum
+    return in_steps(np.minimum(noisy, highest), sensor.resolution)
+
+
+def in_steps(values: FloatArray, resolution: float) -> FloatArray:
+    """Round to whole steps, as the shortest decimal numbers.
+
+    Parameters
+    ----------
+    values
+        Shape (n,).
+    resolution
+        The step, in the same unit.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,).
+
+    Examples
+    --------
+    >>> in_steps(np.array([123.44, 0.26]), 0.1).tolist()
+    [123.4, 0.3]
+    """
+    return np.round(np.rint(values / resolution) * resolution, 6)
+
+
+def flow_noise_l_per_min(
+    leakage_l_per_min: FloatArray, step_s: float, rng: np.random.Generator
+) -> FloatArray:
+    """Noise of the drain flow: correlated over some seconds, with white noise on top.
+
+    Parameters
+    ----------
+    leakage_l_per_min
+        The leakage without noise, shape (n,), [l/min].
+    step_s
+        Time between samples, [s].
+    rng
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,), [l/min]; its standard deviation is 1.3 % of the leakage itself and 0.3 % of
+        the mean leakage, correlated, and 0.5 % of the leakage, white.
+    """
+    correlated = correlated_noise(rng, leakage_l_per_min.size, step_s, NOISE_TIME_CONSTANT_S)
+    white = rng.standard_normal(leakage_l_per_min.size)
+    noise = (0.013 * correlated + 0.005 * white) * leakage_l_per_min
+    return np.asarray(noise + 0.003 * leakage_l_per_min.mean() * correlated, dtype=np.float64)
+
+
+def with_faults(
+    values: FloatArray, sensor: Sensor, rates: FaultRates, hours: float, rng: np.random.Generator
+) -> FloatArray:
+    """A channel with spikes, values out of range, values that are not finite, and blanks.
+
+    Parameters
+    ----------
+    values
+        What a healthy sensor says, shape (n,), [unit of the channel].
+    sensor
+        The sensor.
+    rates
+        How often things go wrong.
+    hours
+        Length of the log, [h].
+    rng
+        Source of randomness.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,), [unit of the channel]; NaN where the channel is blank.
+    """
+    faulty = values.copy()
+    spikes = _some(values.size, rates.spikes * hours, rng)
+    signs = rng.choice([-1.0, 1.0], spikes.size)
+    heights = sensor.spike * rng.uniform(0.6, 1.6, spikes.size) * signs
+    faulty[spikes] = in_steps(values[spikes] + heights, sensor.resolution)
+    faulty[_some(values.size, rates.values_out_of_range * hours, rng)] = sensor.error_value
+    faulty[_some(values.size, rates.not_finite * hours, rng)] = np.inf
+    faulty[_stretches(values.size, hours, rates.blank_stretches, (3.0, 20.0), rng)] = np.nan
+    return faulty
+
+
+def with_frozen(values: FloatArray, first: int, last: int) -> FloatArray:
+    """A channel whose sensor freezes.
+
+    Parameters
+    ----------
+    values
+        What it would have said, shape (n,).
+    first, last
+        It stays at the value of sample `first` until sample `last`.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,).
+    """
+    frozen = values.copy()
+    frozen[first:last] = values[first]
+    return frozen
+
+
+def with_log_faults(
+    recording: Recording, rates: FaultRates, hours: float, rng: np.random.Generator
+) -> Recording:
+    """A recording without its missing periods, and with some stamps repeated or set back.
+
+    Parameters
+    ----------
+    recording
+        All rows, with sound stamps.
+    rates
+        How often things go wrong.
+    hours
+        Length of the log, [h].
+    rng
+        Source of randomness.
+
+    Returns
+    -------
+    Recording
+        The rows that were logged; the first and the last always are.
+    """
+    rows = recording.time_us.size
+    absent = _stretches(rows, hours, rates.missing_periods, (20.0, 180.0), rng)
+    absent[[0, -1]] = False
+    kept = np.flatnonzero(~absent)
+    time_us = recording.time_us[kept]
+    repeated = 1 + _some(kept.size - 2, rates.disordered_stamps * hours, rng)
+    time_us[repeated] = time_us[repeated - 1]
+    set_back = 1 + _some(kept.size - 2, rates.disordered_stamps * hours, rng)
+    time_us[set_back] = np.maximum(time_us[set_back] - 3 * MICROSECONDS // 2, time_us[0])
+    return replace(
+        recording,
+        time_us=time_us,
+        values={name: values[kept] for name, values in recording.values.items()},
+        own_delay_us={name: delay[kept] for name, delay in recording.own_delay_us.items()},
+    )
+
+
+def _some(size: int, expected: float, rng: np.random.Generator) -> NDArray[np.intp]:
+    """A random number of random samples."""
+    return np.asarray(rng.integers(0, size, rng.poisson(expected)), dtype=np.intp)
+
+
+def _stretches(
+    size: int,
+    hours: float,
+    per_hour: float,
+    seconds: tuple[float, float],
+    rng: np.random.Generator,
+) -> NDArray[np.bool_]:
+    """Mask of random stretches of time; none is longer than a twentieth of the log."""
+    inside = np.zeros(size, dtype=np.bool_)
+    samples_per_s = size / (3600.0 * hours)
+    for first in _some(size, per_hour * hours, rng):
+        length = min(int(rng.uniform(*seconds) * samples_per_s), size // 20)
+        inside[first : first + length] = True
+    return inside

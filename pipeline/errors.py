@@ -1,0 +1,67 @@
+"""One tree of errors: each has a stable code, and a message that says what, where and what to do.
+
+The codes stand in tables, on the terminal and in ``docs/operations.md``; they never change meaning.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class MotorLeakageError(Exception):
+    """Base of every error that the pipeline raises on purpose.
+
+    Parameters
+    ----------
+    code
+        Stable, machine-readable name of the kind of error.
+    message
+        What is wrong, where, and what to do about it, in one line.
+    """
+
+    def __init__(self, code: str, message: str) -> None:
+        super().__init__(code, message)
+        self.code = code
+        self.message = message
+
+    def __str__(self) -> str:
+        return self.message
+
+
+class UsageError(MotorLeakageError):
+    """The command was called in a way it cannot follow; exit code 2."""
+
+
+class LockedError(MotorLeakageError):
+    """Another run writes to the same output; exit code 3."""
+
+
+class StoreError(MotorLeakageError):
+    """A table could not be read or published."""
+
+
+class LogError(MotorLeakageError):
+    """A log file cannot be read, or not be trusted.
+
+    Parameters
+    ----------
+    code
+        Stable name of the kind of damage, such as ``log_truncated``.
+    path
+        The file.
+    message
+        What is wrong and what to do about it; the file's name is put in front.
+    place
+        Where in the file: a line, a column, a record or a byte.
+    """
+
+    def __init__(self, code: str, path: Path, message: str, place: str | None = None) -> None:
+        where = f"{path.name}, {place}" if place else path.name
+        super().__init__(code, f"{where}: {message}")
+        self.path = path
+        self.place = place
+        self._args = (code, path, message, place)
+
+    def __reduce__(self) -> tuple[type[LogError], tuple[str, Path, str, str | None]]:
+        # Errors travel between processes; the default calls __init__ with the base's arguments.
+        return type(self), self._args

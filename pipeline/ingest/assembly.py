@@ -1,0 +1,168 @@
+"""The last steps that all readers share: judge a channel's readings, convert them, and put the log together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import LogError
+from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.time_stamps import TimeStamps
+from pipeline.units import to_canonical
+
+_T = TypeVar("_T", bound=np.generic)
+
+
+@dataclass(frozen=True, slots=True)
+class Readings:
+    """Raw figures of one channel, before scale, offset and unit.
+
+    Attributes
+    ----------
+    raw : (n,) float64
+        nan where missing.
+    missing : (n,) bool
+    unparsed : (n,) bool
+        Part of `missing`: there was something, and it is no number.
+    example
+        The first thing that is no number, for a message.
+    """
+
+    raw: NDArray[np.float64]
+    missing: NDArray[np.bool_]
+    unparsed: NDArray[np.bool_]
+    example: str | None = None
+
+    def rows(self, kept: NDArray[np.bool_]) -> Readings:
+        """The readings of some rows."""
+        if kept.all():
+            return self
+        return Readings(self.raw[kept], self.missing[kept], self.unparsed[kept], self.example)
+
+    @staticmethod
+    def joined(parts: Sequence[Readings]) -> Readings:
+        """Readings one after the other."""
+        examples = (part.example for part in parts if part.example is not None)
+        return Readings(
+            np.concatenate([np.empty(0), *(part.raw for part in parts)]),
+            np.concatenate([np.empty(0, np.bool_), *(part.missing for part in parts)]),
+            np.concatenate([np.empty(0, np.bool_), *(part.unparsed for part in parts)]),
+            next(examples, None),
+        )
+
+
+def raw_channel(
+    path: Path, source: ChannelSource, time_us: NDArray[np.int64], readings: Readings
+) -> RawChannel:
+    """Channel in its canonical unit.
+
+    Raises
+    ------
+    LogError
+        ``log_type``: the channel holds something, but not one number.
+    """
+    unparsed = int(np.count_nonzero(readings.unparsed))
+    if unparsed and readings.missing.all():
+        raise LogError(
+            "log_type",
+            path,
+            f"{source.source} (channel {source.channel}) holds no number in {unparsed} cells, such as "
+            f"{readings.example!r}: give the right column, decimal sign or missing_tokens",
+            source.source,
+        )
+    value = to_canonical(source.channel, readings.raw * source.scale + source.offset, source.unit)
+    return RawChannel(_frozen(time_us), _frozen(value), _frozen(readings.missing), unparsed)
+
+
+def wide_log(
+    path: Path,
+    source: LogSource,
+    stamps: TimeStamps,
+    columns: Mapping[str, Readings],
+    refused: Mapping[str, int],
+) -> RawLog:
+    """Log whose channels share one column of time stamps.
+
+    Parameters
+    ----------
+    path, source
+        The log.
+    stamps
+        Time of each row.
+    columns
+        Readings by canonical channel name.
+    refused
+        Rows left out so far, by reason.
+
+    Raises
+    ------
+    LogError
+        ``log_type``; ``log_time`` where more than half of the rows have no time.
+    """
+    without_time = require_time(path, stamps, time_name(source))
+    refused = {**refused, "rows without a readable time": without_time}
+    time_us = stamps.time_us[stamps.readable]
+    channels = {
+        channel.channel: raw_channel(
+            path, channel, time_us, columns[channel.channel].rows(stamps.readable)
+        )
+        for channel in source.channels
+    }
+    return raw_log(channels, time_us.size, refused)
+
+
+def time_name(source: LogSource) -> str:
+    """How the time column of a table is named in messages."""
+    return f"{source.time_source!r} in format {source.time_format}"
+
+
+def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
+    """Number of rows without a time; more than half of them is an error ``log_time``.
+
+    Parameters
+    ----------
+    name
+        What the stamps are called and how they were read.
+    """
+    rows = stamps.readable.size
+    unreadable = rows - int(np.count_nonzero(stamps.readable))
+    if 2 * unreadable > rows:
+        raise LogError(
+            "log_time",
+            path,
+            f"{unreadable} of {rows} time stamps cannot be read as {name}, or lie before 1990 or after 2200: "
+            "give the right time format, or have the logger's clock set",
+        )
+    return unreadable
+
+
+def raw_log(channels: Mapping[str, RawChannel], rows: int, refused: Mapping[str, int]) -> RawLog:
+    """Log from its channels, with a note for each reason for which something was left out."""
+    times = [channel.time_us for channel in channels.values() if channel.time_us.size]
+    return RawLog(
+        channels=channels,
+        rows=rows,
+        first_us=min((int(time_us.min()) for time_us in times), default=None),
+        last_us=max((int(time_us.max()) for time_us in times), default=None),
+        notes=tuple(f"{count} {reason}" for reason, count in refused.items() if count),
+        refused_rows=sum(refused.values()),
+    )
+
+
+def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
+    """Smallest and largest of the time stamps of a file's parts; none at all is an error ``log_empty``."""
+    times = [part for part in parts if part.size]
+    if not times:
+        raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
+    return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
+
+
+def _frozen(values: NDArray[_T]) -> NDArray[_T]:
+    view = values.view()
+    view.flags.writeable = False
+    return view

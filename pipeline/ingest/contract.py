@@ -1,0 +1,190 @@
+"""What every reader of logs takes and gives, whatever the format of the file.
+
+A reader gets a `LogSource` and gives a `RawLog`: each channel on its own time stamps, in the order of the file, in canonical
+units, with what is missing marked. A reader sorts nothing, fills nothing and judges nothing but the file itself; whether a
+sample is plausible is for the cleaning stage.
+
+Codes of the `LogError` that readers raise:
+
+================== ==========================================================================
+``log_missing``    there is no such file
+``log_not_readable`` not a file, or it may not be opened
+``log_empty``      the file has no bytes, or, where a time span was asked for, no samples
+``log_not_csv``, ``log_not_parquet``, ``log_not_mcap`` it is something else
+``log_encoding``   the text is in another encoding, or MCAP messages are not JSON
+``log_compression`` chunks of an MCAP file are compressed in a way that is not known
+``log_truncated``  the end of the file is missing
+``log_damaged``    a checksum, a length or a count contradicts what is there
+``log_column_missing`` a column, a topic or a field is not there; the message says which are
+``log_column_twice`` two columns have the name that is asked for
+``log_type``       a channel holds something else than numbers
+``log_time``       time stamps cannot be read as the source says
+``log_too_large``  more than a reader takes into memory
+================== ==========================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal, get_args
+from zoneinfo import ZoneInfo
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import UsageError
+from pipeline.ingest.time_stamps import require_time_format
+from pipeline.units import conversion
+
+LogFormat = Literal["csv", "parquet", "mcap"]
+
+MISSING_TOKENS = ("", "null", "NULL", "NA", "N/A")
+"""Cells of a CSV that mean "no sample"; ``NaN`` is none of them: it is a reading that is not finite."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelSource:
+    """Where a channel is found in a log, and how its raw figures become readings.
+
+    Parameters
+    ----------
+    channel
+        Canonical name, one of `pipeline.units.CHANNELS`.
+    source
+        Name of the column (CSV, Parquet) or topic (MCAP).
+    unit
+        Unit of ``raw * scale + offset``, one of `pipeline.units.UNITS` of the channel's quantity.
+    field
+        Key in the JSON message (MCAP only).
+    scale, offset
+        For sensors logged in counts, volts or milliamperes.
+    """
+
+    channel: str
+    source: str
+    unit: str
+    field: str = "value"
+    scale: float = 1.0
+    offset: float = 0.0
+
+    def __post_init__(self) -> None:
+        conversion(self.channel, self.unit)
+        if not (np.isfinite(self.scale) and np.isfinite(self.offset) and self.scale != 0):
+            raise UsageError(
+                "channel_source",
+                f"channel {self.channel}: scale and offset are finite, scale not 0",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class LogSource:
+    """How the logs of a motor are written.
+
+    Parameters
+    ----------
+    format
+        "csv", "parquet" or "mcap".
+    channels
+        The channels that are wanted; each name once.
+    time_source
+        Column of the time stamps (CSV, Parquet); "log_time" or "publish_time" (MCAP, where any other name means "log_time").
+    time_format
+        "iso8601", "epoch_s", "epoch_ms", "epoch_us", "epoch_ns" or a format of `time.strptime`. Parquet columns of type
+        timestamp and MCAP say it themselves.
+    time_zone
+        Zone of time stamps that do not carry one.
+    separator, decimal, encoding, skip_rows, missing_tokens
+        The dialect of a CSV; `skip_rows` lines stand before the header.
+    """
+
+    format: LogFormat
+    channels: tuple[ChannelSource, ...]
+    time_source: str = "time"
+    time_format: str = "iso8601"
+    time_zone: str = "UTC"
+    separator: str = ","
+    decimal: str = "."
+    encoding: str = "utf-8"
+    skip_rows: int = 0
+    missing_tokens: tuple[str, ...] = MISSING_TOKENS
+
+    def __post_init__(self) -> None:
+        if self.format not in get_args(LogFormat):
+            raise UsageError(
+                "log_source", f"log format {self.format!r} is none of csv, parquet, mcap"
+            )
+        names = [channel.channel for channel in self.channels]
+        if not names or len(names) != len(set(names)):
+            raise UsageError("log_source", "a log has at least one channel, and each channel once")
+        require_time_format(self.time_format)
+        _require_dialect(self)
+
+
+@dataclass(frozen=True, slots=True)
+class RawChannel:
+    """Samples of one channel as they are in the file; arrays are read-only.
+
+    Attributes
+    ----------
+    time_us : (n,) int64
+        UTC, microseconds since 1970, in the order of the file: backward time is for cleaning to refuse.
+    value : (n,) float64
+        Canonical unit; nan where missing.
+    missing : (n,) bool
+        The cell was blank or null or held no number. A nan or infinity that stands in the file is not missing.
+    unparsed
+        Number of cells that held something that is no number; they are in `missing` too.
+    """
+
+    time_us: NDArray[np.int64]
+    value: NDArray[np.float64]
+    missing: NDArray[np.bool_]
+    unparsed: int
+
+
+@dataclass(frozen=True, slots=True)
+class RawLog:
+    """A log as read.
+
+    Attributes
+    ----------
+    channels
+        By canonical name, all that the source names.
+    rows
+        Rows (CSV, Parquet) or messages of the topics read (MCAP) that have a time stamp.
+    first_us, last_us
+        Smallest and largest time stamp; None without rows.
+    notes
+        What was left out, each with its count and reason, one line each.
+    refused_rows
+        Rows or messages left out, as the notes say.
+    """
+
+    channels: Mapping[str, RawChannel]
+    rows: int
+    first_us: int | None
+    last_us: int | None
+    notes: tuple[str, ...] = ()
+    refused_rows: int = 0
+
+
+def _require_dialect(source: LogSource) -> None:
+    """Refuse a dialect that no CSV can be read with."""
+    if len(source.separator) != 1 or not source.separator.isascii() or source.separator in '"\r\n':
+        raise UsageError("log_source", f"separator {source.separator!r} is not one character")
+    if source.decimal not in {".", ","} or source.decimal == source.separator:
+        raise UsageError(
+            "log_source",
+            f"decimal {source.decimal!r} is neither '.' nor ',', or it is the separator",
+        )
+    if source.skip_rows < 0:
+        raise UsageError("log_source", "skip_rows is not negative")
+    try:
+        b"".decode(source.encoding)
+    except LookupError as error:
+        raise UsageError("log_source", f"encoding {source.encoding!r} is not known") from error
+    try:
+        ZoneInfo(source.time_zone)
+    except (OSError, ValueError, KeyError) as error:
+        raise UsageError("log_source", f"time zone {source.time_zone!r} is not known") from error

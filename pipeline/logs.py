@@ -1,0 +1,192 @@
+"""A motor's log files: which there are, what is known of each, and the samples of a night."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.config import MotorSpec
+from pipeline.errors import LogError
+from pipeline.ingest import RawChannel, RawLog, read_log, time_span
+from pipeline.ledger import FileRecord, content_hash
+from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
+
+# Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
+# a wrong time format.
+LONGEST_LOG_DAYS = 750
+DAY_US = 86_400_000_000
+DATE_IN_NAME = re.compile(r"(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+GLOB_CHARACTERS = frozenset("*?[")
+
+
+def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
+    """The log files of a motor that there are, and those that are named but absent.
+
+    Returns
+    -------
+    dict of str to Path, list of str
+        Paths relative to the log root, sorted; a glob without a match is no fault.
+    """
+    found: set[Path] = set()
+    absent: list[str] = []
+    for pattern in spec.file.logs.files:
+        if GLOB_CHARACTERS & set(pattern):
+            found |= {path for path in spec.log_root.glob(pattern) if not path.is_dir()}
+        elif (spec.log_root / pattern).exists():
+            found.add(spec.log_root / pattern)
+        else:
+            absent.append(pattern)
+    return {path.relative_to(spec.log_root).as_posix(): path for path in sorted(found)}, absent
+
+
+def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpec) -> FileRecord:
+    """What is known of a file: as before while its content is the same, else from a look at it.
+
+    Parameters
+    ----------
+    name, path
+        Path relative to the log root, and where it is.
+    before
+        What was known of it; None for a file not seen.
+    spec
+        The motor.
+
+    Returns
+    -------
+    FileRecord
+        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told.
+    """
+    try:
+        state = path.stat()
+        size, modified = state.st_size, state.st_mtime_ns
+        if before and (before.size, before.modified_ns) == (size, modified):
+            return before
+        record = FileRecord(name, size, modified, content_hash(path))
+    except OSError as error:
+        fault = LogError("log_not_readable", path, f"{error.strerror}; check its permissions")
+        return failed(FileRecord(name, 0, 0, None), fault)
+    if before and before.sha256 == record.sha256:
+        return replace(before, modified_ns=modified)
+    try:
+        first, last = time_span(path, spec.file.log_source())
+        if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
+            # The ends of the file are no measure of it, so all of it is.
+            return covered(record, read_log(path, spec.file.log_source()), spec)
+    except LogError as error:
+        return failed(record, error)
+    nights = spec.settings.nights
+    labels = nights_between(night_of(first, nights), night_of(last, nights))
+    return replace(
+        record, first_us=first, last_us=last, nights=tuple(map(dt.date.isoformat, labels))
+    )
+
+
+def failed(record: FileRecord, error: LogError) -> FileRecord:
+    """The record of a file that cannot be read."""
+    return replace(record, status="failed", error_code=error.code, message=error.message)
+
+
+def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
+    """The record of a file that was read: its span, its nights, and what was left out of it."""
+    stamps = np.concatenate([channel.time_us for channel in log.channels.values()])
+    notes = list(log.notes)
+    unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
+    notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
+    if not len(stamps):
+        notes.append("no samples")
+        return replace(record, rows=log.rows, message="; ".join(notes))
+    far = np.abs(stamps - np.median(stamps)) > LONGEST_LOG_DAYS / 2 * DAY_US
+    if far.any():
+        notes.append(
+            f"{int(far.sum())} time stamps lie over a year from the others and are left out"
+        )
+        stamps = stamps[~far]
+    labels = sorted(nights_of(stamps, spec.settings.nights))
+    return replace(
+        record,
+        rows=log.rows,
+        first_us=int(stamps.min()),
+        last_us=int(stamps.max()),
+        nights=tuple(map(dt.date.isoformat, labels)),
+        message="; ".join(notes) or None,
+    )
+
+
+def labels_of(record: FileRecord) -> set[dt.date]:
+    """Nights that a file touches."""
+    return set(map(dt.date.fromisoformat, record.nights))
+
+
+def place_failed(
+    records: Mapping[str, FileRecord], before: Mapping[str, FileRecord], spec: MotorSpec
+) -> dict[str, FileRecord]:
+    """Give each unreadable file the night that it would have been of.
+
+    By what was known of it before, by the date in its name compared with those of its readable
+    neighbours, or by when it was last written: in that order, and the message says which.
+    """
+    readable = [record for record in records.values() if record.status == "ok" and record.nights]
+    lag = _lag_of_names(readable)
+    placed = dict(records)
+    for name, record in records.items():
+        if record.status == "ok" or record.nights:
+            continue
+        named = _date_in(name)
+        if name in before and before[name].nights:
+            labels, basis = before[name].nights, "as read before"
+        elif named is not None:
+            labels, basis = ((named + lag).isoformat(),), "by its name"
+        else:
+            label = night_of(record.modified_ns // 1000, spec.settings.nights)
+            labels, basis = (label.isoformat(),), "by when it was written"
+        message = f"{record.message} (night {', '.join(labels)} {basis})"
+        placed[name] = replace(record, nights=labels, message=message)
+    return placed
+
+
+def _date_in(name: str) -> dt.date | None:
+    found = DATE_IN_NAME.findall(name)
+    try:
+        return dt.date(*map(int, found[-1])) if found else None
+    except ValueError:
+        return None
+
+
+def _lag_of_names(records: Iterable[FileRecord]) -> dt.timedelta:
+    """What lies between the date in a file's name and its first night, for most files."""
+    lags = Counter(
+        min(labels_of(record)) - date for record in records if (date := _date_in(record.path))
+    )
+    return lags.most_common(1)[0][0] if lags else 0 * DAY
+
+
+def slice_night(logs: Iterable[RawLog], night: Night) -> dict[str, RawChannel]:
+    """The samples of a night from all files that have some, file after file."""
+    parts: dict[str, list[RawChannel]] = {}
+    for log in logs:
+        for name, channel in log.channels.items():
+            inside = (channel.time_us >= night.start_us) & (channel.time_us < night.end_us)
+            rows = slice(None) if inside.all() else inside
+            parts.setdefault(name, []).append(
+                RawChannel(
+                    channel.time_us[rows],
+                    channel.value[rows],
+                    channel.missing[rows],
+                    channel.unparsed,
+                )
+            )
+    return {
+        name: RawChannel(
+            np.concatenate([part.time_us for part in pieces]),
+            np.concatenate([part.value for part in pieces]),
+            np.concatenate([part.missing for part in pieces]),
+            sum(part.unparsed for part in pieces),
+        )
+        for name, pieces in parts.items()
+    }

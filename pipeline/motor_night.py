@@ -1,0 +1,323 @@
+"""One motor, one night: raw channels in, rows of the tables out.
+
+Pure: no files, no shared state, and errors are data. The order of the stages is the order of the
+data: clean each channel, one time base, joint rules, regressors, matched smoothing, blocks, split,
+fit, validation, rows.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from leakage import (
+    EstimationError,
+    Fit,
+    LeakageError,
+    Motor,
+    OperatingConditions,
+    SearchSettings,
+    fit,
+    regressors,
+)
+from leakage.block_statistics import factors
+from pipeline.clean import ChannelRules, CleanChannel, clean_channel
+from pipeline.config import MotorSpec
+from pipeline.ingest import RawChannel
+from pipeline.night_rows import (
+    FittedMode,
+    NightStatistics,
+    Rows,
+    fit_rows,
+    prediction_rows,
+    quality_rows,
+    statistics_rows,
+    unfitted_row,
+)
+from pipeline.nights import Night
+from pipeline.resample import Quality, Samples, bring_together
+from pipeline.smoothing import smooth
+from pipeline.windows import TRAINING, merge_neighbours, split_into_blocks
+
+OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
+INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
+
+# Raise it when the code makes other statistics of the same samples: old blocks then never merge
+# with new ones.
+STATISTICS_VERSION = 1
+
+# Keys of a free path that scale its coefficient and leave its column as it is.
+SCALE_ONLY = {
+    "annular_gap": {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"},
+    "speed_curve": {"scale"},
+    "laminar": {"count", "coefficient_m3"},
+}
+
+PreviousModel = Mapping[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class NightOutcome:
+    """What came of a motor's night.
+
+    Attributes
+    ----------
+    status, reason, error_code
+        One of the five outcomes, why in words, and the code of a failure.
+    rows
+        Rows by table name, without ``run_id``.
+    model
+        θ by flushing mode, for judging this model on the next night; empty without a fit.
+    seconds
+        Time by stage.
+    """
+
+    night: dt.date
+    status: str
+    reason: str | None
+    error_code: str | None
+    rows: Rows
+    model: PreviousModel = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+
+class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
+    """The night has too little to fit; carries the outcome and the reason."""
+
+    def __init__(self, status: str, reason: str) -> None:
+        super().__init__(status, reason)
+        self.status = status
+        self.reason = reason
+
+
+def fit_night(
+    spec: MotorSpec,
+    night: Night,
+    channels: Mapping[str, RawChannel],
+    previous: PreviousModel,
+) -> NightOutcome:
+    """Fit one motor's night.
+
+    Parameters
+    ----------
+    spec
+        The motor with its resolved config.
+    night
+        The night.
+    channels
+        Raw samples of the night by channel.
+    previous
+        The motor's model before, by flushing mode; empty where there is none.
+
+    Returns
+    -------
+    NightOutcome
+        Whatever happens short of a fault in the code.
+    """
+    seconds: dict[str, float] = {}
+    rows: Rows = {}
+    try:
+        with _timed(seconds, "clean_s"):
+            samples, quality = _clean(spec, night, channels)
+            rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
+            _require_enough(samples, quality, spec)
+        with _timed(seconds, "statistics_s"):
+            motor = spec.motor(night.date, spec.file.flushing.mode)
+            statistics = _statistics(spec, motor, night, samples)
+            rows["block_statistics"] = statistics_rows(spec.motor_id, night.date, motor, statistics)
+        with _timed(seconds, "fit_s"):
+            _require_training(statistics, spec)
+            modes = _fit_modes(spec, night, statistics)
+            rows |= fit_rows(spec, night.date, statistics, modes, previous)
+            rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
+    except Insufficient as outcome:
+        return unfitted(
+            spec, night.date, outcome.status, outcome.reason, rows=rows, seconds=seconds
+        )
+    except EstimationError as error:
+        return unfitted(spec, night.date, INSUFFICIENT_DATA, str(error), rows=rows, seconds=seconds)
+    except LeakageError as error:
+        return unfitted(
+            spec, night.date, FAILED, str(error), code=error.code, rows=rows, seconds=seconds
+        )
+    model = {mode.name: tuple(mode.fit.coefficients.tolist()) for mode in modes}
+    return NightOutcome(night.date, OK, None, None, rows, model, seconds)
+
+
+def unfitted(
+    spec: MotorSpec,
+    night: dt.date,
+    status: str,
+    reason: str,
+    *,
+    code: str | None = None,
+    rows: Rows | None = None,
+    seconds: Mapping[str, float] | None = None,
+) -> NightOutcome:
+    """The outcome of a night without a fit: one row that says why, and what was counted so far."""
+    kept = {
+        name: part for name, part in (rows or {}).items() if name in ("quality", "block_statistics")
+    }
+    kept["fits"] = [unfitted_row(spec, night, status, reason, code)]
+    return NightOutcome(night, status, reason, code, kept, {}, seconds or {})
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    begin = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[stage] = time.perf_counter() - begin
+
+
+def _clean(
+    spec: MotorSpec, night: Night, channels: Mapping[str, RawChannel]
+) -> tuple[Samples, tuple[Quality, ...]]:
+    cleaning = spec.settings.cleaning
+    cleaned: dict[str, CleanChannel] = {}
+    for name, channel in spec.file.channels.items():
+        rules = ChannelRules.of(name, channel, cleaning)
+        cleaned[name] = clean_channel(channels[name], rules)
+    counted = tuple(
+        Quality(name, reason, channel.n_samples, count)
+        for name, channel in cleaned.items()
+        for reason, count in channel.counts.items()
+    )
+    silent = [name for name, channel in cleaned.items() if not len(channel.time_us)]
+    if silent:
+        raise Insufficient(INSUFFICIENT_DATA, f"no samples of {', '.join(silent)} in this night")
+    if all(channel.period_us is None for channel in cleaned.values()):
+        raise Insufficient(INSUFFICIENT_DATA, "fewer than two samples in this night")
+    samples, joint = bring_together(
+        cleaned, night.start_us, night.end_us, spec.settings.time_base, cleaning
+    )
+    return samples, counted + joint
+
+
+def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:
+    still = next(
+        q.n_refused for q in quality if (q.channel, q.reason) == ("time_base", "standstill")
+    )
+    if not samples.n_running and still:
+        raise Insufficient(STOOD_STILL, "the motor stood still all night")
+    if samples.kept_share < spec.settings.windows.minimum_kept_share:
+        worst = sorted(
+            (q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")),
+            key=lambda q: -q.n_refused / max(q.n_samples, 1),
+        )[:2]
+        causes = "; ".join(
+            f"{q.channel} {q.reason} {100 * q.n_refused / q.n_samples:.0f} %"
+            for q in worst
+            if q.n_refused
+        )
+        limit = 100 * spec.settings.windows.minimum_kept_share
+        raise Insufficient(
+            INSUFFICIENT_DATA,
+            f"only {100 * samples.kept_share:.0f} % of the running motor's samples are kept, "
+            f"{limit:.0f} % are needed" + (f" ({causes})" if causes else ""),
+        )
+
+
+def _statistics(spec: MotorSpec, motor: Motor, night: Night, samples: Samples) -> NightStatistics:
+    """Regressors, smoothing, blocks, and their factors."""
+    settings = spec.settings
+    conditions = OperatingConditions.from_bar(
+        np.abs(samples.pressure_difference_bar),
+        samples.oil_temperature_c,
+        np.abs(samples.speed_rpm),
+    )
+    z = np.column_stack([regressors(motor, conditions), samples.leakage_l_per_min])
+    short = split_into_blocks(samples.time_us, night.start_us, settings.windows)
+    number = np.repeat(np.arange(len(short)), [block.n for block in short])
+    z = smooth(z, samples.index, number, samples.period_us, settings.smoothing)
+    stored = merge_neighbours(short, settings.windows.maximum_blocks)
+    borders = np.array([*(block.first_row for block in stored), len(z)])
+    return NightStatistics(
+        samples=samples,
+        z=z,
+        blocks=stored,
+        factors=factors(z, borders),
+        model_hash=model_hash(spec, motor, night.date),
+    )
+
+
+def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
+    n = sum(block.n for block in statistics.blocks if block.part == TRAINING)
+    minutes = n * statistics.samples.period_us / 60e6
+    needed = spec.settings.windows.minimum_training_minutes
+    if minutes < needed:
+        raise Insufficient(
+            INSUFFICIENT_DATA,
+            f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
+        )
+
+
+def _fit_modes(
+    spec: MotorSpec, night: Night, statistics: NightStatistics
+) -> tuple[FittedMode, ...]:
+    """A fit for each mode of flushing, the primary one first; all over the same statistics."""
+    estimation = spec.settings.estimation
+    search = SearchSettings(
+        starting_points=estimation.starting_points,
+        gradient_type=estimation.gradient_type,
+        step_tolerance=estimation.step_tolerance,
+        function_tolerance=estimation.function_tolerance,
+        maximum_iterations=estimation.maximum_iterations,
+    )
+    training = statistics.factor_of(TRAINING)
+
+    def fitted(mode: str) -> Fit:
+        seed = night_seed(estimation.seed, spec.motor_id, night.date, mode)
+        motor = spec.motor(night.date, mode)
+        return fit(training, motor, search, np.random.default_rng(seed))
+
+    return tuple(FittedMode(mode, fitted(mode)) for mode in spec.file.flushing.modes)
+
+
+def night_seed(seed: int, motor_id: str, night: dt.date, mode: str) -> int:
+    """Seed of a fit's starting points: the same for the same run seed, motor, night and mode."""
+    text = "|".join((str(seed), motor_id, night.isoformat(), mode))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+
+
+def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
+    """Hash of all that shapes the statistics of a night; blocks of different hash never merge.
+
+    Counts, radii, lengths and bounds of free gaps are left out: they scale loss factors into gap
+    heights and leave the columns as they are.
+    """
+    free = {path.name for path in motor.column_paths}
+    paths = [
+        declared.model_dump(
+            exclude={"source"} | (SCALE_ONLY[declared.law] if declared.name in free else set())
+        )
+        for declared in spec.motor_type.path
+    ]
+    settings = spec.settings.model_dump(
+        include={"nights", "time_base", "cleaning", "smoothing", "windows", "model"},
+        exclude={"windows": {"minimum_kept_share", "minimum_training_minutes"}},
+    )
+    document: dict[str, Any] = {
+        "version": STATISTICS_VERSION,
+        "columns": motor.columns,
+        "paths": paths,
+        "oil": spec.oil_on(night).model_dump(exclude={"name", "source"}),
+        "settings": settings,
+        "channels": {name: part.model_dump() for name, part in spec.file.channels.items()},
+    }
+    return hash_of(document)
+
+
+def hash_of(document: Mapping[str, Any]) -> str:
+    """Short hash of a JSON document, the same on every machine."""
+    text = json.dumps(document, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

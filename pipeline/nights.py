@@ -1,0 +1,78 @@
+"""Nights: local days that end at a stated hour, 23 or 25 hours long at a clock change."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.config import Nights
+
+DAY = dt.timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """A night: its label (the local date on which it ends) and its borders.
+
+    Attributes
+    ----------
+    date
+        Label.
+    start_us, end_us
+        Half open, UTC microseconds.
+    """
+
+    date: dt.date
+    start_us: int
+    end_us: int
+
+
+def night(date: dt.date, nights: Nights) -> Night:
+    """The night that ends on a local date."""
+    return Night(date, _end_us(date - DAY, nights), _end_us(date, nights))
+
+
+def _end_us(date: dt.date, nights: Nights) -> int:
+    local = dt.datetime.combine(date, dt.time(nights.end_hour), nights.zone)
+    return int(local.timestamp()) * 1_000_000
+
+
+def night_of(time_us: int, nights: Nights) -> dt.date:
+    """Label of the night in which a moment lies.
+
+    Parameters
+    ----------
+    time_us
+        UTC microseconds.
+    nights
+        Time zone and hour at which a night ends.
+
+    Examples
+    --------
+    >>> evening = int(dt.datetime(2026, 3, 1, 22, tzinfo=dt.UTC).timestamp()) * 1_000_000
+    >>> night_of(evening, Nights())
+    datetime.date(2026, 3, 2)
+    """
+    local = dt.datetime.fromtimestamp(time_us // 1_000_000, nights.zone)
+    label = local.date()
+    return label if time_us < _end_us(label, nights) else label + DAY
+
+
+def nights_between(first: dt.date, last: dt.date) -> list[dt.date]:
+    """All labels from the first to the last, both included."""
+    return [first + index * DAY for index in range((last - first).days + 1)]
+
+
+def nights_of(time_us: NDArray[np.int64], nights: Nights) -> set[dt.date]:
+    """Labels of all nights in which any of some moments lies."""
+    if not len(time_us):
+        return set()
+    labels = nights_between(
+        night_of(int(time_us.min()), nights), night_of(int(time_us.max()), nights)
+    )
+    ends = np.array([_end_us(label, nights) for label in labels])
+    hit = np.unique(np.searchsorted(ends, time_us, side="right"))
+    return {labels[index] for index in hit.tolist()}

@@ -1,0 +1,234 @@
+"""One time base for all channels of a night, and the rules that need them all at once.
+
+The grid is anchored at the night's start, so it does not depend on which files a night came in.
+Slower channels are interpolated linearly, never across a gap or a refused sample; faster ones are
+averaged over a cell of the grid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
+from pipeline.config import Cleaning, TimeBase
+
+# A channel with more than this many samples a cell of the grid is averaged, not interpolated.
+AVERAGE_ABOVE = 1.5
+# Share of a cell's samples that must be kept for its average.
+CELL_SHARE = 0.5
+INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How many samples a rule looked at and refused."""
+
+    channel: str
+    reason: str
+    n_samples: int
+    n_refused: int
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The kept samples of a night on its time base.
+
+    Attributes
+    ----------
+    index
+        Place of each kept sample on the grid, shape (n,), increasing.
+    time_us
+        UTC microseconds, shape (n,).
+    pressure_difference_bar, oil_temperature_c, speed_rpm, leakage_l_per_min
+        Shape (n,); pressure and speed with their sign.
+    period_us
+        Period of the grid.
+    n_grid
+        Samples of the grid between the first and the last of the log.
+    n_running
+        Those of them in which the motor ran, away from standstill and its guard times.
+    """
+
+    index: Times
+    time_us: Times
+    pressure_difference_bar: Values
+    oil_temperature_c: Values
+    speed_rpm: Values
+    leakage_l_per_min: Values
+    period_us: int
+    n_grid: int
+    n_running: int
+
+    @property
+    def kept_share(self) -> float:
+        """Share of the running motor's samples that was kept."""
+        return len(self.index) / self.n_running if self.n_running else 0.0
+
+
+def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> int:
+    """Period of the time base [µs]: as stated, else of the fastest channel, within the limit.
+
+    The measured rate is rounded (to whole hertz, or whole seconds below 1 Hz), so that a logger's
+    jitter does not give each night a grid of its own.
+    """
+    if settings.rate_hz is not None:
+        return round(SECOND_US / settings.rate_hz)
+    periods = [channel.period_us for channel in channels.values() if channel.period_us]
+    fastest = max(min(periods), SECOND_US / settings.maximum_rate_hz)
+    if fastest > SECOND_US / 1.5:
+        return max(round(fastest / SECOND_US), 1) * SECOND_US
+    return round(SECOND_US / round(SECOND_US / fastest))
+
+
+def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
+    """A channel on the time base.
+
+    Parameters
+    ----------
+    channel
+        Cleaned samples.
+    grid_us
+        Times of the grid, shape (n,).
+    period_us
+        Period of the grid.
+
+    Returns
+    -------
+    value, present, gap
+        Shape (n,) each; `value` is nan where not present; `gap` where the channel was silent.
+    """
+    if channel.period_us and channel.period_us * AVERAGE_ABOVE < period_us:
+        return _averaged(channel, grid_us, period_us)
+    return _interpolated(channel, grid_us)
+
+
+def _interpolated(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
+    kept = np.flatnonzero(~channel.refused)
+    n = len(grid_us)
+    if not len(kept):
+        return np.full(n, np.nan), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    time, value = channel.time_us[kept], channel.value[kept]
+    left = np.searchsorted(time, grid_us, side="right") - 1
+    right = np.minimum(left + 1, len(time) - 1)
+    left = np.maximum(left, 0)
+    exact = time[left] == grid_us
+    inside = (time[left] <= grid_us) & (grid_us <= time[right])
+    distance = time[right] - time[left]
+    neighbours = kept[right] - kept[left] == 1
+    silent = ~exact & (~inside | (neighbours & (distance > channel.longest_gap_us)))
+    present = exact | (inside & neighbours & ~silent)
+    share = (grid_us - time[left]) / np.maximum(distance, 1)
+    result = np.where(exact, value[left], value[left] + share * (value[right] - value[left]))
+    result[~present] = np.nan
+    return result, present, silent
+
+
+def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
+    n = len(grid_us)
+    cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
+    chosen = ~channel.refused & (cell >= 0) & (cell < n)
+    kept = np.bincount(cell[chosen], minlength=n)
+    total = np.bincount(cell[chosen], weights=channel.value[chosen], minlength=n)
+    assert channel.period_us is not None
+    present = kept >= CELL_SHARE * period_us / channel.period_us
+    result = np.full(n, np.nan)
+    result[present] = total[present] / kept[present]
+    within = (cell >= 0) & (cell < n)
+    silent = np.bincount(cell[within], minlength=n) == 0
+    return result, present, silent
+
+
+def bring_together(
+    channels: Mapping[str, CleanChannel],
+    night_start_us: int,
+    night_end_us: int,
+    time_base: TimeBase,
+    cleaning: Cleaning,
+) -> tuple[Samples, tuple[Quality, ...]]:
+    """All channels on one time base, and the joint rules: gap, standstill, guard, transient.
+
+    Parameters
+    ----------
+    channels
+        Cleaned channels; the pressure difference by itself or as two ports.
+    night_start_us, night_end_us
+        The night, half open, UTC microseconds.
+    time_base, cleaning
+        Settings.
+
+    Returns
+    -------
+    Samples, tuple of Quality
+        Kept samples, and counts of the joint rules.
+    """
+    period = grid_period_us(channels, time_base)
+    first = min(int(channel.time_us[0]) for channel in channels.values())
+    last = max(int(channel.time_us[-1]) for channel in channels.values())
+    begin = -(-(first - night_start_us) // period)
+    end = min((last - night_start_us) // period, (night_end_us - night_start_us - 1) // period)
+    index = np.arange(begin, end + 1, dtype=np.int64)
+    grid = night_start_us + index * period
+    values: dict[str, Values] = {}
+    present: dict[str, Mask] = {}
+    found: list[Quality] = []
+    for name, channel in channels.items():
+        values[name], present[name], silent = on_grid(channel, grid, period)
+        found.append(Quality(name, "gap", len(grid), int(silent.sum())))
+    if "high_port_pressure" in channels:
+        high, low = "high_port_pressure", "low_port_pressure"
+        values["pressure_difference"] = values[high] - values[low]
+        present["pressure_difference"] = present[high] & present[low]
+    complete = np.logical_and.reduce([present[name] for name in INPUTS])
+    masks = _joint_masks(channels, grid, period, values, present, cleaning)
+    refused = np.logical_or.reduce(list(masks.values())) | ~complete
+    masks["incomplete"], masks["any"] = ~complete, refused
+    found += [
+        Quality("time_base", reason, len(grid), int(mask.sum())) for reason, mask in masks.items()
+    ]
+    kept = ~refused
+    pressure, temperature, speed, leakage = (values[name][kept] for name in INPUTS)
+    return (
+        Samples(
+            index=index[kept],
+            time_us=grid[kept],
+            pressure_difference_bar=pressure,
+            oil_temperature_c=temperature,
+            speed_rpm=speed,
+            leakage_l_per_min=leakage,
+            period_us=period,
+            n_grid=len(grid),
+            n_running=int((~(masks["standstill"] | masks["guard"])).sum()),
+        ),
+        tuple(found),
+    )
+
+
+def _joint_masks(
+    channels: Mapping[str, CleanChannel],
+    grid: Times,
+    period_us: int,
+    values: Mapping[str, Values],
+    present: Mapping[str, Mask],
+    cleaning: Cleaning,
+) -> dict[str, Mask]:
+    speed, pressure = values["speed"], values["pressure_difference"]
+    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < cleaning.standstill_rpm)
+    flow = channels["leakage_flow"]
+    # A halt drives oil backwards through the sensor, which then reads its maximum.
+    events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))
+    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
+    masks = {"standstill": standstill, "guard": near(events, grid, before, after) & ~standstill}
+    if cleaning.refuse_transients:
+        period_s = period_us / SECOND_US
+        masks["transient"] = transient(
+            speed, present["speed"], period_s, cleaning.transient_speed_rpm_per_s
+        ) | transient(
+            pressure,
+            present["pressure_difference"],
+            period_s,
+            cleaning.transient_pressure_bar_per_s,
+        )
+    return masks

@@ -1,0 +1,438 @@
+"""Names, types, units and meaning of every column of every table. The only place.
+
+``docs/tables.md`` and the table ``data_dictionary`` are made from here. Columns are only ever
+added; each addition raises the version.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import polars as pl
+
+SCHEMA_VERSION = 1
+
+TIMESTAMP = pl.Datetime("us", "UTC")
+NUMBERS = pl.List(pl.Float64)
+COUNTS = pl.List(pl.Int64)
+NAMES = pl.List(pl.String)
+
+# Edges of the coarse histograms of `block_statistics`: the last bin holds all beyond.
+PRESSURE_EDGES_BAR = tuple(float(edge) for edge in range(0, 401, 20))
+TEMPERATURE_EDGES_C = tuple(float(edge) for edge in range(-20, 121, 5))
+SPEED_EDGES_RPM = tuple(float(edge) for edge in range(0, 151, 10))
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column: its name (with its unit, where it has one), type, unit and meaning."""
+
+    name: str
+    type: pl.DataType | type[pl.DataType]
+    unit: str
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table: its key sorts the rows, and no two rows share it."""
+
+    name: str
+    row: str
+    key: tuple[str, ...]
+    columns: tuple[Column, ...]
+
+    @property
+    def schema(self) -> dict[str, pl.DataType | type[pl.DataType]]:
+        """Polars types by column name."""
+        return {column.name: column.type for column in self.columns}
+
+
+RUN_ID = Column("run_id", pl.String, "", "Run that wrote the row: hash of inputs, code and config")
+MOTOR_ID = Column("motor_id", pl.String, "", "The motor")
+NIGHT = Column("night", pl.Date, "", "Local date on which the night ends")
+FLUSHING_MODE = Column("flushing_mode", pl.String, "", "none, fixed or estimated")
+FIT_KEY = (MOTOR_ID, NIGHT, FLUSHING_MODE)
+FIT_KEY_NAMES = ("motor_id", "night", "flushing_mode")
+
+
+def _interval(name: str, unit: str, what: str) -> tuple[Column, Column]:
+    stem = name.removesuffix("_l_per_min")
+    return (
+        Column(f"{stem}_lower", pl.Float64, unit, f"Lower end of the 95 % interval of {what}"),
+        Column(f"{stem}_upper", pl.Float64, unit, f"Upper end of the 95 % interval of {what}"),
+    )
+
+
+FITS = Table(
+    "fits",
+    "a motor, a night, a flushing mode",
+    FIT_KEY_NAMES,
+    (
+        MOTOR_ID,
+        Column("motor_type", pl.String, "", "The motor's type"),
+        NIGHT,
+        Column("window_start", TIMESTAMP, "UTC", "First sample that was used; null without a fit"),
+        Column("window_end", TIMESTAMP, "UTC", "Last sample that was used; null without a fit"),
+        FLUSHING_MODE,
+        Column("is_primary", pl.Boolean, "", "The configured mode: exactly one a night"),
+        Column(
+            "status",
+            pl.String,
+            "",
+            "ok, stood_still, no_new_data (no log covers the night), insufficient_data or failed",
+        ),
+        Column("reason", pl.String, "", "Why there is no fit, in words; null where status is ok"),
+        Column("error_code", pl.String, "", "Stable code of the failure; null unless failed"),
+        Column("n_training", pl.Int64, "", "Samples that the model was fitted to"),
+        Column("n_validation", pl.Int64, "", "Samples that it was validated on"),
+        Column("training_fit_percent", pl.Float64, "%", "Fit (23) on the training samples"),
+        Column(
+            "validation_fit_percent",
+            pl.Float64,
+            "%",
+            "Fit (23) on the validation samples; negative where worse than their mean; null where "
+            "the flow has no shape to fit",
+        ),
+        Column(
+            "previous_model_fit_percent",
+            pl.Float64,
+            "%",
+            "Fit (23) of the motor's model before, on all of tonight's samples",
+        ),
+        Column("training_rmse_l_per_min", pl.Float64, "l/min", "Root mean squared error"),
+        Column("validation_rmse_l_per_min", pl.Float64, "l/min", "Root mean squared error"),
+        Column("smoothing_s", pl.Float64, "s", "Length of the moving average; 0: none"),
+        Column("fpe", pl.Float64, "(l/min)²", "Final prediction error (25)"),
+        Column("aic", pl.Float64, "", "Akaike's information criterion"),
+        Column("aicc", pl.Float64, "", "The same, corrected for small samples"),
+        Column("bic", pl.Float64, "", "Bayesian information criterion"),
+        Column(
+            "n_effective",
+            pl.Float64,
+            "",
+            "Training samples that would carry as much if their errors were independent: "
+            "N(1−φ)/(1+φ), φ the lag-one correlation",
+        ),
+        Column("cost", pl.Float64, "(l/min)²", "Criterion V (20) at the published estimate"),
+        Column(
+            "certificate_gap",
+            pl.Float64,
+            "",
+            "(V of the best start − V of the certificate) / V of the certificate",
+        ),
+        Column(
+            "dual_residual",
+            pl.Float64,
+            "",
+            "Proof of the minimum: largest relative violation of the optimality conditions",
+        ),
+        Column("n_starts", pl.Int64, "", "Starting points of the search"),
+        Column("n_starts_at_minimum", pl.Int64, "", "Starts within 1e-4 of the minimum"),
+        Column("rank", pl.Int64, "", "Rank of the free regressors, columns scaled"),
+        Column("condition_number", pl.Float64, "", "Of the free regressors, columns scaled"),
+        Column("n_free_off_bounds", pl.Int64, "", "Estimated coefficients off their bounds: d"),
+        Column(
+            "reference_leakage_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Leakage of the fitted model at the reference conditions, flushing excluded",
+        ),
+        *_interval("reference_leakage", "l/min", "the reference leakage"),
+        Column("reference_leakage_systematic", pl.Float64, "l/min", "± from stated tolerances"),
+        Column("reference_verdict", pl.String, "", "Whether the data determine it"),
+        Column("reference_pressure_bar", pl.Float64, "bar", "Reference conditions"),
+        Column("reference_temperature_c", pl.Float64, "°C", "Reference conditions"),
+        Column("reference_speed_rpm", pl.Float64, "rpm", "Reference conditions"),
+        Column(
+            "own_conditions_leakage_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Leakage of the fitted model at the night's own mean conditions, flushing excluded",
+        ),
+        *_interval("own_conditions_leakage", "l/min", "the leakage at own conditions"),
+        Column("own_pressure_bar", pl.Float64, "bar", "Mean pressure difference of the night"),
+        Column("own_temperature_c", pl.Float64, "°C", "Mean oil temperature of the night"),
+        Column("own_speed_rpm", pl.Float64, "rpm", "Mean speed of the night"),
+        Column(
+            "outside_fitted_range",
+            pl.Boolean,
+            "",
+            "The reference conditions lie outside what the training samples saw",
+        ),
+        Column("mean_flow_l_per_min", pl.Float64, "l/min", "Mean measured drain flow"),
+        Column("kept_share", pl.Float64, "", "Share of the running motor's samples that was kept"),
+        Column("film_pressure", pl.String, "", "thesis (with its share) or slot"),
+        Column("oil", pl.String, "", "The night's oil"),
+        Column("model_hash", pl.String, "", "Hash of all that shapes the statistics"),
+        RUN_ID,
+    ),
+)
+
+PARAMETERS = Table(
+    "parameters",
+    "a fit, a parameter",
+    (*FIT_KEY_NAMES, "parameter"),
+    (
+        *FIT_KEY,
+        Column(
+            "parameter",
+            pl.String,
+            "",
+            "K_, h_, e_, share_ or film_thickness_ratio_ and the path's name; C_f for the flushing",
+        ),
+        Column("value", pl.Float64, "see unit", "Estimate; null where only a range is known"),
+        Column("unit", pl.String, "", "m3, um, l_per_min or 1"),
+        Column("lower", pl.Float64, "see unit", "Lower end of the 95 % interval"),
+        Column("upper", pl.Float64, "see unit", "Upper end of the 95 % interval"),
+        Column("systematic", pl.Float64, "see unit", "± from stated tolerances"),
+        Column("feasible_min", pl.Float64, "see unit", "Least value that the K allows"),
+        Column("feasible_max", pl.Float64, "see unit", "Largest value that the K allows"),
+        Column(
+            "verdict",
+            pl.String,
+            "",
+            "fixed, at_bound or only_in_combination where the model itself says so, else null",
+        ),
+        Column("reason", pl.String, "", "The verdict in words"),
+        Column(
+            "spread_over_starts",
+            pl.Float64,
+            "see unit",
+            "Largest minus smallest value over the starts at the minimum",
+        ),
+        RUN_ID,
+    ),
+)
+
+STARTS = Table(
+    "starts",
+    "a fit, a start",
+    (*FIT_KEY_NAMES, "start"),
+    (
+        *FIT_KEY,
+        Column("start", pl.Int64, "", "0 is the configured starting point"),
+        Column("cost", pl.Float64, "(l/min)²", "Criterion V (20) where the search ended"),
+        Column("status", pl.String, "", "The tolerance that was met, iteration_limit or failed"),
+        Column("reason", pl.String, "", "In words"),
+        Column("iterations", pl.Int64, "", "Evaluations of the criterion"),
+        Column("at_minimum", pl.Boolean, "", "Within 1e-4 of the certificate's criterion"),
+        Column("parameters", NAMES, "", "Names of the free parameters"),
+        Column("initial_values", NUMBERS, "µm, 1, l/min", "In that order"),
+        Column("final_values", NUMBERS, "µm, 1, l/min", "In that order"),
+        RUN_ID,
+    ),
+)
+
+PREDICTIONS = Table(
+    "predictions",
+    "a fit, a point in time (thinned for plots)",
+    (*FIT_KEY_NAMES, "time"),
+    (
+        *FIT_KEY,
+        Column("time", TIMESTAMP, "UTC", "Time of the sample"),
+        Column("part", pl.String, "", "training, validation or guard"),
+        Column("pressure_difference_bar", pl.Float64, "bar", "Magnitude"),
+        Column("oil_temperature_c", pl.Float64, "°C", "Oil temperature"),
+        Column("speed_rpm", pl.Float64, "rpm", "Magnitude"),
+        Column("measured_l_per_min", pl.Float64, "l/min", "Measured drain flow"),
+        Column("predicted_l_per_min", pl.Float64, "l/min", "Drain flow of the fitted model"),
+        RUN_ID,
+    ),
+)
+
+QUALITY = Table(
+    "quality",
+    "a motor, a night, a channel, a reason",
+    ("motor_id", "night", "channel", "reason"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        Column("channel", pl.String, "", "A channel, or time_base for rules that need them all"),
+        Column(
+            "reason",
+            pl.String,
+            "",
+            "The rule; a sample is counted under each that refuses it, and once under any",
+        ),
+        Column("n_samples", pl.Int64, "", "Samples that the rule looked at"),
+        Column("n_refused", pl.Int64, "", "Samples that it refused"),
+        RUN_ID,
+    ),
+)
+
+BLOCK_STATISTICS = Table(
+    "block_statistics",
+    "a motor, a block",
+    ("motor_id", "night", "block_start"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        Column("block_start", TIMESTAMP, "UTC", "Start of the block"),
+        Column("block_end", TIMESTAMP, "UTC", "End of the block, excluded"),
+        Column("part", pl.String, "", "training, validation or guard"),
+        Column("n", pl.Int64, "", "Kept samples"),
+        Column("columns", NAMES, "", "Columns of the statistics, in order"),
+        Column(
+            "statistics",
+            NUMBERS,
+            "",
+            "Upper triangle of the factor R of the samples' columns, row by row",
+        ),
+        Column("mean_pressure_bar", pl.Float64, "bar", "Mean magnitude"),
+        Column("minimum_pressure_bar", pl.Float64, "bar", "Smallest magnitude"),
+        Column("maximum_pressure_bar", pl.Float64, "bar", "Largest magnitude"),
+        Column("pressure_histogram", COUNTS, "", "Samples by magnitude, bins of 20 bar from 0"),
+        Column("mean_temperature_c", pl.Float64, "°C", "Mean"),
+        Column("minimum_temperature_c", pl.Float64, "°C", "Smallest"),
+        Column("maximum_temperature_c", pl.Float64, "°C", "Largest"),
+        Column("temperature_histogram", COUNTS, "", "Samples, bins of 5 °C from −20 °C"),
+        Column("mean_speed_rpm", pl.Float64, "rpm", "Mean magnitude"),
+        Column("minimum_speed_rpm", pl.Float64, "rpm", "Smallest magnitude"),
+        Column("maximum_speed_rpm", pl.Float64, "rpm", "Largest magnitude"),
+        Column("speed_histogram", COUNTS, "", "Samples by magnitude, bins of 10 rpm from 0"),
+        Column("share_reversed", pl.Float64, "", "Share of samples with negative speed"),
+        Column("n_beyond_curve", pl.Int64, "", "Samples beyond the range of a speed curve"),
+        Column("model_hash", pl.String, "", "Blocks of different hash never merge"),
+        RUN_ID,
+    ),
+)
+
+INPUT_FILES = Table(
+    "input_files",
+    "a file read",
+    ("motor_id", "path"),
+    (
+        MOTOR_ID,
+        Column("path", pl.String, "", "Relative to the log root"),
+        NIGHT,
+        Column("format", pl.String, "", "csv, parquet or mcap"),
+        Column("size_bytes", pl.Int64, "B", "Size"),
+        Column("sha256", pl.String, "", "Hash of the content; null where it could not be read"),
+        Column("rows", pl.Int64, "", "Rows or messages"),
+        Column("first_time", TIMESTAMP, "UTC", "First sample"),
+        Column("last_time", TIMESTAMP, "UTC", "Last sample"),
+        Column("status", pl.String, "", "ok or failed"),
+        Column("error_code", pl.String, "", "Stable code of the failure"),
+        Column("message", pl.String, "", "The failure, or what was left out, in words"),
+        RUN_ID,
+    ),
+)
+
+RUNS = Table(
+    "runs",
+    "a run",
+    ("run_id", "started_at"),
+    (
+        RUN_ID,
+        Column("started_at", TIMESTAMP, "UTC", "Start of the run"),
+        Column("finished_at", TIMESTAMP, "UTC", "End of the run"),
+        Column("status", pl.String, "", "ok, motors_failed or interrupted"),
+        Column("fleet", pl.String, "", "Name of the fleet"),
+        Column("version", pl.String, "", "Version of motor-leakage"),
+        Column("schema_version", pl.Int64, "", "Version of the tables"),
+        Column("config_hash", pl.String, "", "Hash of all settings that shape figures"),
+        Column("seed", pl.Int64, "", "Seed of the run"),
+        Column("workers", pl.Int64, "", "Motors fitted at the same time"),
+        Column("n_motors", pl.Int64, "", "Motors in the run"),
+        Column("n_motors_failed", pl.Int64, "", "Motors with at least one failed night"),
+        Column("n_nights", pl.Int64, "", "Nights of motors that were written"),
+        Column("seconds", pl.Float64, "s", "Wall-clock time"),
+    ),
+)
+
+MOTOR_OUTCOMES = Table(
+    "motor_outcomes",
+    "a motor in a run",
+    ("run_id", "started_at", "motor_id"),
+    (
+        RUN_ID,
+        Column("started_at", TIMESTAMP, "UTC", "Start of the run"),
+        MOTOR_ID,
+        Column(
+            "status",
+            pl.String,
+            "",
+            "failed if a night failed; else ok if a night was fitted; else what came of its nights",
+        ),
+        Column("error_code", pl.String, "", "Code of the first failure"),
+        Column("message", pl.String, "", "The first failure in words, with its file or night"),
+        Column("n_ok", pl.Int64, "", "Nights with a fit"),
+        Column("n_stood_still", pl.Int64, "", "Nights in which the motor stood still"),
+        Column("n_insufficient_data", pl.Int64, "", "Nights with too little to fit"),
+        Column("n_no_new_data", pl.Int64, "", "Nights without a log"),
+        Column("n_failed", pl.Int64, "", "Nights that failed"),
+        Column("read_s", pl.Float64, "s", "Seconds for finding, hashing and reading logs"),
+        Column("clean_s", pl.Float64, "s", "Seconds for cleaning and the time base"),
+        Column("statistics_s", pl.Float64, "s", "Seconds for regressors and blocks"),
+        Column("fit_s", pl.Float64, "s", "Seconds for certificate, search and validation"),
+        Column("store_s", pl.Float64, "s", "Seconds for staging the rows"),
+        Column("peak_memory_mib", pl.Float64, "MiB", "Largest memory of the worker so far"),
+    ),
+)
+
+DATA_DICTIONARY = Table(
+    "data_dictionary",
+    "a column of a table",
+    ("table", "column"),
+    (
+        Column("table", pl.String, "", "The table"),
+        Column("column", pl.String, "", "The column"),
+        Column("type", pl.String, "", "Type, as Polars names it"),
+        Column("unit", pl.String, "", "Unit; empty for none"),
+        Column("description", pl.String, "", "Meaning"),
+        Column("in_key", pl.Boolean, "", "Whether the column is part of the table's key"),
+        Column("schema_version", pl.Int64, "", "Version of the tables"),
+    ),
+)
+
+# One file a night; a redone night of a motor replaces that motor's rows in each of them.
+NIGHT_TABLES = (FITS, PARAMETERS, STARTS, PREDICTIONS, QUALITY, BLOCK_STATISTICS, INPUT_FILES)
+TABLES = (*NIGHT_TABLES, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
+
+
+def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pl.DataFrame:
+    """Rows as a frame with exactly the table's columns and types; absent values are null.
+
+    Parameters
+    ----------
+    table
+        The table.
+    rows
+        Column names to values.
+    without
+        A column that is added later.
+
+    Raises
+    ------
+    ValueError
+        If a row has a column that the table has not: a figure would be lost silently.
+    """
+    schema = {name: kind for name, kind in table.schema.items() if name != without}
+    rows = list(rows)
+    strangers = {name for row in rows for name in row} - schema.keys()
+    if strangers:
+        raise ValueError(f"{table.name} has no column {', '.join(sorted(strangers))}")
+    return pl.DataFrame(rows, schema=schema, orient="row", strict=True)
+
+
+def data_dictionary() -> pl.DataFrame:
+    """The table `data_dictionary`: every column of every table."""
+    return frame(
+        DATA_DICTIONARY,
+        [
+            {
+                "table": table.name,
+                "column": column.name,
+                "type": str(column.type if isinstance(column.type, pl.DataType) else column.type()),
+                "unit": column.unit,
+                "description": column.description,
+                "in_key": column.name in table.key,
+                "schema_version": SCHEMA_VERSION,
+            }
+            for table in TABLES
+            for column in table.columns
+        ],
+    )

@@ -1,0 +1,62 @@
+"""Moving average of the samples' columns, after the regressors and within a block.
+
+The model is linear in the loss factors: the same average on all columns leaves them unbiased, one
+on the measured flow alone (as in the thesis, 3.3.2) does not (model.md, section 4).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.clean import SECOND_US, Times
+from pipeline.config import Smoothing
+
+Array = NDArray[np.float64]
+
+
+def smooth(
+    z: Array, index: Times, block: NDArray[np.int64], period_us: int, how: Smoothing
+) -> Array:
+    """Centred moving average over the kept samples around each one.
+
+    Parameters
+    ----------
+    z
+        Columns of the kept samples, shape (n, c); the last one is the measured flow.
+    index
+        Places of the samples on the time base, shape (n,).
+    block
+        Number of each sample's block, shape (n,).
+    period_us
+        Period of the time base.
+    how
+        Length of the window, and whether it goes over all columns.
+
+    Returns
+    -------
+    ndarray
+        Shape (n, c). A window is cut at a gap of the time base and at a block's border, and its
+        weights are renormalised over the samples in it.
+    """
+    half = int(how.window_s * SECOND_US / period_us / 2)
+    if half == 0:
+        return z
+    row = np.arange(len(z))
+    begins = np.flatnonzero(np.concatenate([[True], (np.diff(index) != 1) | (np.diff(block) != 0)]))
+    segment = np.searchsorted(begins, row, side="right") - 1
+    ends = np.append(begins[1:], len(z))
+    first = np.maximum(row - half, begins[segment])
+    last = np.minimum(row + half + 1, ends[segment])
+    columns = slice(None) if how.apply_to == "all" else slice(-1, None)
+    # Sums run afresh in each segment: over a whole night they would lose digits.
+    chosen = z[:, columns]
+    averaged = np.empty_like(chosen)
+    for begin, end in zip(begins, ends, strict=True):
+        sums = np.vstack([np.zeros(chosen.shape[1]), np.cumsum(chosen[begin:end], axis=0)])
+        part = slice(begin, end)
+        width = (last[part] - first[part])[:, None]
+        averaged[part] = (sums[last[part] - begin] - sums[first[part] - begin]) / width
+    result = z.copy()
+    result[:, columns] = averaged
+    return result

@@ -1,0 +1,167 @@
+"""Names and units of the channels, and the one place where a reading becomes a canonical one.
+
+Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min. The factors are exact by definition
+of the units (BIPM SI brochure, 9th ed., and NIST SP 811, appendix B, for inch, pound-force and the gallons).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pipeline.errors import UsageError
+
+
+class Conversion(NamedTuple):
+    """canonical = (value + shift) * numerator / denominator.
+
+    Numerator and denominator apart: 1 bar in 100 kPa is then exact, which a factor of 0.01 would not be.
+    """
+
+    numerator: float
+    denominator: float = 1.0
+    shift: float = 0.0
+
+
+def _table(entries: dict[str, Conversion]) -> Mapping[str, Conversion]:
+    return MappingProxyType(entries)
+
+
+_PSI_PA = 4.4482216152605 / 0.0254**2
+_US_GALLON_L = 3.785411784
+_IMPERIAL_GALLON_L = 4.54609
+
+UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
+    {
+        "pressure": _table(
+            {
+                "bar": Conversion(1.0),
+                "mbar": Conversion(1.0, 1000.0),
+                "Pa": Conversion(1.0, 1e5),
+                "kPa": Conversion(1.0, 100.0),
+                "MPa": Conversion(10.0),
+                "psi": Conversion(_PSI_PA, 1e5),
+            }
+        ),
+        "temperature": _table(
+            {
+                "degC": Conversion(1.0),
+                "degF": Conversion(5.0, 9.0, shift=-32.0),
+                "K": Conversion(1.0, shift=-273.15),
+            }
+        ),
+        "speed": _table(
+            {
+                "rpm": Conversion(1.0),
+                "1/s": Conversion(60.0),
+                "rad/s": Conversion(30.0, np.pi),
+                "deg/s": Conversion(1.0, 6.0),
+            }
+        ),
+        "flow": _table(
+            {
+                "l/min": Conversion(1.0),
+                "l/h": Conversion(1.0, 60.0),
+                "l/s": Conversion(60.0),
+                "ml/min": Conversion(1.0, 1000.0),
+                "cm3/min": Conversion(1.0, 1000.0),
+                "cm3/s": Conversion(60.0, 1000.0),
+                "m3/h": Conversion(1000.0, 60.0),
+                "m3/s": Conversion(60000.0),
+                "us_gal/min": Conversion(_US_GALLON_L),
+                "imperial_gal/min": Conversion(_IMPERIAL_GALLON_L),
+            }
+        ),
+    }
+)
+"""Units that a log may be in, by quantity; the first of each is the canonical one."""
+
+QUANTITIES: Mapping[str, str] = MappingProxyType(
+    {
+        "pressure_difference": "pressure",
+        "high_port_pressure": "pressure",
+        "low_port_pressure": "pressure",
+        "oil_temperature": "temperature",
+        "speed": "speed",
+        "leakage_flow": "flow",
+    }
+)
+"""Quantity of each channel."""
+
+CHANNELS: tuple[str, ...] = tuple(QUANTITIES)
+"""Names of the channels, everywhere."""
+
+
+def canonical_unit(channel: str) -> str:
+    """Unit in which a channel is kept after it was read.
+
+    Examples
+    --------
+    >>> canonical_unit("leakage_flow")
+    'l/min'
+    """
+    return next(iter(UNITS[_quantity(channel)]))
+
+
+def conversion(channel: str, unit: str) -> Conversion:
+    """Conversion from a unit of a log to the canonical unit of a channel.
+
+    Raises
+    ------
+    UsageError
+        ``channel_unknown`` or ``unit_unknown``; the message names those that there are.
+    """
+    known = UNITS[_quantity(channel)]
+    if unit not in known:
+        raise UsageError(
+            "unit_unknown", f"unit {unit!r} of channel {channel} is none of {', '.join(known)}"
+        )
+    return known[unit]
+
+
+def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
+    """Convert readings of a channel to its canonical unit.
+
+    Parameters
+    ----------
+    channel
+        One of `CHANNELS`.
+    values : (n,)
+        Readings [unit].
+    unit
+        One of `UNITS` for the channel's quantity.
+
+    Returns
+    -------
+    (n,) float64
+        Readings in bar, °C, rpm or l/min; not finite values stay as they are. Always a new array.
+
+    Raises
+    ------
+    UsageError
+        ``channel_unknown`` or ``unit_unknown``.
+
+    Examples
+    --------
+    >>> to_canonical("oil_temperature", [32.0, 212.0], "degF")
+    array([  0., 100.])
+    """
+    numerator, denominator, shift = conversion(channel, unit)
+    readings = np.array(values, dtype=np.float64)
+    if shift:
+        readings += shift
+    if numerator != 1.0:
+        readings *= numerator
+    if denominator != 1.0:
+        readings /= denominator
+    return readings
+
+
+def _quantity(channel: str) -> str:
+    if channel not in QUANTITIES:
+        raise UsageError("channel_unknown", f"channel {channel!r} is none of {', '.join(CHANNELS)}")
+    return QUANTITIES[channel]
