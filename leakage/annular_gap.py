@@ -112,7 +112,7 @@ class AnnularGap(Law):
         """Name of K in tables."""
         return f"K_{self.name}"
 
-    def coefficient(self, values: Values) -> float:
+    def coefficient(self, values: Values) -> NDArray[np.float64]:
         r"""Lumped loss factor of all interfaces of the path.
 
         .. math:: K = n \frac{\pi r (c h)^3}{6 l} (1 + 1.5 e^2)
@@ -120,15 +120,18 @@ class AnnularGap(Law):
         Parameters
         ----------
         values
-            Gap height h, [µm], and eccentricity e where the path has one, [-].
+            Gap height h, [µm], and eccentricity e where the path has one, [-], along the last
+            axis.
 
         Returns
         -------
-        float
-            K, [m³].
+        ndarray
+            K, shape of `values` without its last axis, [m³].
         """
-        gap_um = float(values[0])
-        return self._concentric_m3_per_um3 * gap_um * gap_um * gap_um * self._widening(values)
+        given = np.asarray(values, dtype=np.float64)
+        gap_um = given[..., 0]
+        volume: NDArray[np.float64] = gap_um * gap_um * gap_um * self._widening(given)
+        return self._concentric_m3_per_um3 * volume
 
     def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
         r"""Derivative of K by gap height and eccentricity.
@@ -139,19 +142,22 @@ class AnnularGap(Law):
         Parameters
         ----------
         values
-            Gap height h, [µm], and eccentricity e where the path has one, [-].
+            Gap height h, [µm], and eccentricity e where the path has one, [-], along the last
+            axis.
 
         Returns
         -------
         ndarray
-            Shape (1,) or (2,), [m³/µm] and [m³].
+            Shape of `values`, [m³/µm] and [m³].
         """
-        gap_um = float(values[0])
+        given = np.asarray(values, dtype=np.float64)
+        gap_um = given[..., 0]
         square = self._concentric_m3_per_um3 * gap_um * gap_um
-        by_gap = 3.0 * square * self._widening(values)
-        if self.eccentricity is None:
-            return np.array([by_gap])
-        return np.array([by_gap, 3.0 * square * gap_um * float(values[1])])
+        gradient = np.empty(given.shape)
+        gradient[..., 0] = 3.0 * square * self._widening(given)
+        if self.eccentricity is not None:
+            gradient[..., 1] = 3.0 * square * gap_um * given[..., 1]
+        return gradient
 
     def regressor(
         self,
@@ -255,9 +261,9 @@ class AnnularGap(Law):
         height_m_per_um = self.height_factor / MICROMETRES_PER_METRE
         return self.count * math.pi * self.radius_m * height_m_per_um**3 / (6.0 * self.length_m)
 
-    def _widening(self, values: Values) -> float:
+    def _widening(self, values: NDArray[np.float64]) -> NDArray[np.float64] | float:
         """1 + 1.5 e², or 1 where the path has no eccentricity."""
         if self.eccentricity is None:
             return 1.0
-        eccentricity = float(values[1])
+        eccentricity: NDArray[np.float64] = values[..., 1]
         return 1.0 + 1.5 * eccentricity * eccentricity

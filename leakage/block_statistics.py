@@ -19,6 +19,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +28,45 @@ from numpy.typing import NDArray
 from leakage.errors import StatisticsError
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlockStatistics:
+    """A block's factor with what it takes to merge it rightly.
+
+    Attributes
+    ----------
+    factor
+        Shape (c, c).
+    columns
+        Names of the columns, in order.
+    model_hash
+        Hash of all that shaped the columns: paths, constants, oil, cleaning, time base.
+    """
+
+    factor: Array
+    columns: tuple[str, ...]
+    model_hash: str
+
+
+def merge_blocks(blocks_in_time_order: Sequence[BlockStatistics]) -> BlockStatistics:
+    """Statistics of the union of blocks of one motor, or of machines that share their loss factors.
+
+    Raises
+    ------
+    StatisticsError
+        Without a block (``no_blocks``), or if their columns or hashes differ (``hash``): they are
+        then statistics of different quantities.
+    """
+    if not blocks_in_time_order:
+        raise StatisticsError("no_blocks", "there is no block to merge")
+    first = blocks_in_time_order[0]
+    kinds = {(block.columns, block.model_hash) for block in blocks_in_time_order}
+    if len(kinds) > 1:
+        hashes = ", ".join(sorted({block.model_hash for block in blocks_in_time_order}))
+        raise StatisticsError("hash", f"blocks of different models never merge: {hashes}")
+    merged = merge(np.stack([block.factor for block in blocks_in_time_order]))
+    return BlockStatistics(merged, first.columns, first.model_hash)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +140,7 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
     z = np.asarray(z, dtype=np.float64)
     if z.ndim != 2:
         raise StatisticsError("shape", f"samples must be a matrix, not of shape {z.shape}")
-    if not np.isfinite(z).all():
-        raise StatisticsError(
-            "not_finite", "samples hold a value that is not finite; refuse it before"
-        )
+    _require_finite("samples", z)
     sizes = np.diff(borders)
     columns = z.shape[1]
     # Rows of zeros change no factor: blocks of unequal size share one batched call.
@@ -127,6 +164,11 @@ def merge(factors_in_time_order: Array) -> Array:
     ndarray
         Shape (c, c).
 
+    Raises
+    ------
+    StatisticsError
+        If a factor holds a value that is not finite.
+
     Examples
     --------
     >>> z = np.array([[3.0, 1.0], [4.0, 1.0], [5.0, 2.0]])
@@ -137,8 +179,16 @@ def merge(factors_in_time_order: Array) -> Array:
     blocks, _, columns = factors_in_time_order.shape
     if blocks == 0:
         return np.zeros((columns, columns))
+    _require_finite("factors", factors_in_time_order)
     merged: Array = _triangular(factors_in_time_order.reshape(1, -1, columns))[0]
     return merged
+
+
+def _require_finite(what: str, values: Array) -> None:
+    if not np.isfinite(values).all():
+        raise StatisticsError(
+            "not_finite", f"{what} hold a value that is not finite; refuse it before"
+        )
 
 
 def _triangular(stacked: Array) -> Array:
@@ -200,6 +250,13 @@ def column_means(r: Array) -> Array:
         return np.full(r.shape[1], np.nan)
     means: Array = r[:, -3] @ r / n
     return means
+
+
+def gradient(r: Array, coefficients: Array) -> Array:
+    """Gradient of V by θ, shape (c − 2,) [(l/min)² per unit of the coefficient]."""
+    residual = r @ np.concatenate([coefficients, (1.0, -1.0)])
+    slope: Array = 2.0 * (r[:, :-2].T @ residual) / max(sample_count(r), 1)
+    return slope
 
 
 def normal_matrix(r: Array) -> Array:

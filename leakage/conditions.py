@@ -24,32 +24,40 @@ class OperatingConditions:
         T, shape (n,), [°C].
     speed_rpm
         ω, shape (n,), [rpm]; the sign is its direction.
+    charge_over_case_pa
+        Charge pressure (the low port's) above case pressure, shape (n,), [Pa]: every path then
+        leaks to the case from both sides. None: the thesis's one side, at ΔP.
 
     Raises
     ------
     ShapeError
-        If the three differ in shape or are not one-dimensional.
+        If the channels differ in shape or are not one-dimensional.
     """
 
     pressure_difference_pa: NDArray[np.float64]
     oil_temperature_c: NDArray[np.float64]
     speed_rpm: NDArray[np.float64]
+    charge_over_case_pa: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
-        shapes = [
-            channel.shape
-            for channel in (self.pressure_difference_pa, self.oil_temperature_c, self.speed_rpm)
-        ]
+        channels = [self.pressure_difference_pa, self.oil_temperature_c, self.speed_rpm]
+        if self.charge_over_case_pa is not None:
+            channels.append(self.charge_over_case_pa)
+        shapes = [channel.shape for channel in channels]
         if len(shapes[0]) != 1 or len(set(shapes)) != 1:
             raise ShapeError(
                 "conditions_shape",
-                "pressure difference, oil temperature and speed must be one-dimensional and of"
-                f" one length, not of shapes {shapes}",
+                "the channels of operating conditions must be one-dimensional and of one length,"
+                f" not of shapes {shapes}",
             )
 
     @classmethod
     def from_bar(
-        cls, pressure_difference_bar: ArrayLike, oil_temperature_c: ArrayLike, speed_rpm: ArrayLike
+        cls,
+        pressure_difference_bar: ArrayLike,
+        oil_temperature_c: ArrayLike,
+        speed_rpm: ArrayLike,
+        charge_over_case_bar: ArrayLike | None = None,
     ) -> OperatingConditions:
         """Conditions in the units of logs and tables; scalars are one sample, or every sample's.
 
@@ -61,6 +69,8 @@ class OperatingConditions:
             T, shape (n,) or scalar, [°C].
         speed_rpm
             ω, shape (n,) or scalar, [rpm].
+        charge_over_case_bar
+            Charge above case pressure, shape (n,) or scalar, [bar]; None: one-sided leakage.
 
         Returns
         -------
@@ -72,21 +82,45 @@ class OperatingConditions:
         >>> OperatingConditions.from_bar([100.0, 200.0], 50.0, 30.0).oil_temperature_c.tolist()
         [50.0, 50.0]
         """
-        bar, temperature, speed = (
-            np.atleast_1d(np.asarray(channel, dtype=np.float64))
-            for channel in (pressure_difference_bar, oil_temperature_c, speed_rpm)
-        )
+        given = [pressure_difference_bar, oil_temperature_c, speed_rpm]
+        if charge_over_case_bar is not None:
+            given.append(charge_over_case_bar)
         try:
-            bar, temperature, speed = np.broadcast_arrays(bar, temperature, speed)
+            channels = np.broadcast_arrays(
+                *(np.atleast_1d(np.asarray(channel, dtype=np.float64)) for channel in given)
+            )
         except ValueError as error:
             raise ShapeError("conditions_shape", f"conditions do not match: {error}") from error
-        return cls(bar * PASCALS_PER_BAR, temperature, speed)
+        charge = channels[3] * PASCALS_PER_BAR if len(channels) > 3 else None
+        return cls(channels[0] * PASCALS_PER_BAR, channels[1], channels[2], charge)
 
     def __len__(self) -> int:
         return self.speed_rpm.size
 
     def part(self, rows: slice) -> OperatingConditions:
         """Conditions of some of the samples, as views."""
+        charge = self.charge_over_case_pa
         return OperatingConditions(
-            self.pressure_difference_pa[rows], self.oil_temperature_c[rows], self.speed_rpm[rows]
+            self.pressure_difference_pa[rows],
+            self.oil_temperature_c[rows],
+            self.speed_rpm[rows],
+            None if charge is None else charge[rows],
+        )
+
+    def sides(self) -> tuple[OperatingConditions, ...]:
+        """The pressures that drive leakage to the case, each as conditions of its own.
+
+        Returns
+        -------
+        tuple of OperatingConditions
+            The conditions themselves where one side leaks; with a charge pressure the high side,
+            at |ΔP| + (p_charge − p_case), and the low side, at p_charge − p_case.
+        """
+        charge = self.charge_over_case_pa
+        if charge is None:
+            return (self,)
+        high = np.abs(self.pressure_difference_pa) + charge
+        return tuple(
+            OperatingConditions(pressure, self.oil_temperature_c, self.speed_rpm)
+            for pressure in (high, charge)
         )

@@ -47,14 +47,15 @@ class Fit:
     @property
     def starts_at_minimum(self) -> tuple[Start, ...]:
         """Starts whose criterion is within 1e-4 of the certificate's."""
-        reached = at_minimum(self.starts, self.certificate.cost)
+        certificate = self.certificate
+        reached = at_minimum(self.starts, certificate.cost, certificate.rounding)
         return tuple(start for start, there in zip(self.starts, reached, strict=True) if there)
 
     @property
     def certificate_gap(self) -> float | None:
-        """(V of the best start − V*) / V*; None without a start that ended, or with V* = 0."""
+        """(V of the best start − V*) / V*; None without one that ended, or where V* is rounding."""
         costs = [start.cost for start in self.starts if np.isfinite(start.cost)]
-        if not costs or self.certificate.cost <= 0.0:
+        if not costs or self.certificate.cost <= self.certificate.rounding:
             return None
         return min(costs) / self.certificate.cost - 1.0
 

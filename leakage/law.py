@@ -92,18 +92,19 @@ class Law(ABC):
         """Name of the coefficient in tables."""
 
     @abstractmethod
-    def coefficient(self, values: Values) -> float:
+    def coefficient(self, values: Values) -> NDArray[np.float64]:
         """Lumped coefficient of all interfaces of the path.
 
         Parameters
         ----------
         values
-            Parameter values in the order of `parameters`, in their units.
+            Parameter values in the order of `parameters`, in their units, along the last axis:
+            shape (…, number of parameters).
 
         Returns
         -------
-        float
-            The coefficient, [coefficient_unit].
+        ndarray
+            The coefficient, shape (…), [coefficient_unit].
         """
 
     @abstractmethod
@@ -113,12 +114,12 @@ class Law(ABC):
         Parameters
         ----------
         values
-            Parameter values in the order of `parameters`, in their units.
+            Parameter values as for `coefficient`.
 
         Returns
         -------
         ndarray
-            One derivative a parameter, [coefficient_unit per the parameter's unit].
+            Shape of `values`, [coefficient_unit per the parameter's unit].
         """
 
     @abstractmethod
@@ -153,7 +154,7 @@ class Law(ABC):
     @property
     def configured_coefficient(self) -> float:
         """Coefficient at the configured values, [coefficient_unit]."""
-        return self.coefficient([parameter.value for parameter in self.parameters])
+        return float(self.coefficient([parameter.value for parameter in self.parameters]))
 
     def coefficient_bounds(self) -> tuple[float, float]:
         """Smallest and largest coefficient over the parameters' box, [coefficient_unit].
@@ -162,9 +163,15 @@ class Law(ABC):
         parameter.
         """
         return (
-            self.coefficient([parameter.lowest for parameter in self.parameters]),
-            self.coefficient([parameter.highest for parameter in self.parameters]),
+            float(self.coefficient([parameter.lowest for parameter in self.parameters])),
+            float(self.coefficient([parameter.highest for parameter in self.parameters])),
         )
+
+
+def only_value(values: Values) -> NDArray[np.float64]:
+    """The value of a law with one parameter, shape (…) for values of shape (…, 1)."""
+    value: NDArray[np.float64] = np.asarray(values, dtype=np.float64)[..., 0]
+    return value
 
 
 def require_positive(path: str, **constants: float) -> None:

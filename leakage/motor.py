@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -148,13 +149,13 @@ def regressors(motor: Motor, conditions: OperatingConditions) -> NDArray[np.floa
     column_paths = motor.column_paths
     known_paths = [(path, path.configured_coefficient) for path in motor.known_paths]
     columns = np.empty((len(conditions), len(column_paths) + 2))
-    for rows, part, drive in _drives(motor, conditions):
+    for rows, sides in _chunks(motor, conditions):
         for index, path in enumerate(column_paths):
-            columns[rows, index] = _regressor(path, drive, part)
+            columns[rows, index] = _regressor(path, sides)
         columns[rows, -2] = 1.0
         columns[rows, -1] = 0.0
         for path, coefficient in known_paths:
-            columns[rows, -1] += coefficient * _regressor(path, drive, part)
+            columns[rows, -1] += coefficient * _regressor(path, sides)
     return columns
 
 
@@ -197,10 +198,10 @@ def path_flows_l_per_min(
             f" {[path.name for path in motor.paths]}",
         )
     flows = {path.name: np.empty(len(conditions)) for path in motor.paths}
-    for rows, part, drive in _drives(motor, conditions):
+    for rows, sides in _chunks(motor, conditions):
         for path in motor.paths:
             coefficient = given.get(path.name, path.configured_coefficient)
-            flows[path.name][rows] = coefficient * _regressor(path, drive, part)
+            flows[path.name][rows] = coefficient * _regressor(path, sides)
     return flows
 
 
@@ -307,29 +308,49 @@ def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
     return beyond
 
 
-def _drives(
+class _Side(NamedTuple):
+    """One side from which paths leak to the case, for a chunk of samples."""
+
+    conditions: OperatingConditions
+    drive_per_s: NDArray[np.float64]
+
+
+def _chunks(
     motor: Motor, conditions: OperatingConditions
-) -> Iterator[tuple[slice, OperatingConditions, NDArray[np.float64]]]:
-    """Rows, conditions and drive ΔP/η of one chunk of samples after the other."""
+) -> Iterator[tuple[slice, tuple[_Side, ...]]]:
+    """Rows of one chunk of samples after the other, with the sides that leak and their ΔP/η."""
     for start in range(0, len(conditions), _CHUNK):
         rows = slice(start, start + _CHUNK)
-        part = conditions.part(rows)
         yield (
             rows,
-            part,
-            flow_drive_per_s(
-                part.pressure_difference_pa,
-                part.oil_temperature_c,
-                motor.oil,
-                motor.film_pressure,
+            tuple(
+                _Side(
+                    side,
+                    flow_drive_per_s(
+                        side.pressure_difference_pa,
+                        side.oil_temperature_c,
+                        motor.oil,
+                        motor.film_pressure,
+                    ),
+                )
+                for side in conditions.part(rows).sides()
             ),
         )
 
 
-def _regressor(
-    path: LeakagePath, drive_per_s: NDArray[np.float64], conditions: OperatingConditions
-) -> NDArray[np.float64]:
-    return path.regressor(drive_per_s, conditions.pressure_difference_pa, conditions.speed_rpm)
+def _regressor(path: LeakagePath, sides: tuple[_Side, ...]) -> NDArray[np.float64]:
+    """Regressor of a path, summed over the sides; a constant flow has none of them."""
+    first, *others = (
+        path.regressor(
+            side.drive_per_s, side.conditions.pressure_difference_pa, side.conditions.speed_rpm
+        )
+        for side in sides
+    )
+    if isinstance(path, Constant):
+        return first
+    for other in others:
+        first += other
+    return first
 
 
 def _sum(flows: Iterable[NDArray[np.float64]], length: int) -> NDArray[np.float64]:

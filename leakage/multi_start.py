@@ -11,17 +11,27 @@ The optimiser sees µm and l/min, never metres: its step test is on an unscaled 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from leakage.block_statistics import criterion, sample_count
 from leakage.motor import Motor
 from leakage.paths import LeakagePath, Parameter
+from leakage.trust_region import (
+    FAILED,
+    FUNCTION,
+    FUNCTION_AND_STEP,
+    GRADIENT,
+    ITERATION_LIMIT,
+    STEP,
+    Ends,
+    Tolerances,
+    minimise,
+)
 
 Array = NDArray[np.float64]
 
@@ -29,14 +39,19 @@ Array = NDArray[np.float64]
 AT_MINIMUM = 1e-4
 # At e = 0 the derivative by e vanishes: a search that starts there never leaves.
 ECCENTRICITY_NUDGE = 1e-3
+# No more than rounding: without one the search divides 0 by 0 where the gradient vanishes exactly.
+GRADIENT_TOLERANCE = float(np.finfo(np.float64).eps)
 
 STATUS = {
-    -2: "failed",
-    0: "iteration_limit",
-    1: "gradient_tolerance",
-    2: "function_tolerance",
-    3: "step_tolerance",
-    4: "function_and_step_tolerance",
+    FAILED: ("failed", "the residuals at the starting point are not finite"),
+    ITERATION_LIMIT: ("iteration_limit", "the maximum number of iterations was used up"),
+    GRADIENT: ("gradient_tolerance", "the gradient vanishes"),
+    FUNCTION: ("function_tolerance", "the criterion changes by less than the tolerance"),
+    STEP: ("step_tolerance", "the step is shorter than the tolerance"),
+    FUNCTION_AND_STEP: (
+        "function_and_step_tolerance",
+        "criterion and step change by less than their tolerances",
+    ),
 }
 
 
@@ -72,7 +87,7 @@ class Start:
     number
         0 for the configured point.
     status, reason
-        Why the search stopped; ``failed`` with the reason, or a tolerance.
+        Why the search stopped: one of `STATUS`, or ``failed``; and in words.
     cost
         V at the end [(l/min)²]; nan where it failed.
     iterations
@@ -110,10 +125,13 @@ class Parametrisation:
     @property
     def free(self) -> tuple[Parameter, ...]:
         """The parameters that are estimated, in the order of the columns."""
-        return tuple(parameter for parameter in self._all() if not parameter.fixed)
-
-    def _all(self) -> list[Parameter]:
-        return [parameter for path in self.paths if path for parameter in path.parameters]
+        return tuple(
+            parameter
+            for path in self.paths
+            if path
+            for parameter in path.parameters
+            if _is_free(parameter)
+        )
 
     def bounds(self) -> tuple[Array, Array]:
         """Bounds of the free parameters, each of shape (number of free parameters,)."""
@@ -132,29 +150,34 @@ class Parametrisation:
         Parameters
         ----------
         free
-            Values of the free parameters, shape (k,).
+            Values of the free parameters, shape (…, k).
 
         Returns
         -------
         tuple of ndarray
-            θ, shape (p + 1,), and dθ/dx, shape (p + 1, k).
+            θ, shape (…, p + 1), and dθ/dx, shape (…, p + 1, k).
         """
-        theta = np.zeros(len(self.paths))
-        jacobian = np.zeros((len(self.paths), len(free)))
+        points, k = free.shape[:-1], free.shape[-1]
+        theta = np.zeros((*points, len(self.paths)))
+        jacobian = np.zeros((*points, len(self.paths), k))
         taken = 0
         for row, path in enumerate(self.paths):
             if path is None:
                 continue
-            values = np.array([parameter.value for parameter in path.parameters])
-            unknown = np.array([not parameter.fixed for parameter in path.parameters])
-            count = int(unknown.sum())
-            values[unknown] = free[taken : taken + count]
-            theta[row] = path.coefficient(values)
-            if count:
-                gradient = np.asarray(path.coefficient_gradient(values))
-                jacobian[row, taken : taken + count] = gradient[unknown]
-            taken += count
+            unknown = [_is_free(parameter) for parameter in path.parameters]
+            own = slice(taken, taken + sum(unknown))
+            values = np.empty((*points, len(unknown)))
+            values[...] = [parameter.value for parameter in path.parameters]
+            values[..., unknown] = free[..., own]
+            theta[..., row] = path.coefficient(values)
+            jacobian[..., row, own] = path.coefficient_gradient(values)[..., unknown]
+            taken = own.stop
         return theta, jacobian
+
+
+def _is_free(parameter: Parameter) -> bool:
+    """Whether there is anything to search: bounds that are equal fix a parameter too."""
+    return not parameter.fixed and parameter.minimum < parameter.maximum
 
 
 def starting_points(
@@ -221,53 +244,89 @@ def search(
     if not parametrisation.free or not settings.starting_points:
         return ()
     points = starting_points(parametrisation.free, settings.starting_points, generator)
-    return tuple(
-        _run(number, point, r, parametrisation, settings) for number, point in enumerate(points)
-    )
-
-
-def _run(
-    number: int,
-    initial: Array,
-    r: Array,
-    parametrisation: Parametrisation,
-    settings: SearchSettings,
-) -> Start:
-    scale = np.sqrt(sample_count(r))
+    scale = np.sqrt(max(sample_count(r), 1))
     matrix, target = r[:, :-2] / scale, (r[:, -1] - r[:, -2]) / scale
+    lower, upper = parametrisation.bounds()
 
     def residual(free: Array) -> Array:
-        error: Array = matrix @ parametrisation.coefficients(free)[0] - target
+        error: Array = parametrisation.coefficients(free)[0] @ matrix.T - target
         return error
 
-    def jacobian(free: Array) -> Array:
+    def analytic(free: Array) -> Array:
         slope: Array = matrix @ parametrisation.coefficients(free)[1]
         return slope
 
-    try:
-        result = least_squares(
-            residual,
-            initial,
-            jac=jacobian if settings.gradient_type == "analytic" else settings.gradient_type,
-            bounds=parametrisation.bounds(),
-            method="trf",
-            x_scale="jac",
-            xtol=settings.step_tolerance,
-            ftol=settings.function_tolerance,
-            gtol=None,
-            max_nfev=settings.maximum_iterations,
+    def by_differences(free: Array) -> Array:
+        return _differences(
+            residual, free, lower, upper, central=settings.gradient_type == "3-point"
         )
-    except (ValueError, np.linalg.LinAlgError) as error:
-        return Start(number, "failed", str(error), float("nan"), 0, initial, initial)
-    final = np.asarray(result.x, dtype=np.float64)
-    cost = criterion(r, parametrisation.coefficients(final)[0])
-    return Start(
-        number, STATUS[result.status], str(result.message), cost, int(result.nfev), initial, final
+
+    ends = minimise(
+        residual,
+        analytic if settings.gradient_type == "analytic" else by_differences,
+        points,
+        lower,
+        upper,
+        Tolerances(
+            step=settings.step_tolerance,
+            function=settings.function_tolerance,
+            gradient=GRADIENT_TOLERANCE,
+            evaluations=settings.maximum_iterations,
+        ),
+    )
+    return tuple(
+        _start(number, points[number], ends, r, parametrisation) for number in range(len(points))
     )
 
 
-def at_minimum(starts: Sequence[Start], minimum: float) -> NDArray[np.bool_]:
-    """Which starts ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's; shape (W,)."""
+def _start(
+    number: int, initial: Array, ends: Ends, r: Array, parametrisation: Parametrisation
+) -> Start:
+    """One start's end as a row, whether it succeeded or not."""
+    status, reason = STATUS[int(ends.status[number])]
+    evaluations = int(ends.evaluations[number])
+    if status == "failed":
+        return Start(number, status, reason, float("nan"), evaluations, initial, initial)
+    final = ends.x[number]
+    cost = criterion(r, parametrisation.coefficients(final)[0])
+    return Start(number, status, reason, cost, evaluations, initial, final)
+
+
+def _differences(
+    residual: Callable[[Array], Array], free: Array, lower: Array, upper: Array, *, central: bool
+) -> Array:
+    """Jacobian by 2-point or 3-point differences that stay within the bounds, shape (m, r, k)."""
+    share = np.finfo(np.float64).eps ** (1 / 3 if central else 1 / 2)
+    room = np.minimum(free - lower, upper - free)
+    step = np.minimum(share * np.maximum(np.abs(free), 1e-3 * (upper - lower)), room / 2)
+    here = residual(free)
+    columns = []
+    for place in range(free.shape[1]):
+        move = np.zeros_like(free)
+        move[:, place] = step[:, place]
+        behind = residual(free - move) if central else here
+        width = (2.0 if central else 1.0) * step[:, place, None]
+        columns.append((residual(free + move) - behind) / width)
+    return np.stack(columns, axis=2)
+
+
+def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:
+    """Which starts ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
+
+    Parameters
+    ----------
+    starts
+        W of them.
+    minimum
+        V* [(l/min)²].
+    rounding
+        Criterion below which nothing but rounding is left [(l/min)²].
+
+    Returns
+    -------
+    ndarray of bool
+        Shape (W,).
+    """
     costs = np.array([start.cost for start in starts])
-    reached: NDArray[np.bool_] = costs <= minimum * (1 + AT_MINIMUM)
+    reached: NDArray[np.bool_] = costs <= max(minimum * (1 + AT_MINIMUM), rounding)
     return reached

@@ -24,6 +24,7 @@ from leakage.law import (
     Law,
     Parameter,
     Values,
+    only_value,
     require_parameter,
     require_positive,
 )
@@ -99,13 +100,13 @@ class Laminar(Law):
         """Name of the lumped loss factor in tables."""
         return f"K_{self.name}"
 
-    def coefficient(self, values: Values) -> float:
+    def coefficient(self, values: Values) -> NDArray[np.float64]:
         """Lumped loss factor n·C_d, [m³]."""
-        return self.count * float(values[0])
+        return self.count * only_value(values)
 
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:  # noqa: ARG002
-        """Derivative of the coefficient by the loss factor: n, shape (1,)."""
-        return np.array([float(self.count)])
+    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
+        """Derivative of the coefficient by the loss factor: n."""
+        return np.full(np.shape(values), float(self.count))
 
     def regressor(
         self,
@@ -163,13 +164,13 @@ class Constant(Law):
         """Name of the flow in tables."""
         return self.flow.name
 
-    def coefficient(self, values: Values) -> float:
+    def coefficient(self, values: Values) -> NDArray[np.float64]:
         """The flow C_f, [l/min]."""
-        return float(values[0])
+        return only_value(values)
 
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:  # noqa: ARG002
-        """Derivative of the coefficient by the flow: 1, shape (1,)."""
-        return np.ones(1)
+    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
+        """Derivative of the coefficient by the flow: 1."""
+        return np.ones(np.shape(values))
 
     def regressor(
         self,

@@ -15,6 +15,7 @@ from leakage.law import (
     Law,
     Parameter,
     Values,
+    only_value,
     require_parameter,
     require_positive,
 )
@@ -108,13 +109,13 @@ class SpeedCurve(Law):
         """Name of the scale in tables."""
         return self.scale.name
 
-    def coefficient(self, values: Values) -> float:
+    def coefficient(self, values: Values) -> NDArray[np.float64]:
         """Scale s of the curve, [-]."""
-        return float(values[0])
+        return only_value(values)
 
-    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:  # noqa: ARG002
-        """Derivative of the coefficient by the scale: 1, shape (1,)."""
-        return np.ones(1)
+    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
+        """Derivative of the coefficient by the scale: 1."""
+        return np.ones(np.shape(values))
 
     def curve_l_per_min(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.float64]:
         r"""Leakage of one interface at ΔP₀ and η₀.

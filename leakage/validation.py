@@ -22,6 +22,9 @@ from leakage.block_statistics import flow_summary, squared_error
 
 Array = NDArray[np.float64]
 
+# Share of the size of equal values that their mean may be off by.
+ROUNDING = 1e-14
+
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
@@ -138,7 +141,8 @@ def lag_one_autocorrelation(residual: Array, consecutive: NDArray[np.bool_]) -> 
         return None
     centred = residual - residual.mean()
     variance = float(centred @ centred) / len(centred)
-    if variance == 0.0:
+    # The mean of equal residuals is off by rounding, which would correlate perfectly.
+    if variance <= (ROUNDING * float(np.abs(residual).max())) ** 2:
         return None
     products = (centred[1:] * centred[:-1])[consecutive]
     return float(products.mean() / variance)

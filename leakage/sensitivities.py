@@ -1,0 +1,350 @@
+r"""Systematic errors: what stated tolerances of sensors and constants do to every figure.
+
+An interval from the samples cannot see a sensor that reads 1 °C too high, yet such errors dominate
+in practice. Each stated tolerance is therefore put on in turn, the model is fitted anew to a
+thinned sample, and the change of each figure is kept: an error budget by source. Independent
+sources add by their squares:
+
+.. math:: u = \sqrt{\sum_j \left(\hat x(s_j + t_j) - \hat x(s_j)\right)^2}
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.annular_gap import AnnularGap
+from leakage.block_statistics import factor
+from leakage.certificate import certify
+from leakage.motor import Motor, OperatingConditions, regressors
+from leakage.multi_start import Parametrisation
+from leakage.paths import LeakagePath
+from leakage.speed_curve import SpeedCurve
+
+Array = NDArray[np.float64]
+
+PASCALS_PER_BAR = 1e5
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelTolerance:
+    """Stated accuracy of a sensor.
+
+    Attributes
+    ----------
+    offset
+        Constant error [unit of the channel]; 0: none stated.
+    gain
+        Error in proportion to the reading, relative to it; 0: none stated.
+    """
+
+    offset: float = 0.0
+    gain: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Tolerances:
+    """Stated tolerances of channels and constants; 0 and absent ones are left out of the budget.
+
+    Attributes
+    ----------
+    pressure_bar, temperature_c, speed_rpm, flow_l_per_min
+        Of the channels.
+    deformation
+        Of a gap's deformation constant X, relative, by path.
+    speed_curve
+        Of a speed curve's level, relative, by path.
+    pressure_viscosity, density
+        Of the oil's α and density, relative.
+    film_pressure_share
+        Of the share of the pressure difference in the film, absolute.
+    charge_pressure_bar
+        Of charge above case pressure, where leakage is two-sided [bar].
+    """
+
+    pressure_bar: ChannelTolerance = ChannelTolerance()
+    temperature_c: ChannelTolerance = ChannelTolerance()
+    speed_rpm: ChannelTolerance = ChannelTolerance()
+    flow_l_per_min: ChannelTolerance = ChannelTolerance()
+    deformation: Mapping[str, float] = field(default_factory=dict)
+    speed_curve: Mapping[str, float] = field(default_factory=dict)
+    pressure_viscosity: float = 0.0
+    density: float = 0.0
+    film_pressure_share: float = 0.0
+    charge_pressure_bar: float = 0.0
+
+
+class Window(NamedTuple):
+    """A motor with a thinned sample of its window."""
+
+    motor: Motor
+    conditions: OperatingConditions
+    flow_l_per_min: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """A source of systematic error.
+
+    Attributes
+    ----------
+    name
+        Such as ``oil_temperature offset``.
+    tolerance, unit
+        Its stated size.
+    disturbed
+        The window as it would be with that error.
+    """
+
+    name: str
+    tolerance: float
+    unit: str
+    disturbed: Callable[[Window], Window]
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """The figures of a fit that a budget is made for.
+
+    Attributes
+    ----------
+    coefficients
+        θ, shape (p + 1,).
+    leakages_l_per_min
+        Leakage at each of the asked-for conditions, shape (m,).
+    """
+
+    coefficients: Array
+    leakages_l_per_min: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """What one source does to every figure, signed, for its tolerance taken as positive."""
+
+    source: Source
+    coefficients: Array
+    leakages_l_per_min: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorBudget:
+    """Effects of all sources, and their sum by squares."""
+
+    effects: tuple[Effect, ...]
+
+    def coefficients(self) -> Array | None:
+        """Systematic ± of θ, shape (p + 1,); None where nothing is stated."""
+        return _by_squares([effect.coefficients for effect in self.effects])
+
+    def leakages_l_per_min(self) -> Array | None:
+        """Systematic ± of the leakages, shape (m,); None where nothing is stated."""
+        return _by_squares([effect.leakages_l_per_min for effect in self.effects])
+
+
+def _by_squares(effects: Sequence[Array]) -> Array | None:
+    if not effects:
+        return None
+    total: Array = np.sqrt(np.sum(np.square(effects), axis=0))
+    return total
+
+
+def error_budget(
+    motor: Motor,
+    conditions: OperatingConditions,
+    flow_l_per_min: Array,
+    tolerances: Tolerances,
+    at: Sequence[OperatingConditions] = (),
+) -> ErrorBudget:
+    """Carry each stated tolerance through a fit of a thinned sample.
+
+    Parameters
+    ----------
+    motor
+        The motor as fitted.
+    conditions, flow_l_per_min
+        Thinned training samples, n of them; a few thousand are enough.
+    tolerances
+        What is stated.
+    at
+        Conditions at which the leakage is asked for, one sample each.
+
+    Returns
+    -------
+    ErrorBudget
+        Empty where no tolerance is stated.
+
+    Raises
+    ------
+    EstimationError
+        If there are fewer samples than free coefficients.
+    ValidityError
+        If a disturbed temperature leaves the range of Walther's equation.
+    """
+    window = Window(motor, conditions, flow_l_per_min)
+    undisturbed = _figures(window, at)
+    effects = []
+    for source in _sources(motor, tolerances):
+        disturbed = _figures(source.disturbed(window), at)
+        effects.append(
+            Effect(
+                source,
+                disturbed.coefficients - undisturbed.coefficients,
+                disturbed.leakages_l_per_min - undisturbed.leakages_l_per_min,
+            )
+        )
+    return ErrorBudget(tuple(effects))
+
+
+def _figures(window: Window, at: Sequence[OperatingConditions]) -> Figures:
+    motor = window.motor
+    z = np.column_stack([regressors(motor, window.conditions), window.flow_l_per_min])
+    bounds = Parametrisation.of(motor).coefficient_bounds()
+    theta = certify(factor(z), *bounds).coefficients
+    rows = [regressors(motor, conditions)[0] for conditions in at]
+    leakages = [float(row[:-2] @ theta[:-1] + row[-1]) for row in rows]
+    return Figures(theta, np.array(leakages))
+
+
+def _sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
+    yield from _channel_sources(tolerances)
+    for path in motor.paths:
+        if isinstance(path, AnnularGap) and path.deformation_pressure_pa is not None:
+            share = tolerances.deformation.get(path.name, 0.0)
+            if share:
+                yield Source(
+                    f"{path.name} deformation constant", share, "1", _deformation(path.name, share)
+                )
+        if isinstance(path, SpeedCurve) and tolerances.speed_curve.get(path.name, 0.0):
+            share = tolerances.speed_curve[path.name]
+            yield Source(f"{path.name} curve", share, "1", _curve(path.name, share))
+    if tolerances.pressure_viscosity:
+        share = tolerances.pressure_viscosity
+        yield Source("pressure-viscosity coefficient", share, "1", _pressure_viscosity(share))
+    if tolerances.density:
+        yield Source("density", tolerances.density, "1", _density(tolerances.density))
+    if tolerances.film_pressure_share and motor.film_pressure.model == "thesis":
+        step = tolerances.film_pressure_share
+        yield Source("film pressure share", step, "1", _film_pressure(step))
+    if tolerances.charge_pressure_bar:
+        bar = tolerances.charge_pressure_bar
+        yield Source("charge pressure", bar, "bar", _charge(bar))
+
+
+def _channel_sources(tolerances: Tolerances) -> Iterator[Source]:
+    channels = (
+        ("pressure_difference", "bar", tolerances.pressure_bar, _pressure),
+        ("oil_temperature", "°C", tolerances.temperature_c, _temperature),
+        ("speed", "rpm", tolerances.speed_rpm, _speed),
+        ("leakage_flow", "l/min", tolerances.flow_l_per_min, _flow),
+    )
+    for name, unit, tolerance, disturb in channels:
+        if tolerance.offset:
+            yield Source(f"{name} offset", tolerance.offset, unit, disturb(tolerance.offset, 0.0))
+        if tolerance.gain:
+            yield Source(f"{name} gain", tolerance.gain, "1", disturb(0.0, tolerance.gain))
+
+
+Disturbance = Callable[[Window], Window]
+
+
+def _pressure(offset_bar: float, gain: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        magnitude = np.abs(window.conditions.pressure_difference_pa)
+        shifted = np.maximum(magnitude * (1 + gain) + offset_bar * PASCALS_PER_BAR, 0.0)
+        return window._replace(
+            conditions=replace(window.conditions, pressure_difference_pa=shifted)
+        )
+
+    return disturbed
+
+
+def _charge(offset_bar: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        charge = window.conditions.charge_over_case_pa
+        if charge is None:
+            return window
+        shifted = charge + offset_bar * PASCALS_PER_BAR
+        return window._replace(conditions=replace(window.conditions, charge_over_case_pa=shifted))
+
+    return disturbed
+
+
+def _temperature(offset_c: float, gain: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        shifted = window.conditions.oil_temperature_c * (1 + gain) + offset_c
+        return window._replace(conditions=replace(window.conditions, oil_temperature_c=shifted))
+
+    return disturbed
+
+
+def _speed(offset_rpm: float, gain: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        shifted = np.maximum(np.abs(window.conditions.speed_rpm) * (1 + gain) + offset_rpm, 0.0)
+        return window._replace(conditions=replace(window.conditions, speed_rpm=shifted))
+
+    return disturbed
+
+
+def _flow(offset_l_per_min: float, gain: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        return window._replace(flow_l_per_min=window.flow_l_per_min * (1 + gain) + offset_l_per_min)
+
+    return disturbed
+
+
+def _with_path(window: Window, name: str, changed: Callable[[LeakagePath], LeakagePath]) -> Window:
+    paths = tuple(changed(path) if path.name == name else path for path in window.motor.paths)
+    return window._replace(motor=replace(window.motor, paths=paths))
+
+
+def _deformation(name: str, share: float) -> Disturbance:
+    def changed(path: LeakagePath) -> LeakagePath:
+        assert isinstance(path, AnnularGap)
+        assert path.deformation_pressure_pa is not None
+        return replace(path, deformation_pressure_pa=path.deformation_pressure_pa * (1 + share))
+
+    return lambda window: _with_path(window, name, changed)
+
+
+def _curve(name: str, share: float) -> Disturbance:
+    def changed(path: LeakagePath) -> LeakagePath:
+        assert isinstance(path, SpeedCurve)
+        return replace(path, coefficients=tuple(c * (1 + share) for c in path.coefficients))
+
+    return lambda window: _with_path(window, name, changed)
+
+
+def _pressure_viscosity(share: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        oil = window.motor.oil
+        changed = replace(
+            oil, pressure_viscosity_per_pa=oil.pressure_viscosity_per_pa * (1 + share)
+        )
+        return window._replace(motor=replace(window.motor, oil=changed))
+
+    return disturbed
+
+
+def _density(share: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        oil = window.motor.oil
+        changed = replace(oil, density_15_c_kg_per_m3=oil.density_15_c_kg_per_m3 * (1 + share))
+        return window._replace(motor=replace(window.motor, oil=changed))
+
+    return disturbed
+
+
+def _film_pressure(step: float) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        film = window.motor.film_pressure
+        # A share lies within 0 and 1: at the upper end the step goes down.
+        share = film.share + step if film.share + step <= 1.0 else film.share - step
+        changed = replace(film, share=max(share, 0.0))
+        return window._replace(motor=replace(window.motor, film_pressure=changed))
+
+    return disturbed
