@@ -1,7 +1,8 @@
 """Names and units of the channels, and the one place where a reading becomes a canonical one.
 
-Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min. The factors are exact by definition
-of the units (BIPM SI brochure, 9th ed., and NIST SP 811, appendix B, for inch, pound-force and the gallons).
+Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min. The factors
+are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811, appendix B, for
+inch, pound-force and the gallons).
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from pipeline.errors import UsageError
 class Conversion(NamedTuple):
     """canonical = (value + shift) * numerator / denominator.
 
-    Numerator and denominator apart: 1 bar in 100 kPa is then exact, which a factor of 0.01 would not be.
+    Numerator and denominator apart: 1 bar in 100 kPa is then exact, which a factor of 0.01 would
+    not be.
     """
 
     numerator: float
@@ -85,6 +87,8 @@ QUANTITIES: Mapping[str, str] = MappingProxyType(
         "pressure_difference": "pressure",
         "high_port_pressure": "pressure",
         "low_port_pressure": "pressure",
+        "charge_pressure": "pressure",
+        "case_pressure": "pressure",
         "oil_temperature": "temperature",
         "speed": "speed",
         "leakage_flow": "flow",

@@ -63,10 +63,10 @@ def read_log(path: Path, source: LogSource) -> RawLog:
 
 
 def time_span(path: Path, source: LogSource) -> tuple[int, int]:
-    """Time from which and until which a log goes, without reading all of it where the format allows.
+    """Time from which and until which a log goes, without reading it whole if that can be.
 
-    A CSV is taken to be in order, its first and last rows are looked at; a Parquet file says it in its row groups, an MCAP
-    file in its summary, there for all topics together.
+    A CSV is taken to be in order, its first and last rows are looked at; a Parquet file says it in
+    its row groups, an MCAP file in its summary, there for all topics together.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The last steps that all readers share: judge a channel's readings, convert them, and put the log together."""
+"""The last steps that all readers share: a channel's readings are judged, converted and kept."""
 
 from __future__ import annotations
 
@@ -71,11 +71,14 @@ def raw_channel(
         raise LogError(
             "log_type",
             path,
-            f"{source.source} (channel {source.channel}) holds no number in {unparsed} cells, such as "
-            f"{readings.example!r}: give the right column, decimal sign or missing_tokens",
+            f"{source.source} (channel {source.channel}) holds no number in {unparsed} cells, such "
+            f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             source.source,
         )
-    value = to_canonical(source.channel, readings.raw * source.scale + source.offset, source.unit)
+    # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = readings.raw * source.scale + source.offset
+        value = to_canonical(source.channel, scaled, source.unit)
     return RawChannel(_frozen(time_us), _frozen(value), _frozen(readings.missing), unparsed)
 
 
@@ -135,8 +138,8 @@ def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
         raise LogError(
             "log_time",
             path,
-            f"{unreadable} of {rows} time stamps cannot be read as {name}, or lie before 1990 or after 2200: "
-            "give the right time format, or have the logger's clock set",
+            f"{unreadable} of {rows} time stamps cannot be read as {name}, or lie before 1990 or "
+            "after 2200: give the right time format, or have the logger's clock set",
         )
     return unreadable
 
@@ -155,7 +158,7 @@ def raw_log(channels: Mapping[str, RawChannel], rows: int, refused: Mapping[str,
 
 
 def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
-    """Smallest and largest of the time stamps of a file's parts; none at all is an error ``log_empty``."""
+    """Smallest and largest time stamp of a file's parts; none is an error ``log_empty``."""
     times = [part for part in parts if part.size]
     if not times:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")

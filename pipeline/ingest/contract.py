@@ -1,8 +1,8 @@
 """What every reader of logs takes and gives, whatever the format of the file.
 
-A reader gets a `LogSource` and gives a `RawLog`: each channel on its own time stamps, in the order of the file, in canonical
-units, with what is missing marked. A reader sorts nothing, fills nothing and judges nothing but the file itself; whether a
-sample is plausible is for the cleaning stage.
+A reader gets a `LogSource` and gives a `RawLog`: each channel on its own time stamps, in the order
+of the file, in canonical units, with what is missing marked. A reader sorts nothing, fills nothing
+and judges nothing but the file itself; whether a sample is plausible is for the cleaning stage.
 
 Codes of the `LogError` that readers raise:
 
@@ -25,6 +25,7 @@ Codes of the `LogError` that readers raise:
 
 from __future__ import annotations
 
+import codecs
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
@@ -40,7 +41,7 @@ from pipeline.units import conversion
 LogFormat = Literal["csv", "parquet", "mcap"]
 
 MISSING_TOKENS = ("", "null", "NULL", "NA", "N/A")
-"""Cells of a CSV that mean "no sample"; ``NaN`` is none of them: it is a reading that is not finite."""
+"""Cells of a CSV that mean "no sample". ``NaN`` does not: it is a reading that is not finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +89,11 @@ class LogSource:
     channels
         The channels that are wanted; each name once.
     time_source
-        Column of the time stamps (CSV, Parquet); "log_time" or "publish_time" (MCAP, where any other name means "log_time").
+        Column of the time stamps (CSV, Parquet); "log_time" or "publish_time" (MCAP, where any
+        other name means "log_time").
     time_format
-        "iso8601", "epoch_s", "epoch_ms", "epoch_us", "epoch_ns" or a format of `time.strptime`. Parquet columns of type
-        timestamp and MCAP say it themselves.
+        "iso8601", "epoch_s", "epoch_ms", "epoch_us", "epoch_ns" or a format of `time.strptime`.
+        Parquet columns of type timestamp and MCAP say it themselves.
     time_zone
         Zone of time stamps that do not carry one.
     separator, decimal, encoding, skip_rows, missing_tokens
@@ -128,11 +130,13 @@ class RawChannel:
     Attributes
     ----------
     time_us : (n,) int64
-        UTC, microseconds since 1970, in the order of the file: backward time is for cleaning to refuse.
+        UTC, microseconds since 1970, in the order of the file: backward time is for cleaning to
+        refuse.
     value : (n,) float64
         Canonical unit; nan where missing.
     missing : (n,) bool
-        The cell was blank or null or held no number. A nan or infinity that stands in the file is not missing.
+        The cell was blank or null or held no number. A nan or infinity that stands in the file is
+        not missing.
     unparsed
         Number of cells that held something that is no number; they are in `missing` too.
     """
@@ -181,8 +185,9 @@ def _require_dialect(source: LogSource) -> None:
     if source.skip_rows < 0:
         raise UsageError("log_source", "skip_rows is not negative")
     try:
-        b"".decode(source.encoding)
-    except LookupError as error:
+        codecs.getincrementaldecoder(source.encoding)()
+        " ".encode(source.encoding)
+    except (LookupError, ValueError) as error:
         raise UsageError("log_source", f"encoding {source.encoding!r} is not known") from error
     try:
         ZoneInfo(source.time_zone)

@@ -1,8 +1,8 @@
 """Logs as delimited text.
 
-All wanted columns are taken as text and converted column by column, so that a bad cell costs its own column some speed
-and nothing else, and is counted. A row with too many or too few cells, and a last row without a line end, are left out
-and counted: half a figure looks like a figure.
+All wanted columns are taken as text and converted column by column, so that a bad cell costs its
+own column some speed and nothing else, and is counted. A row with too many or too few cells, and a
+last row without a line end, are left out and counted: half a figure looks like a figure.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, require_time, span, time_name, wide_log
 from pipeline.ingest.contract import LogSource, RawLog
-from pipeline.ingest.time_stamps import TimeStamps, TimeStampError, from_text
+from pipeline.ingest.time_stamps import TimeStampError, TimeStamps, from_text
 
 LARGEST_FILE = 4 * 2**30
 """Bytes; a CSV is held in memory while it is read."""
@@ -78,7 +78,7 @@ def read_csv_log(path: Path, source: LogSource) -> RawLog:
 
 
 def csv_time_span(path: Path, source: LogSource) -> tuple[int, int]:
-    """First and last time stamp of a CSV, from its first and last rows where they can be read by themselves.
+    """First and last time stamp of a CSV, from its first and last rows where these can be read.
 
     Raises
     ------
@@ -102,7 +102,8 @@ def _span_of_ends(path: Path, source: LogSource) -> tuple[int, int]:
         tail = file.read()
     first = _split(path, _utf8(path, head, source.encoding), source)
     start = tail.find(b"\n") + 1
-    last = _Text(first.names, memoryview(tail)[start : _end_of_lines(tail)], 0)
+    whole_lines = _repaired(tail[start : _end_of_lines(tail)])
+    last = _Text(first.names, memoryview(whole_lines), 0)
     return _span(path, source, [first, last])
 
 
@@ -121,7 +122,8 @@ def _bytes(path: Path) -> bytes:
         raise LogError(
             "log_too_large",
             path,
-            f"{size} bytes are more than the {LARGEST_FILE} that a CSV may have: split it, or use Parquet",
+            f"{size} bytes are more than the {LARGEST_FILE} that a CSV may have: split it, or use "
+            "Parquet",
         )
     return path.read_bytes()
 
@@ -141,7 +143,12 @@ def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
                 "log_encoding", path, f"the text is not in encoding {encoding}: {error}"
             ) from error
     _refuse_binary(path, data[:4096])
-    return data.removeprefix(codecs.BOM_UTF8)
+    return _repaired(data).removeprefix(codecs.BOM_UTF8)
+
+
+def _repaired(data: bytes) -> bytes:
+    """What is not UTF-8 gets a mark in its place, and a cell with a mark is no number."""
+    return data if data.isascii() else data.decode(errors="replace").encode()
 
 
 def _refuse_binary(path: Path, head: bytes) -> None:
@@ -172,9 +179,7 @@ def _split(path: Path, data: bytes, source: LogSource) -> _Text:
         code = "log_truncated" if len(data) < _HEAD else "log_not_csv"
         raise LogError(code, path, "the header has no line end", f"line {header + 1}")
     try:
-        cells = next(
-            csv.reader([lines[header].decode(errors="replace")], delimiter=source.separator)
-        )
+        cells = next(csv.reader([lines[header].decode()], delimiter=source.separator))
     except csv.Error as error:
         raise LogError("log_not_csv", path, f"the header cannot be read: {error}") from error
     start = sum(map(len, lines[: header + 1]))
@@ -193,11 +198,12 @@ def _positions(
                 "log_column_twice", path, f"{count} columns are called {name!r}: rename one"
             )
         if not count:
+            there = ", ".join(repr(known[:40]) for known in names[:40])
+            hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
             raise LogError(
                 "log_column_missing",
                 path,
-                f"no column {name!r}; the columns separated by {source.separator!r} are "
-                + ", ".join(repr(known[:40]) for known in names[:40]),
+                f"no column {name!r}; separated by {source.separator!r} there are {there}{hint}",
             )
     return [names.index(name) for name in wanted]
 
@@ -210,14 +216,7 @@ def _table(path: Path, source: LogSource, text: _Text, wanted: tuple[str, ...]) 
     try:
         table, ragged = _parse(source, text, keys)
     except pa.ArrowInvalid as error:
-        # Text that is no UTF-8 here and there is read with marks in its place, which are then no numbers.
-        repaired = bytes(text.body).decode(errors="replace").encode()
-        try:
-            table, ragged = _parse(source, _Text(text.names, memoryview(repaired), 0), keys)
-        except pa.ArrowInvalid:
-            raise LogError(
-                "log_damaged", path, f"the rows cannot be told apart: {error}"
-            ) from error
+        raise LogError("log_damaged", path, f"the rows cannot be told apart: {error}") from error
     if any("\n" in row.text.rstrip("\r\n") for row in ragged):
         raise LogError("log_damaged", path, "a quotation mark is opened and not closed in its row")
     if len(ragged) > table.num_rows:
@@ -225,7 +224,8 @@ def _table(path: Path, source: LogSource, text: _Text, wanted: tuple[str, ...]) 
             "log_not_csv",
             path,
             f"{len(ragged)} of {len(ragged) + table.num_rows} rows have not the header's "
-            f"{len(text.names)} cells, the first has {ragged[0].actual_columns}: check separator and skip_rows",
+            f"{len(text.names)} cells, the first has {ragged[0].actual_columns}: check separator "
+            "and skip_rows",
         )
     return _Table(dict(zip(wanted, map(table.column, keys), strict=True)), len(ragged))
 

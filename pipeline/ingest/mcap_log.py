@@ -1,12 +1,14 @@
 """Logs as MCAP with JSON messages: a topic a channel, a key of the message its reading.
 
-The payloads of many messages are laid out as lines and parsed at once. Where a piece does not come out as one object a
-line, it is parsed message by message, so that what is no number is found and counted.
+The payloads of many messages are laid out as lines and parsed at once. Where a piece does not come
+out as one object a line, it is parsed message by message, so that what is no number is found and
+counted.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +23,8 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, raw_channel, raw_log, require_time, span
 from pipeline.ingest.contract import ChannelSource, LogSource, RawLog
-from pipeline.ingest.mcap_records import Channel, Messages, read_messages, read_statistics
+from pipeline.ingest.mcap_layout import Channel, read_summary
+from pipeline.ingest.mcap_messages import Messages, read_messages
 from pipeline.ingest.time_stamps import from_epoch
 
 _PIECE = 8 * 2**20
@@ -80,16 +83,17 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
 
 
 def mcap_time_span(path: Path, source: LogSource) -> tuple[int, int]:
-    """First and last time stamp of all messages of an MCAP file, from its summary or else from the messages.
+    """First and last time stamp of all messages, from the summary or else from the messages.
 
     Raises
     ------
     LogError
         As `read_mcap_log`; ``log_empty`` where there is no message.
     """
-    statistics = read_statistics(path)
+    with path.open("rb") as file:
+        statistics = read_summary(path, file).statistics
     if statistics and statistics.message_count and _time_name(source) == "log_time":
-        log_times = [statistics.first_log_time_ns, statistics.last_log_time_ns]
+        log_times = [statistics.first_log_time, statistics.last_log_time]
         stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
         if stamps.readable.all():
             return span(path, [stamps.time_us])
@@ -104,14 +108,19 @@ def _time_name(source: LogSource) -> str:
 
 
 def _times(messages: Messages, time_source: str) -> NDArray[np.uint64]:
-    return messages.publish_time_ns if time_source == "publish_time" else messages.log_time_ns
+    return messages.publish_time if time_source == "publish_time" else messages.log_time
 
 
 def _wanted_lines(path: Path, topics: Sequence[str], time_source: str) -> Iterator[_Lines]:
     channels: Mapping[int, Channel] = {}
+    topic_by_channel_id = np.empty(0, np.int16)
+    known = -1
     for messages in read_messages(path):
         channels = messages.channels
-        topic = _topic_by_channel_id(path, channels, topics)[messages.channel_id]
+        if len(channels) != known:
+            topic_by_channel_id = _topic_by_channel_id(path, channels, topics)
+            known = len(channels)
+        topic = topic_by_channel_id[messages.channel_id]
         wanted = topic >= 0
         if wanted.any():
             starts, ends = messages.payload_start[wanted], messages.payload_end[wanted]
@@ -143,7 +152,8 @@ def _topic_by_channel_id(
             raise LogError(
                 "log_encoding",
                 path,
-                f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r}, and only 'json' is read",
+                f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r}, and "
+                "only 'json' is read",
                 channel.topic,
             )
         table[channel_id] = topics.index(channel.topic)
@@ -156,22 +166,25 @@ def _as_lines(
     """The payloads from `starts` to `ends`, each with a newline behind it."""
     text = np.empty(len(buffer) + 1, dtype=np.uint8)
     text[:-1] = np.frombuffer(buffer, np.uint8)
-    # Behind a payload is the head of the next record or the end of the buffer: room for the newline.
+    # Behind a payload is the head of the next record, or the end: room for the newline.
     text[ends] = _NEWLINE
-    step = np.zeros(text.size + 1, dtype=np.int8)
-    step[starts] = 1
-    step[ends + 1] = -1
-    return text[np.cumsum(step[:-1], dtype=np.int8).view(np.bool_)]
+    edges = np.empty(2 * starts.size + 2, dtype=np.int64)
+    edges[0], edges[1:-1:2], edges[2:-1:2], edges[-1] = 0, starts, ends + 1, text.size
+    inside = np.zeros(edges.size - 1, dtype=np.bool_)
+    inside[1::2] = True
+    return text[np.repeat(inside, np.diff(edges))]
 
 
 def _pieces(lines: Iterator[_Lines]) -> Iterator[_Lines]:
     """Fewer and longer stretches: a call of the parser has its cost, and so has memory."""
     held: list[_Lines] = []
+    size = 0
     for stretch in lines:
         held.append(stretch)
-        if sum(part.text.size for part in held) >= _PIECE:
+        size += stretch.text.size
+        if size >= _PIECE:
             yield _stacked(held)
-            held = []
+            held, size = [], 0
     if held:
         yield _stacked(held)
 
@@ -196,9 +209,10 @@ def _parse(lines: _Lines, fields: Sequence[str]) -> _Parsed:
 def _parse_at_once(
     lines: _Lines, starts: NDArray[np.int64], fields: Sequence[str]
 ) -> dict[str, Readings] | None:
-    """Readings, where every line is one object and every wanted value a number or null; else None."""
-    # The parser takes objects, not lines: without this, an object cut in one line and closed in the next would go
-    # through, and two in one line as well.
+    """Readings, where every line is one object and every wanted value a number or null; else
+    None."""
+    # The parser takes objects, not lines: without this, an object cut in one line and closed in the
+    # next would go through, and two in one line as well.
     whole_objects = (
         lines.length.min() >= 2
         and (lines.text[starts] == ord("{")).all()
@@ -267,8 +281,8 @@ def _number(value: object) -> float | None:
         return None
     try:
         return float(value)
-    except OverflowError:
-        return None
+    except OverflowError:  # An integer of more than 308 digits is a number, but not finite.
+        return math.inf if value > 0 else -math.inf
 
 
 def _joined(parts: Sequence[_Parsed], fields: Sequence[str]) -> _Parsed:
@@ -280,7 +294,7 @@ def _joined(parts: Sequence[_Parsed], fields: Sequence[str]) -> _Parsed:
 
 
 def _require_field(path: Path, source: ChannelSource) -> None:
-    """Refuse a topic in no message of which there is the field; null in it is a sample that is missing."""
+    """Refuse a topic without the field in any message; a field that is null is a missing sample."""
     keys: set[str] = set()
     for messages in read_messages(path):
         topic = _topic_by_channel_id(path, messages.channels, [source.source])[messages.channel_id]

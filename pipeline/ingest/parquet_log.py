@@ -1,17 +1,15 @@
 """Logs as Parquet, written by others.
 
-They are read with PyArrow and validated in full before any figure is used: a footer that reads proves nothing, and other
-readers were seen to abort on malformed files or to read them without a word. Checksums of pages are verified where the
-writer left them.
+They are read with PyArrow and validated in full before any figure is used: a footer that reads
+proves nothing, and other readers were seen to abort on malformed files or to read them without a
+word. Checksums of pages are verified where the writer left them.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -35,7 +33,7 @@ MOST_ROWS = 2**27
 """Two weeks at 100 Hz. A file of a few kilobytes may claim, and decode to, any number of rows."""
 
 _MAGIC = b"PAR1"
-_UNITS = {"milliseconds": "ms", "microseconds": "us", "nanoseconds": "ns"}
+_BATCH_ROWS = 2**20
 
 
 def read_parquet_log(path: Path, source: LogSource) -> RawLog:
@@ -57,32 +55,32 @@ def read_parquet_log(path: Path, source: LogSource) -> RawLog:
         _require_numeric(path, file.schema_arrow, source)
         wanted = dict.fromkeys([source.time_source, *(c.source for c in source.channels)])
         table = _read(path, file, tuple(wanted))
-    stamps = _stamps(path, source, table.column(source.time_source))
-    columns = {c.channel: _readings(table.column(c.source)) for c in source.channels}
+        stamps = _stamps(path, source, table.column(source.time_source))
+        columns = {c.channel: _readings(table.column(c.source)) for c in source.channels}
     return wide_log(path, source, stamps, columns, {})
 
 
 def parquet_time_span(path: Path, source: LogSource) -> tuple[int, int]:
-    """First and last time stamp of a Parquet file, from the statistics of its row groups or else the time column.
+    """First and last time stamp, from the time column alone.
 
     Raises
     ------
     LogError
         As `read_parquet_log`; ``log_empty`` where there is no row.
     """
+    # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
+    # are damaged ends the process, where reading the column raises.
     with _opened(path) as file:
         _require_columns(path, file.schema_arrow, [source.time_source])
-        stamps = _stamps_from_statistics(file, source)
-        if stamps is None or not stamps.readable.all():
-            column = _read(path, file, (source.time_source,)).column(source.time_source)
-            stamps = _stamps(path, source, column)
-            require_time(path, stamps, time_name(source))
+        table = _read(path, file, (source.time_source,))
+        stamps = _stamps(path, source, table.column(source.time_source))
+    require_time(path, stamps, time_name(source))
     return span(path, [stamps.time_us[stamps.readable]])
 
 
 @contextmanager
 def _opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """An open file; whatever PyArrow raises on it, now or while it is read, becomes a `LogError`."""
+    """An open file; what PyArrow raises on it, now or while it is read, becomes a `LogError`."""
     _require_magic(path)
     try:
         # Not memory mapped: a file cut by another process would end this one.
@@ -93,7 +91,7 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
             "log_too_large", path, f"it asks for more memory than there is: {error}"
         ) from error
     except (OSError, ValueError, TypeError, LookupError, OverflowError, pa.ArrowException) as error:
-        # Also of kinds that PyArrow does not document: a wrong byte in a name is a UnicodeDecodeError.
+        # Also of kinds that PyArrow does not document, as for a wrong byte in a name.
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError("log_damaged", path, f"the Parquet file cannot be read: {reason}") from error
 
@@ -140,28 +138,31 @@ def _require_numeric(path: Path, schema: pa.Schema, source: LogSource) -> None:
             raise LogError(
                 "log_type",
                 path,
-                f"column {channel.source!r} (channel {channel.channel}) is of type {kind}, not a number",
+                f"column {channel.source!r} (channel {channel.channel}) is of type {kind}, which "
+                "is no number",
                 channel.source,
             )
 
 
 def _read(path: Path, file: pq.ParquetFile, wanted: Sequence[str]) -> pa.Table:
-    groups = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
-    if min(groups, default=0) < 0 or sum(groups) != file.metadata.num_rows:
-        raise LogError("log_damaged", path, "the row groups do not add up to the rows of the file")
-    if file.metadata.num_rows > MOST_ROWS:
-        raise LogError(
-            "log_too_large",
-            path,
-            f"{file.metadata.num_rows} rows are more than {MOST_ROWS}: split it",
-        )
-    table = file.read(columns=list(wanted))
+    """The wanted columns, piece by piece: how many rows there are shows while they unfold."""
+    batches: list[pa.RecordBatch] = []
+    rows = 0
+    for batch in file.iter_batches(batch_size=_BATCH_ROWS, columns=list(wanted)):
+        rows += batch.num_rows
+        if rows > MOST_ROWS:
+            raise LogError("log_too_large", path, f"there are more than {MOST_ROWS} rows: split it")
+        batches.append(batch)
+    if rows != file.metadata.num_rows:
+        claimed = file.metadata.num_rows
+        raise LogError("log_damaged", path, f"it claims {claimed} rows and holds {rows}")
+    empty = pa.schema([file.schema_arrow.field(name) for name in wanted])
+    table = pa.Table.from_batches(batches, batches[0].schema if batches else empty)
     table.validate(full=True)
-    # A nested column a with a part b is found under the name "a.b" as well.
+    # A part b of a nested column a comes along with a column of the name "a.b".
     if sorted(table.column_names) != sorted(wanted):
-        raise LogError(
-            "log_column_twice", path, f"columns {', '.join(wanted)} are not the only ones so called"
-        )
+        there = ", ".join(table.column_names)
+        raise LogError("log_column_twice", path, f"columns {there} go by the names asked for")
     return table
 
 
@@ -180,52 +181,13 @@ def _stamps(path: Path, source: LogSource, column: pa.ChunkedArray) -> TimeStamp
         raise LogError(
             "log_time",
             path,
-            f"a time column of type {kind} cannot be read as {source.time_format!r}: wanted are timestamps, text, or "
-            f"integers or float64 with time_format one of {', '.join(EPOCH_UNITS)}",
+            f"a time column of type {kind} cannot be read as {source.time_format!r}: wanted are "
+            "timestamps, text, or integers or float64 with time_format one of "
+            + ", ".join(EPOCH_UNITS),
             source.time_source,
         )
     blank = np.nan if pa.types.is_floating(kind) else 0
     return from_epoch(pc.fill_null(column, blank).to_numpy(), source.time_format)
-
-
-def _stamps_from_statistics(file: pq.ParquetFile, source: LogSource) -> TimeStamps | None:
-    """Smallest and largest stamp of each row group; None where the file does not say."""
-    kind = file.schema_arrow.field(source.time_source).type
-    is_timestamp = pa.types.is_timestamp(kind)
-    if is_timestamp and kind.tz is None and source.time_zone != "UTC":
-        return None  # An hour that comes twice is told apart by the order of its rows only.
-    if not is_timestamp and not (pa.types.is_int64(kind) and source.time_format in EPOCH_UNITS):
-        return None
-    groups = [file.metadata.row_group(i) for i in range(file.metadata.num_row_groups)]
-    extremes = [_smallest_and_largest(group, source.time_source) for group in groups]
-    if not all(extremes):
-        return None
-    numbers = np.array([number for pair in extremes for number in pair], dtype=np.int64)
-    if not is_timestamp:
-        return from_epoch(numbers, source.time_format)
-    if groups and _stored_unit(groups[0], source.time_source) != kind.unit:
-        return None
-    counted = pa.chunked_array([numbers]).cast(pa.timestamp(kind.unit, "UTC"))
-    return from_arrow_timestamps(counted, "UTC")
-
-
-def _chunk(group: pq.RowGroupMetaData, name: str) -> pq.ColumnChunkMetaData | None:
-    chunks = (group.column(i) for i in range(group.num_columns))
-    return next((chunk for chunk in chunks if chunk.path_in_schema == name), None)
-
-
-def _smallest_and_largest(group: pq.RowGroupMetaData, name: str) -> tuple[int, ...]:
-    """Of an int64 column, as stored; nothing where the row group does not say."""
-    chunk = _chunk(group, name)
-    if chunk is None or chunk.physical_type != "INT64" or not chunk.is_stats_set:
-        return ()
-    statistics = chunk.statistics
-    return (statistics.min_raw, statistics.max_raw) if statistics.has_min_max else ()
-
-
-def _stored_unit(group: pq.RowGroupMetaData, name: str) -> str | None:
-    logical_type = json.loads(_chunk(group, name).statistics.logical_type.to_json())
-    return _UNITS.get(logical_type.get("timeUnit"))
 
 
 def _readings(column: pa.ChunkedArray) -> Readings:

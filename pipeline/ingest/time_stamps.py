@@ -1,6 +1,7 @@
 """Time stamps of every make to int64 microseconds since 1970, UTC.
 
-Nanoseconds are cut off to microseconds, never rounded up; seconds written as a floating-point number are rounded.
+Nanoseconds are cut off to microseconds, never rounded up; seconds written as a floating-point
+number are rounded.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns
 
 EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
 LATEST_US = int(datetime(2200, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
-"""A stamp outside is none: a clock that was never set, seconds taken for milliseconds, time since the start of the log."""
+"""Outside is no stamp: a clock never set, seconds for milliseconds, time since the log's start."""
 
 _EPOCH = datetime(1970, 1, 1)
 _MICROSECOND = timedelta(microseconds=1)
@@ -34,7 +35,7 @@ _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
 
 class TimeStampError(ValueError):
-    """A column of time stamps cannot be read as its source says; the readers add file and column."""
+    """Time stamps cannot be read as their source says; the readers add file and column."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,7 @@ class TimeStamps:
 
 
 def require_time_format(time_format: str) -> None:
-    """Refuse a format that does not name a day and an hour, or has a directive that is not supported.
+    """Refuse a format without a day, hour and minute, or with a directive that is not supported.
 
     Raises
     ------
@@ -76,13 +77,18 @@ def require_time_format(time_format: str) -> None:
         )
     has = set(directives).intersection
     day = has("Yy") and (has("j") or (has("mbB") and has("d")))
-    hour = has("H") or (has("I") and has("p"))
+    hour = has("M") and (has("H") or (has("I") and has("p")))
     fraction = "%f" not in time_format or re.search(r"[.,]%f", time_format)
     if not (day and hour and fraction):
         raise UsageError(
             "time_format",
-            f"time format {time_format!r} names no full day and hour, or %f without '.' or ',' before it",
+            f"time format {time_format!r} names no full day, hour and minute, or has %f without "
+            "'.' or ',' before it",
         )
+    try:
+        _strptime(pl.Series(["?"]), time_format)
+    except pl.exceptions.PolarsError as error:
+        raise UsageError("time_format", f"time format {time_format!r}: {error}") from error
 
 
 def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
@@ -104,7 +110,8 @@ def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps
 
     Examples
     --------
-    >>> stamps = from_text(pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]]), "iso8601", "UTC")
+    >>> texts = pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]])
+    >>> stamps = from_text(texts, "iso8601", "UTC")
     >>> stamps.time_us.tolist(), stamps.readable.tolist()
     ([1740805200500000, 0], [True, False])
     """
@@ -148,8 +155,8 @@ def from_epoch(
 def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: str) -> TimeStamps:
     """Local wall-clock time of a zone to UTC.
 
-    Where a clock change gives an hour twice, stamps belong to its first pass until they step back by half an hour or
-    more, then to the second.
+    Where a clock change gives an hour twice, stamps belong to its first pass until they step back
+    by half an hour or more, then to the second.
 
     Parameters
     ----------
@@ -195,8 +202,8 @@ def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64],
         bucket = int(buckets[np.argmax(offsets[1] > offsets[0])])
         wall = _EPOCH + timedelta(microseconds=bucket * _BUCKET_US)
         raise TimeStampError(
-            f"local time {wall:%Y-%m-%d %H:%M} does not exist in zone {zone}: where the logger's clock does not "
-            "change over, set time_zone to a fixed one such as Etc/GMT-1"
+            f"local time {wall:%Y-%m-%d %H:%M} does not exist in zone {zone}: where the logger's "
+            "clock does not change over, set time_zone to a fixed one such as Etc/GMT-1"
         )
     return offsets[0, which], offsets[1, which]
 
@@ -227,7 +234,8 @@ def from_arrow_timestamps(stamps: pa.ChunkedArray, zone: str) -> TimeStamps:
     Parameters
     ----------
     stamps
-        Column of a timestamp type; null where there is none. With a zone in its type it is in UTC already.
+        Column of a timestamp type; null where there is none. With a zone in its type it is in UTC
+        already.
     zone
         Zone of a column without one.
     """
@@ -257,32 +265,46 @@ def _from_iso8601_cell_by_cell(texts: list[str | None], zone: str) -> TimeStamps
         kind[i] = 1 if offset is None else 2
         time_us[i] = (stamp.replace(tzinfo=None) - _EPOCH - (offset or timedelta())) // _MICROSECOND
     local = from_naive(time_us, kind == 1, zone)
-    absolute = from_naive(time_us, kind == 2, "UTC")
-    return TimeStamps(local.time_us + absolute.time_us, local.readable | absolute.readable)
+    return _either(local, from_naive(time_us, kind == 2, "UTC"))
 
 
 def _from_epoch_text(texts: pa.ChunkedArray, time_format: str) -> TimeStamps:
     try:
         whole = texts.cast(pa.int64())
     except pa.ArrowInvalid:
-        numbers = pl.Series("time", texts).str.strip_chars()
-        parsed = numbers.cast(pl.Float64, strict=False).to_numpy()
-        return from_epoch(np.array(parsed, dtype=np.float64), time_format)
+        return _from_epoch_cell_by_cell(texts, time_format)
     return from_epoch(pc.fill_null(whole, 0).to_numpy(), time_format)
+
+
+def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> TimeStamps:
+    """Slower, for a column with fractions, or in which some cell is no number."""
+    cells = pl.Series("time", texts).str.strip_chars()
+    whole = cells.cast(pl.Int64, strict=False)
+    # Whole numbers apart: as a float64, nanoseconds since 1970 come in steps of 256.
+    as_whole = from_epoch(whole.fill_null(0).to_numpy(), time_format)
+    parsed = cells.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
+    as_float = from_epoch(np.where(whole.is_null().to_numpy(), parsed, np.nan), time_format)
+    return _either(as_whole, as_float)
+
+
+def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
+    """Stamps of two readings of one column, where each cell is readable in one of them at most."""
+    return TimeStamps(one.time_us + other.time_us, one.readable | other.readable)
 
 
 def _from_strptime(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
     if ",%f" in time_format:
         texts = pc.replace_substring(texts, ",", ".")
-    stamps = pl.Series("time", texts).str.to_datetime(
-        _chrono_format(time_format), time_unit="us", strict=False, exact=True
-    )
+    stamps = _strptime(pl.Series("time", texts), time_format)
     readable = stamps.is_not_null().to_numpy()
     time_us = stamps.to_physical().fill_null(0).to_numpy()
     return from_naive(time_us, readable, "UTC" if "%z" in time_format else zone)
 
 
-def _chrono_format(time_format: str) -> str:
-    """The format in the words of the parser: there %f has no dot, and only %#z knows "Z"."""
+def _strptime(texts: pl.Series, time_format: str) -> pl.Series:
+    # In the words of this parser %f stands for the dot as well, and only %#z knows "Z".
     dotted = time_format.replace(",", ".") if ",%f" in time_format else time_format
-    return dotted.replace(".%f", "%.f").replace("%z", "%#z")
+    its_format = dotted.replace(".%f", "%.f").replace("%z", "%#z")
+    return texts.str.strip_chars().str.to_datetime(
+        its_format, time_unit="us", strict=False, exact=True
+    )

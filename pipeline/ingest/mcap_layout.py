@@ -1,0 +1,170 @@
+"""Layout of an MCAP file, and its summary, which is read from the end.
+
+Opcodes and the order of fields are those of the MCAP specification, https://mcap.dev/spec. A record
+is an opcode, a length and a content.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import BinaryIO, NamedTuple
+
+from pipeline.errors import LogError
+
+MAGIC = b"\x89MCAP0\r\n"
+FOOTER, CHANNEL, MESSAGE, CHUNK, STATISTICS, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0B, 0x0F
+PREFIX = struct.Struct("<BQ")
+"""Opcode and length of the content."""
+
+LARGEST_CHUNK = 256 * 2**20
+"""Bytes that a chunk may claim to be, packed or not: 16 kB were seen to unfold to 480 MB."""
+
+LONGEST_RECORD = LARGEST_CHUNK + 2**20
+
+_CHANNEL_HEAD = struct.Struct("<HH")
+_STATISTICS = struct.Struct("<QHIIIIQQI")
+_CHANNEL_COUNT = struct.Struct("<HQ")
+_FOOTER = struct.Struct("<BQQQI")
+_CHECKSUM_BYTES = 4
+
+
+class Channel(NamedTuple):
+    """A channel record: what the messages of an id are."""
+
+    topic: str
+    encoding: str
+
+
+class Statistics(NamedTuple):
+    """What the writer says it has written, log times in ns."""
+
+    message_count: int
+    first_log_time: int
+    last_log_time: int
+    counts_by_channel: Mapping[int, int]
+
+
+class Summary(NamedTuple):
+    """What stands behind the data section.
+
+    Attributes
+    ----------
+    start
+        Where the data section ends, in bytes.
+    channels
+        By id; a writer may leave them out.
+    statistics
+        None where the writer left them out.
+    """
+
+    start: int
+    channels: Mapping[int, Channel]
+    statistics: Statistics | None
+
+
+def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
+    """Where the records begin that lie whole in a buffer, and where the last of them ends.
+
+    Examples
+    --------
+    >>> record_offsets(memoryview(PREFIX.pack(CHUNK, 2) + b"abc"))
+    ([0], 11)
+    """
+    offsets: list[int] = []
+    # The only loop over single messages: what it needs is looked up once.
+    append, unpack, size = offsets.append, PREFIX.unpack_from, len(buffer)
+    start, last_start = 0, size - PREFIX.size
+    while start <= last_start:
+        _, length = unpack(buffer, start)
+        end = start + 9 + length
+        if end > size:
+            break
+        append(start)
+        start = end
+    return offsets, start
+
+
+def read_channel(path: Path, content: bytes) -> tuple[int, Channel]:
+    """Id and content of a channel record.
+
+    Raises
+    ------
+    LogError
+        ``log_damaged``.
+    """
+    try:
+        channel_id, _ = _CHANNEL_HEAD.unpack_from(content)
+        topic, at = _text(content, _CHANNEL_HEAD.size)
+        encoding, _ = _text(content, at)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise LogError("log_damaged", path, f"a channel record cannot be read: {error}") from error
+    return channel_id, Channel(topic, encoding)
+
+
+def read_summary(path: Path, file: BinaryIO) -> Summary:
+    """Footer and summary section of an open file.
+
+    Raises
+    ------
+    LogError
+        ``log_not_mcap``, ``log_truncated`` or ``log_damaged``.
+    """
+    if file.read(len(MAGIC)) != MAGIC:
+        raise LogError("log_not_mcap", path, "the file does not begin as MCAP does")
+    footer_start = file.seek(0, 2) - len(MAGIC) - _FOOTER.size
+    file.seek(max(footer_start, len(MAGIC)))
+    tail = file.read()
+    if footer_start < len(MAGIC) or not tail.endswith(MAGIC):
+        raise LogError(
+            "log_truncated", path, "the end of the MCAP file is missing: copy or recover it"
+        )
+    opcode, length, summary_start, _, checksum = _FOOTER.unpack_from(tail)
+    if opcode != FOOTER or length != _FOOTER.size - PREFIX.size:
+        raise LogError("log_damaged", path, "the footer is not where it has to be")
+    start = summary_start or footer_start
+    if not len(MAGIC) <= start <= footer_start or footer_start - start > LONGEST_RECORD:
+        raise LogError("log_damaged", path, f"byte {start} of the file cannot begin its summary")
+    file.seek(start)
+    section = file.read(footer_start - start)
+    checked = zlib.crc32(tail[: _FOOTER.size - _CHECKSUM_BYTES], zlib.crc32(section))
+    if checksum not in (0, checked):
+        raise LogError("log_damaged", path, "the checksum of the summary is wrong")
+    return Summary(start, *_summary_records(path, section))
+
+
+def _summary_records(path: Path, section: bytes) -> tuple[Mapping[int, Channel], Statistics | None]:
+    offsets, end = record_offsets(memoryview(section))
+    if end != len(section):
+        raise LogError("log_damaged", path, "the records of the summary do not fill it")
+    channels: dict[int, Channel] = {}
+    statistics = None
+    for start, stop in pairwise([*offsets, end]):
+        content = section[start + PREFIX.size : stop]
+        if section[start] == CHANNEL:
+            channel_id, channel = read_channel(path, content)
+            channels[channel_id] = channel
+        elif section[start] == STATISTICS:
+            statistics = _statistics(path, content)
+    return channels, statistics
+
+
+def _statistics(path: Path, content: bytes) -> Statistics:
+    try:
+        messages, *_, first, last, size = _STATISTICS.unpack_from(content)
+        counts = _CHANNEL_COUNT.iter_unpack(content[_STATISTICS.size :][:size])
+    except struct.error as error:
+        raise LogError("log_damaged", path, f"the summary's statistics: {error}") from error
+    return Statistics(messages, first, last, dict(counts))
+
+
+def _text(content: bytes, at: int) -> tuple[str, int]:
+    """A text that has its length before it, and where it ends."""
+    (size,) = struct.unpack_from("<I", content, at)
+    end = at + 4 + size
+    if end > len(content):
+        raise struct.error(f"a text of {size} bytes goes beyond its record")
+    return content[at + 4 : end].decode(), end

@@ -1,0 +1,271 @@
+"""Time stamps against Python's own datetime and zoneinfo."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta, timezone
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.ingest.time_stamps import (
+    TimeStampError,
+    TimeStamps,
+    from_arrow_timestamps,
+    from_epoch,
+    from_naive,
+    from_text,
+)
+
+from .writers import T0_US, iso
+
+MICROSECOND = timedelta(microseconds=1)
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+moments = st.datetimes(datetime(1990, 1, 2), datetime(2199, 12, 30))
+
+
+def us(moment: datetime) -> int:
+    return (moment - EPOCH) // MICROSECOND
+
+
+def read(texts: list[str | None], time_format: str = "iso8601", zone: str = "UTC") -> TimeStamps:
+    return from_text(pa.chunked_array([texts], pa.string()), time_format, zone)
+
+
+def local(*texts: str, zone: str) -> list[int]:
+    return read(list(texts), zone=zone).time_us.tolist()
+
+
+@pytest.mark.parametrize(
+    ("text", "offset_us"),
+    [
+        ("2025-03-01T06:00:00Z", 0),
+        ("2025-03-01 06:00:00Z", 0),
+        ("2025-03-01T06:00:00", 0),
+        ("2025-03-01T06:00Z", 0),
+        ("2025-03-01T06:00:00.5Z", 500_000),
+        ("2025-03-01T06:00:00.123456Z", 123_456),
+        ("2025-03-01T06:00:00.123456999Z", 123_456),
+        ("2025-03-01T07:00:00+01:00", 0),
+        ("2025-03-01T07:00:00+0100", 0),
+        ("2025-03-01T07:30:00.25+01:30", 250_000),
+        ("2025-02-28T22:00:00-08:00", 0),
+        (" 2025-03-01T06:00:00Z ", 0),
+        ("2025-03-01T06:00:00,5Z", 500_000),
+        ("20250301T060000Z", 0),
+    ],
+)
+def test_iso_8601_in_its_spellings(text: str, offset_us: int) -> None:
+    for beside in ([], ["no time"], [None], ["2025-03-01T06:00:00"], ["2025-03-01T06:00:00Z"]):
+        stamps = read([text, *beside])
+        assert stamps.time_us[0] == T0_US + offset_us
+        assert stamps.readable[0]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "no time",
+        "2025-02-30T00:00:00Z",
+        "2025-03-01T25:00:00Z",
+        "06:00:00",
+        "1740808800",
+        "1970-01-01T00:00:00Z",
+        "1989-12-31T23:59:59Z",
+        "2200-01-01T00:00:00Z",
+    ],
+)
+def test_what_is_no_stamp(text: str) -> None:
+    stamps = read([text, "2025-03-01T06:00:00Z"])
+    assert stamps.readable.tolist() == [False, True]
+    assert stamps.time_us.tolist() == [0, T0_US]
+
+
+def test_fractions_may_come_and_go() -> None:
+    # datetime.isoformat() leaves the fraction out where it is zero.
+    stamps = [datetime(2025, 3, 1, 6, tzinfo=UTC) + timedelta(milliseconds=500 * i) for i in (0, 1)]
+    assert read([stamp.isoformat() for stamp in stamps]).time_us.tolist() == [
+        T0_US,
+        T0_US + 500_000,
+    ]
+
+
+@given(st.lists(moments, min_size=1, max_size=20), st.integers(-14 * 60, 14 * 60), st.booleans())
+def test_iso_8601_as_datetime_writes_it(
+    times: list[datetime], minutes: int, bad_cell: bool
+) -> None:
+    zone = timezone(timedelta(minutes=minutes))
+    aware = [time.replace(tzinfo=zone) for time in times]
+    stamps = read([time.isoformat() for time in aware] + ["?"] * bad_cell)
+    assert stamps.time_us[: len(times)].tolist() == [us(time) for time in aware]
+
+
+@pytest.mark.parametrize(
+    ("time_format", "text", "offset_us"),
+    [
+        ("%d.%m.%Y %H:%M:%S", "01.03.2025 06:00:00", 0),
+        ("%d.%m.%Y %H:%M:%S.%f", "01.03.2025 06:00:00.25", 250_000),
+        ("%d.%m.%Y %H:%M:%S,%f", "01.03.2025 06:00:00,25", 250_000),
+        ("%d.%m.%Y, %H:%M:%S,%f", "01.03.2025, 06:00:00,25", 250_000),
+        ("%m/%d/%y %I:%M:%S %p", "03/01/25 06:00:00 AM", 0),
+        ("%m/%d/%Y %I:%M %p", "03/01/2025 06:00 PM", 12 * 3600 * 1_000_000),
+        ("%d-%b-%Y %H:%M:%S", "01-Mar-2025 06:00:00", 0),
+        ("%d %B %Y %H:%M", "01 March 2025 06:00", 0),
+        ("%Y-%j %H:%M:%S", "2025-060 06:00:00", 0),
+        ("%Y%m%d%H%M%S", "20250301060000", 0),
+        ("%Y%m%d-%H%M%S.%f", "20250301-060000.000001", 1),
+        ("%Y-%m-%d %H:%M:%S %z", "2025-03-01 07:00:00 +0100", 0),
+        ("%Y-%m-%d %H:%M:%S%z", "2025-03-01 06:00:00Z", 0),
+    ],
+)
+def test_formats_mean_what_they_mean_to_python(time_format: str, text: str, offset_us: int) -> None:
+    moment = datetime.strptime(text, time_format)
+    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
+    assert us(moment) == T0_US + offset_us
+    stamps = read([f" {text} ", "?", None, text], time_format)
+    assert stamps.time_us.tolist() == [T0_US + offset_us, 0, 0, T0_US + offset_us]
+    assert stamps.readable.tolist() == [True, False, False, True]
+
+
+@given(st.lists(moments, min_size=1, max_size=10))
+def test_formats_as_strftime_writes_them(times: list[datetime]) -> None:
+    for time_format in ("%d.%m.%Y %H:%M:%S,%f", "%Y/%m/%d %I:%M:%S.%f %p", "%j %Y %H:%M:%S.%f"):
+        stamps = read([time.strftime(time_format) for time in times], time_format)
+        assert stamps.time_us.tolist() == [us(time.replace(tzinfo=UTC)) for time in times]
+
+
+@pytest.mark.parametrize(
+    ("time_format", "text", "offset_us"),
+    [
+        ("epoch_s", "1740808800", 0),
+        ("epoch_s", "1740808800.1", 100_000),
+        ("epoch_s", "1740808800.000001", 1),
+        ("epoch_s", "1.7408088E9", 0),
+        ("epoch_ms", "1740808800001", 1000),
+        ("epoch_ms", "1740808800000.5", 500),
+        ("epoch_us", "1740808800000001", 1),
+        ("epoch_ns", "1740808800000001999", 1),
+        ("epoch_ns", " 1740808800000001999", 1),
+    ],
+)
+def test_time_since_1970_as_text(time_format: str, text: str, offset_us: int) -> None:
+    for beside in ([], ["?"], [None], [f"{text.strip()}"]):
+        stamps = read([text, *beside], time_format)
+        assert stamps.time_us[0] == T0_US + offset_us
+
+
+@given(st.integers(us(datetime(1990, 1, 2, tzinfo=UTC)), us(datetime(2199, 1, 1, tzinfo=UTC))))
+def test_whole_numbers_since_1970_are_exact(time_us: int) -> None:
+    for time_format, count in (("epoch_us", time_us), ("epoch_ns", time_us * 1000 + 999)):
+        assert from_epoch(np.array([count]), time_format).time_us.tolist() == [time_us]
+        assert from_epoch(np.array([count], np.uint64), time_format).time_us.tolist() == [time_us]
+        assert read([str(count), "?"], time_format).time_us.tolist() == [time_us, 0]
+    for time_format, unit in (("epoch_s", 1_000_000), ("epoch_ms", 1000)):
+        stamps = from_epoch(np.array([time_us // unit]), time_format)
+        assert stamps.time_us.tolist() == [time_us // unit * unit]
+
+
+@pytest.mark.parametrize("number", [np.nan, np.inf, -1.0, 0.0, 1e300, 1740808800e3, 1740808800e6])
+def test_numbers_that_cannot_be_a_time(number: float) -> None:
+    stamps = from_epoch(np.array([number]), "epoch_s")
+    assert not stamps.readable.any()
+    assert stamps.time_us.tolist() == [0]
+
+
+def test_the_largest_integers_are_no_time() -> None:
+    for dtype in (np.int64, np.uint64):
+        largest = np.array([np.iinfo(dtype).max, np.iinfo(dtype).min], dtype)
+        for time_format in ("epoch_s", "epoch_ms", "epoch_us", "epoch_ns"):
+            stamps = from_epoch(largest, time_format)
+            assert stamps.time_us.tolist() == [0, 0] or time_format == "epoch_ns"
+
+
+@pytest.mark.parametrize("unit", ["s", "ms", "us", "ns"])
+@pytest.mark.parametrize("zone", [None, "UTC", "Asia/Kolkata"])
+def test_arrow_timestamps_of_every_unit(unit: str, zone: str | None) -> None:
+    per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
+    counts = [1740808800 * per_second, None, 0, 2**62, -(2**62)]
+    stamps = from_arrow_timestamps(
+        pa.chunked_array([counts[:2], counts[2:]], pa.timestamp(unit, zone)), "UTC"
+    )
+    assert stamps.time_us[:3].tolist() == [T0_US, 0, 0]
+    assert stamps.readable[:3].tolist() == [True, False, False]
+
+
+def test_a_zone_in_the_stamps_goes_before_the_zone_of_the_log() -> None:
+    assert read(["2025-03-01T06:00:00Z"], zone="Asia/Tokyo").time_us.tolist() == [T0_US]
+    assert read(["2025-03-01T15:00:00"], zone="Asia/Tokyo").time_us.tolist() == [T0_US]
+    assert local("2025-03-01T15:00:00", "2025-03-01T06:00:00Z", zone="Asia/Tokyo") == [T0_US] * 2
+
+
+@given(
+    st.lists(moments.map(lambda time: time.replace(second=0, microsecond=0)), max_size=20),
+    st.sampled_from(["Europe/Stockholm", "America/St_Johns", "Asia/Kathmandu", "Pacific/Apia"]),
+)
+def test_local_time_is_that_of_the_zone(times: list[datetime], zone: str) -> None:
+    tz = ZoneInfo(zone)
+    real = [
+        time
+        for time in times
+        if time.replace(tzinfo=tz).utcoffset() == time.replace(tzinfo=tz, fold=1).utcoffset()
+    ]
+    naive = np.array([us(time.replace(tzinfo=UTC)) for time in real], dtype=np.int64)
+    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
+    assert stamps.time_us.tolist() == [us(time.replace(tzinfo=tz)) for time in real]
+
+
+def test_an_hour_that_comes_twice_goes_on_where_the_clock_steps_back() -> None:
+    # Stockholm, 26 October 2025: at 01:00 UTC the clock goes from 03:00 back to 02:00.
+    start = us(datetime(2025, 10, 25, 23, 30, tzinfo=UTC))
+    utc = start + np.arange(0, 4 * 3600, 7, dtype=np.int64) * 1_000_000
+    tz = ZoneInfo("Europe/Stockholm")
+    walls = [(EPOCH + int(time) * MICROSECOND).astimezone(tz).replace(tzinfo=None) for time in utc]
+    naive = np.array([us(wall.replace(tzinfo=UTC)) for wall in walls])
+    assert np.any(np.diff(naive) < 0)
+    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), "Europe/Stockholm")
+    np.testing.assert_array_equal(stamps.time_us, utc)
+
+
+def test_a_sample_out_of_order_is_not_the_second_pass_of_an_hour() -> None:
+    times = ["2025-10-26T02:10:00", "2025-10-26T02:09:59", "2025-10-26T02:11:00"]
+    stamps = local(*times, zone="Europe/Stockholm")
+    assert stamps == [us(datetime.fromisoformat(time + "+02:00")) for time in times]
+
+
+def test_an_hour_that_comes_twice_in_each_of_two_years() -> None:
+    walls = []
+    for day in ("2025-10-26", "2026-10-25"):
+        walls += [f"{day}T{hour}:30:00" for hour in ("01", "02", "02", "03")]
+        walls[-2] = f"{day}T02:00:00"
+    offsets = ["+02:00", "+02:00", "+01:00", "+01:00"] * 2
+    wanted = [us(datetime.fromisoformat(w + o)) for w, o in zip(walls, offsets, strict=True)]
+    # 02:30 to 02:00 is a step of exactly half an hour: still the first pass.
+    walls[2], walls[6] = "2025-10-26T01:59:00", "2026-10-25T01:59:00"
+    assert local(*walls[:2], zone="Europe/Stockholm") == wanted[:2]
+    walls = [w.replace("01:59:00", "02:00:00").replace("02:30:00", "02:31:00") for w in walls]
+    wanted[1] += 60_000_000
+    wanted[5] += 60_000_000
+    assert local(*walls, zone="Europe/Stockholm") == wanted
+
+
+def test_an_hour_that_does_not_exist_is_an_error() -> None:
+    with pytest.raises(TimeStampError, match=r"2025-03-30 02:30.*Europe/Stockholm"):
+        local("2025-03-30T01:59:59", "2025-03-30T02:30:00", zone="Europe/Stockholm")
+
+
+@given(st.lists(st.text(max_size=30) | st.none(), max_size=10))
+def test_any_text_is_a_stamp_or_none(texts: list[str | None]) -> None:
+    for time_format in ("iso8601", "epoch_s", "epoch_ns", "%d.%m.%Y %H:%M:%S,%f", "%Y %j %H:%M%z"):
+        encodable = [text and text.encode(errors="replace").decode() for text in texts]
+        stamps = read(encodable, time_format)
+        assert stamps.time_us.size == stamps.readable.size == len(texts)
+        assert (stamps.time_us[~stamps.readable] == 0).all()
+
+
+def test_iso_helper_of_the_tests_says_what_date_says() -> None:
+    assert iso(T0_US) == "2025-03-01T06:00:00.000000"
+    assert iso(T0_US, 0) == "2025-03-01T06:00:00"

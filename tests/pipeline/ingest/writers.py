@@ -1,0 +1,205 @@
+"""Writers of the same content in every format, for the kit that every reader has to pass.
+
+They know the formats from their specifications and nothing of the readers.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+from mcap.writer import CompressionType, IndexType, Writer
+
+from pipeline.ingest import ChannelSource, LogSource
+
+T0_US = 1_740_808_800_000_000
+"""2025-03-01T06:00:00 UTC (``date -u -d @1740808800``)."""
+
+CHANNELS = (
+    ChannelSource("pressure_difference", "dp", "bar"),
+    ChannelSource("oil_temperature", "T", "degC"),
+    ChannelSource("leakage_flow", "q", "l/min"),
+)
+
+Cell = float | str | None
+"""A number, text that is none, or nothing; a channel not logged at a time has no cell then."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """What was logged at one time."""
+
+    time_us: int
+    cells: Mapping[str, Cell]
+
+
+@dataclass(frozen=True)
+class Format:
+    """A way to write a log, and the source that says so.
+
+    Attributes
+    ----------
+    wide
+        All channels share the rows.
+    holds_text
+        A reading may be written that is no number.
+    is_checked
+        Checksums cover all samples.
+    names_channels
+        A log without samples says which channels it has.
+    """
+
+    name: str
+    source: LogSource
+    write: Callable[[Path, Sequence[Row], Sequence[str]], None]
+    wide: bool = True
+    holds_text: bool = True
+    is_checked: bool = False
+    names_channels: bool = True
+
+
+def iso(time_us: int, digits: int = 6) -> str:
+    """Time in UTC as ISO 8601 without a zone."""
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=time_us)
+    text = moment.strftime("%Y-%m-%dT%H:%M:%S.%f")
+    return text[: len(text) - 6 + digits].rstrip(".")
+
+
+def number(cell: Cell, decimal: str = ".") -> str:
+    """A cell as text."""
+    if cell is None:
+        return ""
+    return cell if isinstance(cell, str) else repr(float(cell)).replace(".", decimal)
+
+
+def write_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+    lines = [",".join(["time", *names])]
+    lines += [
+        ",".join([iso(row.time_us) + "Z", *(number(row.cells.get(name)) for name in names)])
+        for row in rows
+    ]
+    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+
+
+def write_european_csv(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+    """As spreadsheets of half of Europe write it: two lines of preamble, a local time of winter."""
+    lines = ["Messung Nr. 7", "Maschine: Bagger", ";".join(["Zeit", *names])]
+    for row in rows:
+        moment = datetime(1970, 1, 1) + timedelta(microseconds=row.time_us, hours=1)
+        cells = (number(row.cells.get(name), ",") for name in names)
+        lines.append(";".join([moment.strftime("%d.%m.%Y %H:%M:%S,%f"), *cells]))
+    path.write_bytes("".join(line + "\r\n" for line in lines).encode("utf-16"))
+
+
+def columns(rows: Sequence[Row], names: Sequence[str]) -> dict[str, pa.Array]:
+    return {name: pa.array([r.cells.get(name) for r in rows], pa.float64()) for name in names}
+
+
+def write_parquet(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+    stamps = pa.array([row.time_us for row in rows], pa.timestamp("us", "UTC"))
+    table = pa.table({"time": stamps, **columns(rows, names)})
+    pq.write_table(table, path, row_group_size=37, write_page_checksum=True)
+
+
+def write_other_parquet(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+    """Naive nanoseconds of a zone, Snappy, old pages, columns the other way round."""
+    winter = timedelta(hours=1) // timedelta(microseconds=1)
+    stamps = pa.array([(row.time_us + winter) * 1000 for row in rows], pa.timestamp("ns"))
+    table = pa.table({**dict(reversed(columns(rows, names).items())), "time": stamps})
+    pq.write_table(table, path, compression="snappy", use_dictionary=False)
+
+
+def write_mcap(**options: Any) -> Callable[[Path, Sequence[Row], Sequence[str]], None]:
+    def write(path: Path, rows: Sequence[Row], names: Sequence[str]) -> None:
+        # Without messages mcap 1.6 leaves the channels out of the checksum of the data section.
+        data_crcs = options.get("enable_data_crcs", False) and bool(rows)
+        with path.open("wb") as file:
+            writer = Writer(file, chunk_size=2000, **options | {"enable_data_crcs": data_crcs})
+            writer.start()
+            schema = writer.register_schema("Value", "jsonschema", b'{"type": "object"}')
+            ids = {name: writer.register_channel(name, "json", schema) for name in names}
+            for row in rows:
+                for name in names:
+                    if name in row.cells:
+                        message = json.dumps({"sensor": name, "value": row.cells[name]}).encode()
+                        time_ns = row.time_us * 1000 + 999
+                        writer.add_message(ids[name], time_ns, message, time_ns + 1000)
+            writer.finish()
+
+    return write
+
+
+def _mcap(
+    name: str, *, is_checked: bool = True, names_channels: bool = True, **options: Any
+) -> Format:
+    return Format(
+        name,
+        LogSource("mcap", CHANNELS),
+        write_mcap(**options),
+        wide=False,
+        is_checked=is_checked,
+        names_channels=names_channels,
+    )
+
+
+FORMATS = (
+    Format("csv", LogSource("csv", CHANNELS), write_csv),
+    Format(
+        "csv-european",
+        LogSource(
+            "csv",
+            CHANNELS,
+            time_source="Zeit",
+            time_format="%d.%m.%Y %H:%M:%S,%f",
+            time_zone="Europe/Berlin",
+            separator=";",
+            decimal=",",
+            encoding="utf-16",
+            skip_rows=2,
+        ),
+        write_european_csv,
+    ),
+    Format("parquet", LogSource("parquet", CHANNELS), write_parquet, holds_text=False),
+    Format(
+        "parquet-other",
+        LogSource("parquet", CHANNELS, time_zone="Europe/Berlin"),
+        write_other_parquet,
+        holds_text=False,
+    ),
+    _mcap("mcap-zstd", compression=CompressionType.ZSTD),
+    _mcap("mcap-lz4", compression=CompressionType.LZ4),
+    _mcap("mcap-none", compression=CompressionType.NONE),
+    _mcap("mcap-not-chunked", use_chunking=False, enable_data_crcs=True),
+    _mcap(
+        "mcap-bare",
+        is_checked=False,
+        names_channels=False,
+        index_types=IndexType.NONE,
+        repeat_channels=False,
+        repeat_schemas=False,
+        use_statistics=False,
+        use_summary_offsets=False,
+        enable_crcs=False,
+    ),
+)
+
+
+def mcap_bytes(messages: Sequence[tuple[str, int, bytes]], **options: Any) -> bytes:
+    """MCAP of (topic, log time [ns], payload); publish time is 5 s before."""
+    encodings: Mapping[str, str] = options.pop("encodings", {})
+    buffer = io.BytesIO()
+    writer = Writer(buffer, **options)
+    writer.start()
+    topics = dict.fromkeys([*(topic for topic, _, _ in messages), *encodings])
+    ids = {t: writer.register_channel(t, encodings.get(t, "json"), 0) for t in topics}
+    for topic, time_ns, payload in messages:
+        writer.add_message(ids[topic], time_ns, payload, max(time_ns - 5_000_000_000, 0))
+    writer.finish()
+    return buffer.getvalue()

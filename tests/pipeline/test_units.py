@@ -1,0 +1,103 @@
+"""Units against published conversions (NIST SP 811, appendix B.8, unless said otherwise)."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.errors import UsageError
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit, to_canonical
+
+CHANNEL_OF = {quantity: channel for channel, quantity in reversed(QUANTITIES.items())}
+EVERY_UNIT = [(quantity, unit) for quantity, units in UNITS.items() for unit in units]
+
+
+@pytest.mark.parametrize(
+    ("channel", "value", "unit", "expected"),
+    [
+        ("pressure_difference", 20_000_000.0, "Pa", 200.0),
+        ("pressure_difference", 100.0, "kPa", 1.0),
+        ("high_port_pressure", 1.0, "MPa", 10.0),
+        ("low_port_pressure", 1013.25, "mbar", 1.01325),
+        ("pressure_difference", 1.0, "psi", 6.894757e-2),
+        ("oil_temperature", 122.0, "degF", 50.0),
+        ("oil_temperature", -40.0, "degF", -40.0),
+        ("oil_temperature", 273.15, "K", 0.0),
+        ("speed", 1.0, "1/s", 60.0),
+        ("speed", 1.0, "rad/s", 9.549297),
+        ("speed", 360.0, "deg/s", 60.0),
+        ("leakage_flow", 1.0, "us_gal/min", 3.785412),
+        ("leakage_flow", 1.0, "imperial_gal/min", 4.54609),
+        ("leakage_flow", 1.0, "m3/h", 1000.0 / 60.0),
+        ("leakage_flow", 1.0, "m3/s", 60_000.0),
+        ("leakage_flow", 50.0, "cm3/s", 3.0),
+        ("leakage_flow", 250.0, "cm3/min", 0.25),
+        ("leakage_flow", 250.0, "ml/min", 0.25),
+        ("leakage_flow", 90.0, "l/h", 1.5),
+        ("leakage_flow", 0.5, "l/s", 30.0),
+    ],
+)
+def test_published_conversions(channel: str, value: float, unit: str, expected: float) -> None:
+    assert to_canonical(channel, [value], unit) == pytest.approx([expected], rel=1e-6, abs=1e-9)
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_a_canonical_reading_keeps_every_digit(channel: str) -> None:
+    values = np.random.default_rng(1).normal(0.0, 300.0, 100)
+    np.testing.assert_array_equal(to_canonical(channel, values, canonical_unit(channel)), values)
+
+
+def test_canonical_units_are_those_of_the_tables() -> None:
+    assert {channel: canonical_unit(channel) for channel in CHANNELS} == {
+        "pressure_difference": "bar",
+        "high_port_pressure": "bar",
+        "low_port_pressure": "bar",
+        "charge_pressure": "bar",
+        "case_pressure": "bar",
+        "oil_temperature": "degC",
+        "speed": "rpm",
+        "leakage_flow": "l/min",
+    }
+
+
+@pytest.mark.parametrize(("quantity", "unit"), EVERY_UNIT)
+@given(value=st.floats(-1e6, 1e6, allow_nan=False), step=st.floats(1e-3, 1e6, allow_nan=False))
+def test_every_unit_rises_and_is_straight(
+    quantity: str, unit: str, value: float, step: float
+) -> None:
+    low, middle, high = to_canonical(
+        CHANNEL_OF[quantity], [value, value + step, value + 2 * step], unit
+    )
+    assert low < middle < high
+    assert middle - low == pytest.approx(high - middle, rel=1e-6, abs=1e-7 * (1 + abs(low)))
+
+
+@pytest.mark.parametrize(("quantity", "unit"), EVERY_UNIT)
+def test_what_is_not_finite_stays_so(quantity: str, unit: str) -> None:
+    values = to_canonical(CHANNEL_OF[quantity], [np.nan, np.inf, -np.inf], unit)
+    np.testing.assert_array_equal(values, [np.nan, np.inf, -np.inf])
+
+
+def test_the_readings_given_are_not_changed() -> None:
+    for unit in ("bar", "psi"):
+        values = np.array([1.0, 2.0])
+        result = to_canonical("pressure_difference", values, unit)
+        result[:] = 0.0
+        np.testing.assert_array_equal(values, [1.0, 2.0])
+
+
+def test_integers_become_float64() -> None:
+    assert to_canonical("speed", np.array([1, 2], dtype=np.int16), "rpm").dtype == np.float64
+
+
+def test_unknown_names_are_told_with_those_that_there_are() -> None:
+    with pytest.raises(UsageError, match=r"atm.*bar.*psi") as wrong_unit:
+        to_canonical("pressure_difference", [1.0], "atm")
+    assert wrong_unit.value.code == "unit_unknown"
+    with pytest.raises(UsageError, match=r"torque.*speed") as wrong_channel:
+        to_canonical("torque", [1.0], "rpm")
+    assert wrong_channel.value.code == "channel_unknown"
+    with pytest.raises(UsageError, match="degC"):
+        to_canonical("speed", [1.0], "degC")
