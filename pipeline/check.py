@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.ledger import FileRecord
-from pipeline.logs import find_logs, inspect_log, labels_of
+from pipeline.logs import find_logs, labels_of, look_at, spanned
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +40,7 @@ class MotorCheck:
 def check_motor(spec: MotorSpec) -> MotorCheck:
     """Look at the ends of each of a motor's log files; nothing is fitted and nothing written."""
     paths, absent = find_logs(spec)
-    records = [inspect_log(name, path, None, spec) for name, path in paths.items()]
+    records = [_looked_at(name, path, spec) for name, path in paths.items()]
     nights = {label for record in records for label in labels_of(record)}
     return MotorCheck(
         motor_id=spec.motor_id,
@@ -52,6 +53,11 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         faults=(*map(_fault, (r for r in records if r.status == "failed")), *map(_absent, absent)),
         placeholders=any(path.source == "placeholder" for path in spec.motor_type.path),
     )
+
+
+def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
+    record = look_at(name, path)
+    return record if record.status == "failed" else spanned(record, path, spec)
 
 
 def _fault(record: FileRecord) -> str:

@@ -6,7 +6,7 @@ interpolated to 10 Hz, would spoil nineteen.
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -28,6 +28,8 @@ MAD_TO_SD = 1.482602218505602
 TEMPERATURE_FROZEN_AFTER_S = 900.0
 # Windows compared at a time by the Hampel filter: bounds its memory, changes no figure.
 HAMPEL_CHUNK = 65_536
+# A sample that comes within this share of a period after it was due is late, not missing.
+LATE_SHARE = 0.75
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +50,8 @@ class ChannelRules:
         Longest credible time without a change [s].
     gap_sample_periods, longest_gap_s
         Silence that is a gap: in sample periods, unless stated in seconds.
+    at_rest_below
+        Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
     """
 
     valid_range: tuple[float, float]
@@ -58,6 +62,7 @@ class ChannelRules:
     frozen_after_s: float
     gap_sample_periods: float
     longest_gap_s: float | None
+    at_rest_below: float = 0.0
 
     @classmethod
     def of(cls, name: str, channel: Channel, cleaning: Cleaning) -> ChannelRules:
@@ -73,6 +78,7 @@ class ChannelRules:
             frozen_after_s=channel.frozen_after_s or fallback,
             gap_sample_periods=cleaning.gap_sample_periods,
             longest_gap_s=cleaning.temperature_gap_s if is_temperature else None,
+            at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
         )
 
 
@@ -125,10 +131,12 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
     CleanChannel
         Sorted, with blank cells that are no sample left out and all others judged.
     """
-    backward, duplicate = backward_time(raw.time_us), duplicate_time(raw.time_us)
+    backward = backward_time(raw.time_us)
+    duplicate = duplicate_time(raw.time_us, backward)
     in_order = ~(backward | duplicate)
     time, value, blank = raw.time_us[in_order], raw.value[in_order], raw.missing[in_order]
     period = typical_period_us(time[~blank])
+    longest_gap_us = _longest_gap_us(period, rules)
     missing = missing_sample(time, blank, period)
     sample = ~blank | missing
     time, value, missing = time[sample], value[sample], missing[sample]
@@ -140,13 +148,15 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
     }
     credible = ~np.logical_or.reduce(list(masks.values()))
     masks["spike"] = _within(credible, spike(value[credible], rules))
-    frozen_after_us = rules.frozen_after_s * SECOND_US
     masks["frozen"] = _within(
-        credible, frozen(time[credible], value[credible], rules.resolution, frozen_after_us)
+        credible, _frozen_in_sight(time[credible], value[credible], longest_gap_us, rules)
     )
     refused = np.logical_or.reduce(list(masks.values()))
     counts = {reason: int(mask.sum()) for reason, mask in masks.items()}
-    counts |= {"backward_time": int(backward.sum()), "duplicate_time": int(duplicate.sum())}
+    counts |= {
+        "backward_time": int((backward & ~raw.missing).sum()),
+        "duplicate_time": int((duplicate & ~raw.missing).sum()),
+    }
     out_of_order = counts["backward_time"] + counts["duplicate_time"]
     return CleanChannel(
         time_us=time,
@@ -154,7 +164,7 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
         refused=refused,
         at_maximum=masks["at_maximum"],
         period_us=period,
-        longest_gap_us=_longest_gap_us(period, rules),
+        longest_gap_us=longest_gap_us,
         counts=counts | {"any": int(refused.sum()) + out_of_order},
         n_samples=len(time) + out_of_order,
     )
@@ -164,6 +174,17 @@ def _within(chosen: Mask, flags: Mask) -> Mask:
     """Flags of the chosen samples laid back among all of them."""
     mask = np.zeros(len(chosen), dtype=np.bool_)
     mask[chosen] = flags
+    return mask
+
+
+def _frozen_in_sight(
+    time_us: Times, value: Values, longest_gap_us: float, rules: ChannelRules
+) -> Mask:
+    """Frozen values; a gap, in which nobody saw the sensor, adds no time to a stretch."""
+    steps = np.diff(time_us, prepend=time_us[:1])
+    seen_us = np.cumsum(np.where(steps > longest_gap_us, 0, steps))
+    stuck = frozen(seen_us, value, rules.resolution, rules.frozen_after_s * SECOND_US)
+    mask: Mask = stuck & (np.abs(value) >= rules.at_rest_below)
     return mask
 
 
@@ -183,7 +204,7 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
 
     In a log whose rows are those of the fastest channel, a slower one is blank in most of them: a
     blank cell is a missing sample only where the channel's own period, counted from its last
-    sample, says that one is due.
+    sample, says that one is due, and none comes a little late.
 
     Parameters
     ----------
@@ -208,6 +229,10 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
     row_us = typical_period_us(time_us) or period_us
     off = np.abs(since - np.maximum(np.round(since / period_us), 1.0) * period_us)
     due: Mask = blank & (off < row_us / 2)
+    following = np.minimum.accumulate(np.where(blank, len(row), row)[::-1])[::-1]
+    comes = following < len(row)
+    late_us = time_us[np.where(comes, following, 0)] - time_us
+    due &= ~comes | (late_us > LATE_SHARE * period_us)
     # Before the first sample there is nothing to count from: only a fast channel is missing there.
     due[~known] = blank[~known] & (period_us < 1.5 * row_us)
     return due
@@ -219,33 +244,40 @@ def backward_time(time_us: Times) -> Mask:
     The fewest possible are named (all but a longest non-decreasing subsequence), so that a single
     stamp in the future does not refuse all that follow it.
     """
-    n = len(time_us)
-    if n < 2 or bool((np.diff(time_us) >= 0).all()):
-        return np.zeros(n, dtype=np.bool_)
-    tails: list[int] = []
-    ends: list[int] = []
-    previous = np.full(n, -1, dtype=np.int64)
-    for index, stamp in enumerate(time_us.tolist()):
-        place = bisect_left(tails, stamp + 1)
-        if place:
-            previous[index] = ends[place - 1]
-        if place == len(tails):
-            tails.append(stamp)
-            ends.append(index)
-        else:
-            tails[place], ends[place] = stamp, index
-    mask = np.ones(n, dtype=np.bool_)
-    index = ends[-1]
-    while index >= 0:
-        mask[index] = False
-        index = int(previous[index])
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    if len(time_us) < 2 or bool((np.diff(time_us) >= 0).all()):
+        return mask
+    latest_before = np.maximum.accumulate(time_us)
+    earliest_after = np.minimum.accumulate(time_us[::-1])[::-1]
+    # A stamp in order with all others belongs to any longest subsequence: few are left to search.
+    doubtful = np.flatnonzero((time_us < latest_before) | (time_us > earliest_after))
+    mask[doubtful] = True
+    mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
     return mask
 
 
-def duplicate_time(time_us: Times) -> Mask:
-    """Samples, among those in order, that repeat the time of the one before."""
+def _longest_increasing(stamps: list[int]) -> list[int]:
+    """Places of a longest non-decreasing subsequence (patience sorting)."""
+    tails: list[int] = []
+    ends: list[int] = []
+    previous: list[int] = []
+    for index, stamp in enumerate(stamps):
+        pile = bisect_right(tails, stamp)
+        previous.append(ends[pile - 1] if pile else -1)
+        tails[pile : pile + 1] = [stamp]
+        ends[pile : pile + 1] = [index]
+    places: list[int] = []
+    index = ends[-1]
+    while index >= 0:
+        places.append(index)
+        index = previous[index]
+    return places[::-1]
+
+
+def duplicate_time(time_us: Times, backward: Mask) -> Mask:
+    """Samples, among those that are not backward, that repeat the time of the one before."""
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    kept = np.flatnonzero(~backward_time(time_us))
+    kept = np.flatnonzero(~backward)
     mask[kept[1:]] = np.diff(time_us[kept]) == 0
     return mask
 
@@ -309,6 +341,9 @@ def spike(value: Values, rules: ChannelRules) -> Mask:
 def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: float) -> Mask:
     """Values that stay within one step of the sensor for too long.
 
+    Readings of the sensor's steps are told apart; noise of less than half a step between them, as a
+    conversion of units leaves it, is no change, wherever it lies.
+
     Parameters
     ----------
     time_us, value
@@ -325,9 +360,21 @@ def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: fl
     """
     if not len(value):
         return np.zeros(0, dtype=np.bool_)
-    step = np.round(value / resolution) if resolution > 0 else value
+    if resolution <= 0:
+        return _unchanged(time_us, value, frozen_after_us)
+    # Half a step between the borders of the two grids: less noise than that crosses only one.
+    steps = value / resolution
+    low, high = np.floor(steps + 0.25), np.floor(steps + 0.75)
+    mask: Mask = _unchanged(time_us, low, frozen_after_us) | _unchanged(
+        time_us, high, frozen_after_us
+    )
+    return mask
+
+
+def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:
+    """Samples of each stretch of equal steps that lasts too long."""
     begins = np.flatnonzero(np.concatenate([[True], step[1:] != step[:-1]]))
-    ends = np.append(begins[1:], len(value)) - 1
+    ends = np.append(begins[1:], len(step)) - 1
     too_long = time_us[ends] - time_us[begins] > frozen_after_us
     mask: Mask = np.repeat(too_long, ends - begins + 1)
     return mask

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import logging
+import os
 import signal
 import sys
 from dataclasses import asdict, replace
@@ -69,11 +70,17 @@ def fit_fleet(
         since=_night(since, "--since"),
         until=_night(until, "--until"),
     )
+    if request.since and request.until and request.since > request.until:
+        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
     terminated = _catch_termination()
-    with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
-        result = run_fleet(request, reporter.motor)
-        reporter.summary(result, fleet.output)
-    if result.interrupted:
+    try:
+        with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
+            result = run_fleet(request, reporter.motor)
+            reporter.summary(result, fleet.output)
+        interrupted = result.interrupted
+    except KeyboardInterrupt:  # while publishing: what is not yet published is done anew
+        interrupted = True
+    if interrupted:
         raise typer.Exit(EXIT_TERMINATED if terminated else EXIT_INTERRUPTED)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
 
@@ -120,9 +127,12 @@ def demo(
 
 
 def _load(config: Path, output: Path | None, jobs: int | None) -> Fleet:
-    from pipeline.config import load_fleet
+    from pipeline.config import ConfigError, Fault, load_fleet
 
     fleet = load_fleet(config)
+    if not fleet.log_root.is_dir():
+        fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
+        raise ConfigError([fault])
     if output is not None:
         fleet = replace(fleet, output=output.resolve())
     if jobs is not None:
@@ -158,6 +168,16 @@ def _catch_termination() -> list[int]:
 
     signal.signal(signal.SIGTERM, stop)
     return came
+
+
+def _say(line: str, *, err: bool = False) -> None:
+    """Print a line; that nobody reads on must not end a run."""
+    try:
+        typer.echo(line, err=err)
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, (sys.stderr if err else sys.stdout).fileno())
+        os.close(nowhere)
 
 
 class _Reporter:
@@ -199,11 +219,11 @@ class _Reporter:
                 "message": outcome.message,
                 "nights": dict(outcome.counts),
             }
-            typer.echo(json.dumps(line))
+            _say(json.dumps(line))
             return
-        typer.echo(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
+        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
         if outcome.error_code:
-            typer.echo(f"  {outcome.error_code}: {outcome.message}", err=True)
+            _say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""
@@ -217,10 +237,10 @@ class _Reporter:
                 "interrupted": result.interrupted,
                 "seconds": round(result.seconds, 3),
             }
-            typer.echo(json.dumps(line))
+            _say(json.dumps(line))
             return
         state = "interrupted; " if result.interrupted else ""
-        typer.echo(
+        _say(
             f"{state}{result.n_nights} nights of {len(result.outcomes)} motors in "
             f"{result.seconds:.1f} s, {len(result.failed)} motors failed; "
             f"tables in {output / 'tables'}"
@@ -228,17 +248,12 @@ class _Reporter:
 
 
 def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("motor", "type", "format", "files", "nights", "first", "last", "faults")
     for one in checks:
-        span = (one.first or "–", one.last or "–")
-        counts = (str(one.n_files), str(one.n_nights))
-        cells = (one.motor_id, one.motor_type, one.log_format, *counts, *span)
-        table.add_row(*cells, str(len(one.faults)))
-    Console().print(table)
-    for one in checks:
+        span = f", {one.first} to {one.last}" if one.first else ""
+        typer.echo(
+            f"{one.motor_id}: {one.motor_type}, {one.log_format}, {one.n_files} files, "
+            f"{one.n_nights} nights{span}, {len(one.faults)} faults"
+        )
         for fault in one.faults:
             typer.echo(f"{one.motor_id}: {fault}", err=True)
     types = sorted({one.motor_type for one in checks if one.placeholders})

@@ -14,6 +14,7 @@ import os
 import shutil
 import tempfile
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,8 +27,9 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from pipeline.config import Fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.ledger import write_ledger
-from pipeline.motor_night import FAILED, hash_of
+from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor, settings_hash
+from pipeline.night_statistics import hash_of
 from pipeline.schema import (
     DATA_DICTIONARY,
     MOTOR_OUTCOMES,
@@ -49,6 +51,9 @@ from pipeline.store import (
 log = logging.getLogger(__name__)
 
 Progress = Callable[[MotorOutcome], None]
+
+# Tasks handed out ahead, for each worker; of these one can have killed its worker.
+SUSPECTS_A_WORKER = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,18 +167,24 @@ def _outcomes(tasks: Sequence[MotorTask], fleet: Fleet) -> Iterator[MotorOutcome
     # Workers read this when they start: with all threads each they would fight for the cores.
     os.environ.setdefault("POLARS_MAX_THREADS", "1")
     waiting = {task.spec.motor_id: task for task in tasks}
-    try:
-        for outcome in _parallel(tasks, execution.workers):
-            del waiting[outcome.motor_id]
-            yield outcome
-    except TerminatedWorkerError:
-        log.warning("a worker died; %d motors are tried again, each alone", len(waiting))
-        for task in waiting.values():
-            yield _alone(task)
+    while waiting:
+        try:
+            for outcome in _parallel(list(waiting.values()), execution.workers):
+                del waiting[outcome.motor_id]
+                yield outcome
+        except TerminatedWorkerError:
+            # Tasks start in order: whichever killed its worker is among the first that wait.
+            suspects = list(waiting.values())[: SUSPECTS_A_WORKER * execution.workers]
+            log.warning("a worker died; %d motors are tried again, each alone", len(suspects))
+            for task in suspects:
+                del waiting[task.spec.motor_id]
+                yield _alone(task)
 
 
 def _parallel(tasks: Sequence[MotorTask], workers: int) -> Iterator[MotorOutcome]:
-    with parallel_config(backend="loky", inner_max_num_threads=1):
+    with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
+        # An interrupted run cancels what is under way, and says so itself.
+        warnings.filterwarnings("ignore", ".*still being processed by the workers", UserWarning)
         pool = Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
         yield from pool(delayed(run_motor)(task) for task in tasks)
 
@@ -195,7 +206,7 @@ def _locked(output: Path) -> Iterator[None]:
         stream = (output / "lock").open("a+", encoding="utf-8")
     except OSError as error:
         raise StoreError(
-            "store_write", f"{output.name} cannot be written: {error.strerror}"
+            "store_write", f"{output} cannot be written: {error.strerror}; choose another output"
         ) from error
     with stream:
         try:
@@ -204,6 +215,10 @@ def _locked(output: Path) -> Iterator[None]:
             stream.seek(0)
             holder = stream.read().strip() or "unknown"
             raise LockedError("locked", f"another run writes to this output: {holder}") from None
+        except OSError as error:
+            raise StoreError(
+                "store_write", f"{output} cannot be locked: {error.strerror}; choose a local folder"
+            ) from error
         stream.truncate(0)
         stream.write(
             f"process {os.getpid()} since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
@@ -217,9 +232,15 @@ def _staging(output: Path) -> Iterator[Path]:
     """A folder for this run's staged rows; those of killed runs are removed."""
     root = output / "staging"
     shutil.rmtree(root, ignore_errors=True)
-    root.mkdir(parents=True)
     try:
-        yield Path(tempfile.mkdtemp(dir=root))
+        root.mkdir(parents=True)
+        folder = Path(tempfile.mkdtemp(dir=root))
+    except OSError as error:
+        raise StoreError(
+            "store_write", f"{root} cannot be written: {error.strerror}; look what is there"
+        ) from error
+    try:
+        yield folder
     finally:
         shutil.rmtree(root, ignore_errors=True)
 

@@ -14,7 +14,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import StoreError
 from pipeline.store import replace_whole
 
 
@@ -51,10 +50,21 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class NightRecord:
-    """What came of a night, and the model that the next night is judged with."""
+    """What came of a night.
+
+    Attributes
+    ----------
+    status
+        One of the five outcomes.
+    model
+        The model that the next night is judged with; empty without a fit.
+    judged_with
+        Hash of the model before that the night was judged with.
+    """
 
     status: str
     model: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    judged_with: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +100,8 @@ def read_ledger(output: Path, motor_id: str, settings_hash: str) -> Ledger:
     """A motor's ledger; empty where there is none, it is damaged, or settings are others."""
     try:
         document = json.loads(ledger_file(output, motor_id).read_text("utf-8"))
+        if document.pop("sha256") != _digest(document):
+            return Ledger(settings_hash)
         if document["settings_hash"] != settings_hash:
             return Ledger(settings_hash)
         files = {
@@ -98,11 +110,13 @@ def read_ledger(output: Path, motor_id: str, settings_hash: str) -> Ledger:
         }
         nights = {
             dt.date.fromisoformat(label): NightRecord(
-                record["status"], {mode: tuple(theta) for mode, theta in record["model"].items()}
+                record["status"],
+                {mode: tuple(theta) for mode, theta in record["model"].items()},
+                record["judged_with"],
             )
             for label, record in document["nights"].items()
         }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return Ledger(settings_hash)
     return Ledger(settings_hash, files, nights)
 
@@ -122,6 +136,7 @@ def write_ledger(output: Path, motor_id: str, ledger: Ledger) -> None:
             label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
         },
     }
+    document["sha256"] = _digest(document)
     text = json.dumps(document, indent=1, sort_keys=True)
 
     def write(name: str) -> None:
@@ -130,16 +145,18 @@ def write_ledger(output: Path, motor_id: str, ledger: Ledger) -> None:
     replace_whole(ledger_file(output, motor_id), write)
 
 
+def _digest(document: Mapping[str, Any]) -> str:
+    """Hash of all that a ledger says: a flipped digit would otherwise be believed."""
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+
+
 def content_hash(path: Path) -> str:
     """SHA-256 of a file's content.
 
     Raises
     ------
-    StoreError
+    OSError
         If the file cannot be read.
     """
-    try:
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise StoreError("log_not_readable", f"{path.name}: {error.strerror}") from error
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()

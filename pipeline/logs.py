@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import re
+import stat
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -21,7 +22,7 @@ from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
-DATE_IN_NAME = re.compile(r"(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 GLOB_CHARACTERS = frozenset("*?[")
 
 
@@ -62,17 +63,52 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
     FileRecord
         With the nights it seems to cover; ``failed``, with the reason, where that cannot be told.
     """
+    record = look_at(name, path)
+    if record.status == "failed":
+        return record
+    same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
+    # What could not be read has no hash: its permissions may be others by now.
+    if before and before.sha256 and same:
+        return before
+    try:
+        record = replace(record, sha256=content_hash(path))
+    except OSError as error:
+        return failed(record, _not_readable(path, error))
+    if before and before.sha256 == record.sha256:
+        return replace(before, modified_ns=record.modified_ns)
+    return spanned(record, path, spec)
+
+
+def look_at(name: str, path: Path) -> FileRecord:
+    """Size and time of a file; ``failed`` where there is no such file any more, or it is none."""
     try:
         state = path.stat()
-        size, modified = state.st_size, state.st_mtime_ns
-        if before and (before.size, before.modified_ns) == (size, modified):
-            return before
-        record = FileRecord(name, size, modified, content_hash(path))
     except OSError as error:
-        fault = LogError("log_not_readable", path, f"{error.strerror}; check its permissions")
-        return failed(FileRecord(name, 0, 0, None), fault)
-    if before and before.sha256 == record.sha256:
-        return replace(before, modified_ns=modified)
+        return failed(
+            FileRecord(name, 0, _link_modified_ns(path), None), _not_readable(path, error)
+        )
+    record = FileRecord(name, state.st_size, state.st_mtime_ns, None)
+    if not stat.S_ISREG(state.st_mode):
+        # A pipe would keep whoever opens it waiting.
+        fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
+        return failed(record, fault)
+    return record
+
+
+def _link_modified_ns(path: Path) -> int:
+    """When a link that leads nowhere was made; 0 where it is gone, too."""
+    try:
+        return path.lstat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _not_readable(path: Path, error: OSError) -> LogError:
+    return LogError("log_not_readable", path, f"{error.strerror}; check that it may be read")
+
+
+def spanned(record: FileRecord, path: Path, spec: MotorSpec) -> FileRecord:
+    """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
     try:
         first, last = time_span(path, spec.file.log_source())
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
@@ -101,10 +137,13 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     if not len(stamps):
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
-    far = np.abs(stamps - np.median(stamps)) > LONGEST_LOG_DAYS / 2 * DAY_US
+    # A stamp that there is, not a mean of two: it is never far from itself.
+    middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
+    far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
     if far.any():
         notes.append(
-            f"{int(far.sum())} time stamps lie over a year from the others and are left out"
+            f"{len(np.unique(stamps[far]))} time stamps lie over a year from the others and are "
+            "left out"
         )
         stamps = stamps[~far]
     labels = sorted(nights_of(stamps, spec.settings.nights))
@@ -129,13 +168,14 @@ def place_failed(
     """Give each unreadable file the night that it would have been of.
 
     By what was known of it before, by the date in its name compared with those of its readable
-    neighbours, or by when it was last written: in that order, and the message says which.
+    neighbours, or by when it was last written: in that order, and the message says which. One
+    that vanished in between stays without a night.
     """
     readable = [record for record in records.values() if record.status == "ok" and record.nights]
     lag = _lag_of_names(readable)
     placed = dict(records)
     for name, record in records.items():
-        if record.status == "ok" or record.nights:
+        if record.status == "ok" or record.nights or not record.modified_ns:
             continue
         named = _date_in(name)
         if name in before and before[name].nights:

@@ -8,33 +8,17 @@ fit, validation, rows.
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
-import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any
 
-import numpy as np
-
-from leakage import (
-    EstimationError,
-    Fit,
-    LeakageError,
-    Motor,
-    OperatingConditions,
-    SearchSettings,
-    fit,
-    regressors,
-)
-from leakage.block_statistics import factors
+from leakage import EstimationError, LeakageError
 from pipeline.clean import ChannelRules, CleanChannel, clean_channel
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
+from pipeline.night_fit import fit_modes
 from pipeline.night_rows import (
-    FittedMode,
-    NightStatistics,
     Rows,
     fit_rows,
     prediction_rows,
@@ -42,24 +26,13 @@ from pipeline.night_rows import (
     statistics_rows,
     unfitted_row,
 )
+from pipeline.night_statistics import NightStatistics, night_statistics
 from pipeline.nights import Night
 from pipeline.resample import Quality, Samples, bring_together
-from pipeline.smoothing import smooth
-from pipeline.windows import TRAINING, merge_neighbours, split_into_blocks
+from pipeline.windows import TRAINING
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
 INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
-
-# Raise it when the code makes other statistics of the same samples: old blocks then never merge
-# with new ones.
-STATISTICS_VERSION = 1
-
-# Keys of a free path that scale its coefficient and leave its column as it is.
-SCALE_ONLY = {
-    "annular_gap": {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"},
-    "speed_curve": {"scale"},
-    "laminar": {"count", "coefficient_m3"},
-}
 
 PreviousModel = Mapping[str, tuple[float, ...]]
 
@@ -131,11 +104,11 @@ def fit_night(
             _require_enough(samples, quality, spec)
         with _timed(seconds, "statistics_s"):
             motor = spec.motor(night.date, spec.file.flushing.mode)
-            statistics = _statistics(spec, motor, night, samples)
+            statistics = night_statistics(spec, motor, night, samples)
             rows["block_statistics"] = statistics_rows(spec.motor_id, night.date, motor, statistics)
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
-            modes = _fit_modes(spec, night, statistics)
+            modes = fit_modes(spec, night.date, statistics)
             rows |= fit_rows(spec, night.date, statistics, modes, previous)
             rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
     except Insufficient as outcome:
@@ -227,29 +200,6 @@ def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorS
         )
 
 
-def _statistics(spec: MotorSpec, motor: Motor, night: Night, samples: Samples) -> NightStatistics:
-    """Regressors, smoothing, blocks, and their factors."""
-    settings = spec.settings
-    conditions = OperatingConditions.from_bar(
-        np.abs(samples.pressure_difference_bar),
-        samples.oil_temperature_c,
-        np.abs(samples.speed_rpm),
-    )
-    z = np.column_stack([regressors(motor, conditions), samples.leakage_l_per_min])
-    short = split_into_blocks(samples.time_us, night.start_us, settings.windows)
-    number = np.repeat(np.arange(len(short)), [block.n for block in short])
-    z = smooth(z, samples.index, number, samples.period_us, settings.smoothing)
-    stored = merge_neighbours(short, settings.windows.maximum_blocks)
-    borders = np.array([*(block.first_row for block in stored), len(z)])
-    return NightStatistics(
-        samples=samples,
-        z=z,
-        blocks=stored,
-        factors=factors(z, borders),
-        model_hash=model_hash(spec, motor, night.date),
-    )
-
-
 def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
     n = sum(block.n for block in statistics.blocks if block.part == TRAINING)
     minutes = n * statistics.samples.period_us / 60e6
@@ -259,65 +209,3 @@ def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
             INSUFFICIENT_DATA,
             f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
         )
-
-
-def _fit_modes(
-    spec: MotorSpec, night: Night, statistics: NightStatistics
-) -> tuple[FittedMode, ...]:
-    """A fit for each mode of flushing, the primary one first; all over the same statistics."""
-    estimation = spec.settings.estimation
-    search = SearchSettings(
-        starting_points=estimation.starting_points,
-        gradient_type=estimation.gradient_type,
-        step_tolerance=estimation.step_tolerance,
-        function_tolerance=estimation.function_tolerance,
-        maximum_iterations=estimation.maximum_iterations,
-    )
-    training = statistics.factor_of(TRAINING)
-
-    def fitted(mode: str) -> Fit:
-        seed = night_seed(estimation.seed, spec.motor_id, night.date, mode)
-        motor = spec.motor(night.date, mode)
-        return fit(training, motor, search, np.random.default_rng(seed))
-
-    return tuple(FittedMode(mode, fitted(mode)) for mode in spec.file.flushing.modes)
-
-
-def night_seed(seed: int, motor_id: str, night: dt.date, mode: str) -> int:
-    """Seed of a fit's starting points: the same for the same run seed, motor, night and mode."""
-    text = "|".join((str(seed), motor_id, night.isoformat(), mode))
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
-
-
-def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
-    """Hash of all that shapes the statistics of a night; blocks of different hash never merge.
-
-    Counts, radii, lengths and bounds of free gaps are left out: they scale loss factors into gap
-    heights and leave the columns as they are.
-    """
-    free = {path.name for path in motor.column_paths}
-    paths = [
-        declared.model_dump(
-            exclude={"source"} | (SCALE_ONLY[declared.law] if declared.name in free else set())
-        )
-        for declared in spec.motor_type.path
-    ]
-    settings = spec.settings.model_dump(
-        include={"nights", "time_base", "cleaning", "smoothing", "windows", "model"},
-        exclude={"windows": {"minimum_kept_share", "minimum_training_minutes"}},
-    )
-    document: dict[str, Any] = {
-        "version": STATISTICS_VERSION,
-        "columns": motor.columns,
-        "paths": paths,
-        "oil": spec.oil_on(night).model_dump(exclude={"name", "source"}),
-        "settings": settings,
-        "channels": {name: part.model_dump() for name, part in spec.file.channels.items()},
-    }
-    return hash_of(document)
-
-
-def hash_of(document: Mapping[str, Any]) -> str:
-    """Short hash of a JSON document, the same on every machine."""
-    text = json.dumps(document, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -13,6 +13,8 @@ import time
 from collections import Counter, OrderedDict, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
@@ -35,11 +37,12 @@ from pipeline.motor_night import (
     NO_NEW_DATA,
     OK,
     NightOutcome,
+    PreviousModel,
     fit_night,
-    hash_of,
     unfitted,
 )
 from pipeline.night_rows import Row, utc
+from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
 from pipeline.schema import NIGHT_TABLES
 from pipeline.store import stage
@@ -50,6 +53,9 @@ log = logging.getLogger(__name__)
 FIGURES_VERSION = 1
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
+# A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
+# motor stood in store.
+LONGEST_HOLE = dt.timedelta(days=366)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +157,15 @@ def lost(task: MotorTask, code: str, message: str) -> MotorOutcome:
     return MotorOutcome(task.spec.motor_id, FAILED, code, message)
 
 
+def _hash_of_model(model: PreviousModel) -> str:
+    return _hash_of_items(tuple(sorted((mode, tuple(theta)) for mode, theta in model.items())))
+
+
+@lru_cache(maxsize=8192)
+def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
+    return hash_of(dict(items))
+
+
 class _Nights:
     """A motor's files and nights while its task works through them."""
 
@@ -163,19 +178,20 @@ class _Nights:
         self.open_logs: OrderedDict[str, RawLog] = OrderedDict()
         self.read: set[str] = set()
         self.done: dict[dt.date, NightOutcome] = {}
+        self.judged_with: dict[dt.date, str] = {}
         self.seconds: defaultdict[str, float] = defaultdict(float)
 
     def run(self) -> MotorOutcome:
         absent = self._look()
-        todo = {label for label in self._touched() if self.task.wants(label)}
-        while todo:
+        # Reading may show that a log covers other nights than its ends had told, so look again.
+        while todo := self._todo():
             label = min(todo)
-            outcome = self._night(label)
+            before = self._model_before(label)
+            outcome = self._night(label, before)
             self.done[label] = outcome
+            self.judged_with[label] = _hash_of_model(before)
             for stage_name, seconds in outcome.seconds.items():
                 self.seconds[stage_name] += seconds
-            # Reading may have shown that a log covers other nights than its ends had told.
-            todo = {other for other in self._touched() if self.task.wants(other)} - set(self.done)
         for label in self._holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
@@ -195,35 +211,62 @@ class _Nights:
         return absent
 
     def _is_new(self, name: str) -> bool:
-        before = self.before.files.get(name)
-        return before is None or before.sha256 != self.files[name].sha256
+        before, now = self.before.files.get(name), self.files[name]
+        return before is None or now.sha256 is None or before.sha256 != now.sha256
 
-    def _touched(self) -> set[dt.date]:
-        """Nights to do: those of new or changed files, and those that look back on them."""
-        touched: set[dt.date] = set()
-        for name, record in self.files.items():
-            if self._is_new(name):
-                touched |= labels_of(record)
-                touched |= labels_of(self.before.files.get(name, record))
-        present = {label for record in self.files.values() for label in labels_of(record)}
-        # The night after is judged with the model of the night before it.
-        later = [
-            min(after)
-            for label in touched
-            if (after := [known for known in self.before.nights if known > label])
-        ]
-        return touched | (set(later) & present)
+    def _todo(self) -> set[dt.date]:
+        """Nights still to do within the asked-for range."""
+        new = {label for name in self.files if self._is_new(name) for label in self._touched(name)}
+        todo = (new - self.done.keys()) | self._outdated()
+        return {label for label in todo if self.task.wants(label)}
+
+    def _touched(self, name: str) -> set[dt.date]:
+        """Nights in which a file has samples, or had them before it was changed."""
+        record = self.files[name]
+        return labels_of(record) | labels_of(self.before.files.get(name, record))
+
+    def _present(self) -> set[dt.date]:
+        return {label for record in self.files.values() for label in labels_of(record)}
+
+    def _nights(self) -> dict[dt.date, NightRecord]:
+        """What is known of every night by now."""
+        fresh = {
+            label: NightRecord(one.status, one.model, self.judged_with.get(label, ""))
+            for label, one in self.done.items()
+        }
+        return {**self.before.nights, **fresh}
+
+    def _outdated(self) -> set[dt.date]:
+        """Nights with a fit that was judged with another model than the one before it now."""
+        present, outdated = self._present(), set()
+        before = _hash_of_model({})
+        for label, record in sorted(self._nights().items()):
+            if not record.model:
+                continue
+            if record.judged_with != before and label in present:
+                outdated.add(label)
+            before = _hash_of_model(record.model)
+        return outdated
 
     def _holes(self) -> list[dt.date]:
-        """Nights between the motor's first and last that no log covers and no row tells of yet."""
-        present = {label for record in self.files.values() for label in labels_of(record)}
-        known = present | set(self.before.nights)
-        if not known or not self.done:
+        """Nights between two logs that no log covers and no row tells of yet."""
+        if not self.done:
             return []
-        between = set(nights_between(min(known), max(known)))
-        return sorted(label for label in between - known if self.task.wants(label))
+        known = self._nights()
+        told = self._present() | known.keys()
+        # A file that cannot be read may stand far off: its night is a guess.
+        readable = [record for record in self.files.values() if record.status == "ok"]
+        certain = {label for record in readable for label in labels_of(record)}
+        certain |= {label for label, record in known.items() if record.status != FAILED}
+        between = {
+            label
+            for first, last in pairwise(sorted(certain))
+            if last - first <= LONGEST_HOLE
+            for label in nights_between(first, last)
+        }
+        return sorted(label for label in between - told if self.task.wants(label))
 
-    def _night(self, label: dt.date) -> NightOutcome:
+    def _night(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         names = sorted(
             (name for name, record in self.files.items() if label in labels_of(record)),
             key=lambda name: (self.files[name].first_us or 0, name),
@@ -241,7 +284,7 @@ class _Nights:
         if not any(len(channel.time_us) for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
         try:
-            return fit_night(self.spec, here, channels, self._model_before(label))
+            return fit_night(self.spec, here, channels, before)
         except Exception as error:  # a fault of ours in one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
             reason = f"{type(error).__name__}: {error}"
@@ -267,9 +310,8 @@ class _Nights:
             self.open_logs.popitem(last=False)
         return content
 
-    def _model_before(self, label: dt.date) -> Mapping[str, tuple[float, ...]]:
-        fresh = {day: NightRecord(one.status, one.model) for day, one in self.done.items()}
-        return replace(self.before, nights={**self.before.nights, **fresh}).model_before(label)
+    def _model_before(self, label: dt.date) -> PreviousModel:
+        return replace(self.before, nights=self._nights()).model_before(label)
 
     def _stage(self) -> None:
         begin = time.perf_counter()
@@ -308,15 +350,20 @@ class _Nights:
         return {
             name: record
             for name, record in self.files.items()
-            if not self._is_new(name) or labels_of(record) <= self.done.keys()
+            if not self._is_new(name) or self._touched(name) <= self.done.keys()
         }
 
     def _outcome(self, absent: list[str]) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
-        errors = [
+        errors: list[tuple[str | None, str | None]] = [
             (one.error_code, f"night {label}: {one.reason}")
             for label, one in sorted(self.done.items())
             if one.status == FAILED
+        ]
+        errors += [
+            (record.error_code, record.message)
+            for record in self.files.values()
+            if record.status == "failed" and not record.nights
         ]
         errors += [("log_missing", f"{name}: named in the config and absent") for name in absent]
         if errors:
@@ -326,7 +373,6 @@ class _Nights:
         else:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
         code, message = errors[0] if errors else (None, None)
-        fresh = {day: NightRecord(one.status, one.model) for day, one in self.done.items()}
         return MotorOutcome(
             motor_id=self.spec.motor_id,
             status=status,
@@ -338,7 +384,7 @@ class _Nights:
             ledger=replace(
                 self.before,
                 files={**self.before.files, **self._finished_files()},
-                nights={**self.before.nights, **fresh},
+                nights=self._nights(),
             ),
             seconds=dict(self.seconds),
             peak_memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,

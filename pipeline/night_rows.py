@@ -4,25 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import (
-    AnnularGap,
-    Fit,
-    LeakagePath,
-    Motor,
-    OperatingConditions,
-    Parametrisation,
-    film_thickness_ratio,
-    leakage_l_per_min,
-    path_flows_l_per_min,
-    speed_beyond_curve,
-)
-from leakage.block_statistics import merge
+from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
+from leakage.uncertainty import Interval
 from leakage.validation import (
     agreement,
     criteria,
@@ -30,9 +18,12 @@ from leakage.validation import (
     lag_one_autocorrelation,
 )
 from pipeline.config import MotorSpec
-from pipeline.resample import Quality, Samples
+from pipeline.night_fit import FittedMode, own_conditions
+from pipeline.night_statistics import NightStatistics
+from pipeline.parameter_rows import parameter_rows, sensitivity_rows
+from pipeline.resample import Quality
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
-from pipeline.windows import TRAINING, VALIDATION, Block
+from pipeline.windows import TRAINING, VALIDATION
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -40,51 +31,6 @@ Rows = dict[str, list[Row]]
 
 # Points a night in the table of predictions: enough for a plot, not for an analysis.
 PREDICTION_POINTS = 400
-MICROMETRE = 1e-6
-
-
-@dataclass(frozen=True, slots=True)
-class NightStatistics:
-    """A night's kept samples with their columns and the statistics of its blocks.
-
-    Attributes
-    ----------
-    samples
-        The kept samples.
-    z
-        Their columns, smoothed where that was asked for; shape (n, c).
-    blocks
-        Blocks as they are stored.
-    factors
-        Triangular factor of each, shape (b, c, c).
-    model_hash
-        Hash of all that shaped them.
-    """
-
-    samples: Samples
-    z: Array
-    blocks: tuple[Block, ...]
-    factors: Array
-    model_hash: str
-
-    def factor_of(self, part: str | None = None) -> Array:
-        """Factor of all blocks of a part, or of the whole night; from the blocks as stored."""
-        chosen = [part is None or block.part == part for block in self.blocks]
-        return merge(self.factors[np.array(chosen, dtype=bool)])
-
-    def rows_of(self, part: str) -> NDArray[np.bool_]:
-        """Which of the kept samples belong to a part."""
-        return np.repeat(
-            [block.part == part for block in self.blocks], [block.n for block in self.blocks]
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class FittedMode:
-    """The fit under one mode of flushing."""
-
-    name: str
-    fit: Fit
 
 
 def utc(microseconds: int) -> dt.datetime:
@@ -177,15 +123,21 @@ def fit_rows(
     modes: Sequence[FittedMode],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
-    """Rows of `fits`, `parameters` and `starts` for all modes of flushing."""
+    """Rows of `fits`, `parameters`, `sensitivities` and `starts` for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
-    rows: Rows = {"fits": [], "parameters": [], "starts": []}
-    for mode in modes:
+    figures = [_mode_columns(spec, statistics, mode, previous.get(mode.name)) for mode in modes]
+    on_validation = [row["validation_fit_percent"] for row in figures]
+    best = max((fit for fit in on_validation if fit is not None), default=None)
+    rows: Rows = {"fits": [], "parameters": [], "sensitivities": [], "starts": []}
+    for mode, own in zip(modes, figures, strict=True):
         key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
-        own = _mode_columns(spec, statistics, mode, previous.get(mode.name))
-        primary = mode.name == spec.file.flushing.mode
-        rows["fits"].append(shared | key | {"is_primary": primary} | own)
-        rows["parameters"] += [key | row for row in parameter_rows(spec, mode.fit)]
+        own["is_primary"] = mode.name == spec.file.flushing.mode
+        own["is_best_on_validation"] = (
+            None if best is None else own["validation_fit_percent"] == best
+        )
+        rows["fits"].append(shared | key | own)
+        rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
+        rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
         rows["starts"] += [key | row for row in start_rows(mode.fit)]
     return rows
 
@@ -193,53 +145,33 @@ def fit_rows(
 def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
     """What a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
-    used = statistics.rows_of(TRAINING) | statistics.rows_of(VALIDATION)
+    training, validation = (statistics.rows_of(part) for part in (TRAINING, VALIDATION))
+    used = np.flatnonzero(training | validation)
     reference = spec.settings.reference
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
-    own = _own_conditions(samples)
+    pressure, temperature, speed = own_conditions(statistics)
     return {
         "motor_type": spec.file.motor_type,
-        "window_start": utc(samples.time_us[used][0]),
-        "window_end": utc(samples.time_us[used][-1]),
+        "window_start": utc(samples.time_us[used[0]]),
+        "window_end": utc(samples.time_us[used[-1]]),
         "status": "ok",
-        "n_training": int(statistics.rows_of(TRAINING).sum()),
-        "n_validation": int(statistics.rows_of(VALIDATION).sum()),
+        "n_training": int(training.sum()),
+        "n_validation": int(validation.sum()),
         "smoothing_s": spec.settings.smoothing.window_s,
         "reference_pressure_bar": reference.pressure_bar,
         "reference_temperature_c": reference.temperature_c,
         "reference_speed_rpm": reference.speed_rpm,
-        "own_pressure_bar": own[0],
-        "own_temperature_c": own[1],
-        "own_speed_rpm": own[2],
-        "outside_fitted_range": _outside(spec, samples, statistics.rows_of(TRAINING)),
+        "own_pressure_bar": pressure,
+        "own_temperature_c": temperature,
+        "own_speed_rpm": speed,
         "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
         "kept_share": samples.kept_share,
         "film_pressure": f"{model.film_pressure}{share}",
+        "two_sided": model.two_sided,
+        "loss": spec.settings.estimation.loss,
         "oil": spec.file.oil_on(night),
         "model_hash": statistics.model_hash,
     }
-
-
-def _own_conditions(samples: Samples) -> tuple[float, float, float]:
-    """Mean pressure difference [bar], temperature [°C] and speed [rpm], as magnitudes."""
-    return (
-        float(np.abs(samples.pressure_difference_bar).mean()),
-        float(samples.oil_temperature_c.mean()),
-        float(np.abs(samples.speed_rpm).mean()),
-    )
-
-
-def _outside(spec: MotorSpec, samples: Samples, training: NDArray[np.bool_]) -> bool:
-    """Whether the reference conditions lie outside what the training samples saw."""
-    reference = spec.settings.reference
-    return any(
-        not values[training].min() <= wanted <= values[training].max()
-        for values, wanted in (
-            (np.abs(samples.pressure_difference_bar), reference.pressure_bar),
-            (samples.oil_temperature_c, reference.temperature_c),
-            (np.abs(samples.speed_rpm), reference.speed_rpm),
-        )
-    )
 
 
 def _mode_columns(
@@ -256,12 +188,6 @@ def _mode_columns(
     before = None
     if previous is not None and len(previous) == len(fit.coefficients):
         before = agreement(statistics.factor_of(), np.array(previous), resolution).fit_percent
-    d = certificate.n_free_off_bounds
-    figures = criteria(certificate.cost, d, training.n)
-    reference = spec.settings.reference
-    at_reference = _leakage_at(
-        fit, reference.pressure_bar, reference.temperature_c, reference.speed_rpm
-    )
     condition = certificate.condition_number
     return {
         "training_fit_percent": training.fit_percent,
@@ -269,11 +195,6 @@ def _mode_columns(
         "previous_model_fit_percent": before,
         "training_rmse_l_per_min": training.rmse_l_per_min,
         "validation_rmse_l_per_min": validation.rmse_l_per_min,
-        "fpe": figures.fpe,
-        "aic": figures.aic,
-        "aicc": figures.aicc,
-        "bic": figures.bic,
-        "n_effective": _effective(statistics, fit),
         "cost": certificate.cost,
         "certificate_gap": fit.certificate_gap,
         "dual_residual": certificate.dual_residual,
@@ -281,142 +202,66 @@ def _mode_columns(
         "n_starts_at_minimum": len(fit.starts_at_minimum),
         "rank": certificate.rank,
         "condition_number": condition if np.isfinite(condition) else None,
-        "n_free_off_bounds": d,
-        "reference_leakage_l_per_min": at_reference,
-        "own_conditions_leakage_l_per_min": _leakage_at(fit, *_own_conditions(statistics.samples)),
+        "singular_values": certificate.singular_values.tolist(),
+        "correlation_time_s": mode.excitation.correlation_time_s,
+        "interval_status": mode.identification.interval_status,
+        "n_interval_blocks": mode.identification.n_blocks,
+        **_criteria_columns(statistics, mode, training.n),
+        **_leakage_columns(mode),
     }
 
 
-def _leakage_at(fit: Fit, bar: float, celsius: float, rpm: float) -> float:
-    """Leakage of a fitted motor at one condition, flushing excluded [l/min]."""
-    conditions = OperatingConditions.from_bar(bar, celsius, rpm)
-    return float(leakage_l_per_min(fit.motor, conditions, fit.coefficients_by_path)[0])
-
-
-def _effective(statistics: NightStatistics, fit: Fit) -> float | None:
-    """Effective number of training samples, from the lag-one correlation of their errors."""
+def _criteria_columns(statistics: NightStatistics, mode: FittedMode, n: int) -> Row:
+    """FPE and information criteria, by the number of samples and by the effective one."""
+    d, cost = mode.identification.n_identified, mode.fit.certificate.cost
     chosen = statistics.rows_of(TRAINING)
-    error = statistics.z[chosen] @ np.concatenate([fit.coefficients, (1.0, -1.0)])
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    return effective_sample_count(len(error), lag_one_autocorrelation(error, consecutive))
-
-
-def parameter_rows(spec: MotorSpec, fit: Fit) -> list[Row]:
-    """Rows of `parameters`: every coefficient, what it says of gaps, and shares of the leakage."""
-    certificate = fit.certificate
-    columns = Parametrisation.of(fit.motor).paths
-    places = {path.name: index for index, path in enumerate(columns) if path}
-    spreads = _spreads(fit)
-    rows: list[Row] = []
-    for path in fit.motor.paths:
-        place = places.get(path.name)
-        value = path.configured_coefficient if place is None else certificate.coefficients[place]
-        fixed = place is None or bool(certificate.fixed[place])
-        bound = place is not None and bool(
-            certificate.at_lower[place] or certificate.at_upper[place]
-        )
-        rows.append(
-            {
-                "parameter": path.coefficient_name,
-                "value": float(value),
-                "unit": path.coefficient_unit,
-                "verdict": "fixed" if fixed else "at_bound" if bound else None,
-                "reason": "held at its configured value"
-                if fixed
-                else "the minimum lies on a bound of the parameters"
-                if bound
-                else None,
-                "spread_over_starts": None if fixed else spreads.get(path.coefficient_name),
-            }
-        )
-        if isinstance(path, AnnularGap):
-            rows += _gap_rows(spec, path, float(value), fixed, spreads)
-    return rows + _share_rows(spec, fit)
-
-
-def _gap_rows(
-    spec: MotorSpec, path: AnnularGap, coefficient: float, fixed: bool, spreads: Mapping[str, float]
-) -> list[Row]:
-    """What a loss factor says of gap height, eccentricity and film thickness."""
-    low, high = path.feasible_gap_um(coefficient)
-    eccentricity = path.eccentricity
-    alone = eccentricity is None or eccentricity.fixed
-    known_e = 0.0 if eccentricity is None else eccentricity.value
-    combination = f"only K_{path.name} ∝ h³(1 + 1.5e²) shows in the data"
-    verdict = {
-        "verdict": "fixed" if fixed else None if alone else "only_in_combination",
-        "reason": None if fixed or alone else combination,
+    phi = lag_one_autocorrelation(mode.error, consecutive)
+    effective = effective_sample_count(len(mode.error), phi)
+    figures = criteria(cost, d, n)
+    honest = criteria(cost, d, effective or 0.0)
+    return {
+        "n_parameters": d,
+        "n_effective": effective,
+        "lag_one_autocorrelation": phi,
+        "fpe": figures.fpe,
+        "aic": figures.aic,
+        "aicc": figures.aicc,
+        "bic": figures.bic,
+        "aic_effective": honest.aic,
+        "aicc_effective": honest.aicc,
+        "bic_effective": honest.bic,
     }
-    gap: Row = {
-        "parameter": f"h_{path.name}",
-        "value": low if alone or fixed else None,
-        "unit": "um",
-        "feasible_min": low,
-        "feasible_max": high,
-        "spread_over_starts": spreads.get(f"h_{path.name}"),
-    } | verdict
-    roughness = [um * MICROMETRE for um in spec.motor_type.surface_roughness_um]
-    e_low, e_high = (
-        (0.0, 0.0) if eccentricity is None else (eccentricity.lowest, eccentricity.highest)
-    )
-    ratios = film_thickness_ratio(
-        np.array([low, high]) * MICROMETRE, np.array([e_high, e_low]), *roughness
-    ).tolist()
-    film: Row = {
-        "parameter": f"film_thickness_ratio_{path.name}",
-        "value": ratios[0] if alone or fixed else None,
-        "unit": "1",
-        "feasible_min": ratios[0],
-        "feasible_max": ratios[1],
-    } | verdict
-    if eccentricity is None:
-        return [gap, film]
-    e_row: Row = {
-        "parameter": f"e_{path.name}",
-        "value": known_e if alone or fixed else None,
-        "unit": "1",
-        "feasible_min": e_low,
-        "feasible_max": e_high,
-        "spread_over_starts": spreads.get(f"e_{path.name}"),
-        "verdict": "fixed" if alone or fixed else "only_in_combination",
-        "reason": None if alone or fixed else combination,
+
+
+def _leakage_columns(mode: FittedMode) -> Row:
+    """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
+    reference, own = mode.reference, mode.own
+    identified = reference.verdict in ("identified", "fixed")
+    systematic = mode.budget.leakages_l_per_min()
+    own_range = _limits(own.leakage_l_per_min, own.interval)
+    range_ = _limits(reference.leakage_l_per_min, reference.interval if identified else None)
+    return {
+        "reference_leakage_l_per_min": reference.leakage_l_per_min if identified else None,
+        "reference_leakage_lower": range_[0],
+        "reference_leakage_upper": range_[1],
+        "reference_leakage_systematic": (
+            float(systematic[0]) if identified and systematic is not None else None
+        ),
+        "reference_verdict": reference.verdict,
+        "reference_reason": reference.reason or None,
+        "outside_fitted_range": reference.verdict == "outside_fitted_range",
+        "own_conditions_leakage_l_per_min": own.leakage_l_per_min,
+        "own_conditions_leakage_lower": own_range[0],
+        "own_conditions_leakage_upper": own_range[1],
+        "own_conditions_leakage_systematic": None if systematic is None else float(systematic[1]),
     }
-    return [gap, e_row, film]
 
 
-def _spreads(fit: Fit) -> dict[str, float]:
-    """Largest minus smallest value of parameters and coefficients over starts at the minimum."""
-    starts = fit.starts_at_minimum
-    if not starts:
-        return {}
-    parametrisation = Parametrisation.of(fit.motor)
-    finals = np.array([start.final for start in starts])
-    thetas = np.array([parametrisation.coefficients(final)[0] for final in finals])
-    names = [path.coefficient_name if path else "" for path in parametrisation.paths]
-    spreads = dict(zip(names, np.ptp(thetas, axis=0).tolist(), strict=True))
-    free = [parameter.name for parameter in parametrisation.free]
-    return spreads | dict(zip(free, np.ptp(finals, axis=0).tolist(), strict=True))
-
-
-def _share_rows(spec: MotorSpec, fit: Fit) -> list[Row]:
-    """Share of each path in the reference leakage, flushing excluded."""
-    reference = spec.settings.reference
-    conditions = OperatingConditions.from_bar(
-        reference.pressure_bar, reference.temperature_c, reference.speed_rpm
-    )
-    flows = path_flows_l_per_min(fit.motor, conditions, fit.coefficients_by_path)
-    paths: list[LeakagePath] = [path for path in fit.motor.paths if path is not fit.motor.constant]
-    total = sum(float(flows[path.name][0]) for path in paths)
-    if total <= 0.0:
-        return []
-    return [
-        {
-            "parameter": f"share_{path.name}",
-            "value": float(flows[path.name][0]) / total,
-            "unit": "1",
-        }
-        for path in paths
-    ]
+def _limits(value: float, interval: Interval | None) -> tuple[float | None, float | None]:
+    if interval is None:
+        return None, None
+    return value - interval.half_width, value + interval.half_width
 
 
 def start_rows(fit: Fit) -> list[Row]:
@@ -446,9 +291,7 @@ def prediction_rows(
     samples = statistics.samples
     n = len(samples.time_us)
     chosen = np.unique(np.linspace(0, n - 1, min(PREDICTION_POINTS, n)).round().astype(np.int64))
-    parts = np.repeat(
-        [block.part for block in statistics.blocks], [block.n for block in statistics.blocks]
-    )[chosen].tolist()
+    parts = statistics.parts()[chosen].tolist()
     z = statistics.z[chosen]
     times = [utc(stamp) for stamp in samples.time_us[chosen].tolist()]
     inputs = {

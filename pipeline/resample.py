@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from math import ceil
 
 import numpy as np
 
@@ -20,6 +21,8 @@ AVERAGE_ABOVE = 1.5
 # Share of a cell's samples that must be kept for its average.
 CELL_SHARE = 0.5
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+# Pressures against which a two-sided motor leaks; a sample needs those that are logged.
+LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +47,8 @@ class Samples:
         UTC microseconds, shape (n,).
     pressure_difference_bar, oil_temperature_c, speed_rpm, leakage_l_per_min
         Shape (n,); pressure and speed with their sign.
+    low_pressures_bar
+        Those of charge, low port and case that are logged, shape (n,) each.
     period_us
         Period of the grid.
     n_grid
@@ -58,6 +63,7 @@ class Samples:
     oil_temperature_c: Values
     speed_rpm: Values
     leakage_l_per_min: Values
+    low_pressures_bar: Mapping[str, Values]
     period_us: int
     n_grid: int
     n_running: int
@@ -76,11 +82,12 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
     """
     if settings.rate_hz is not None:
         return round(SECOND_US / settings.rate_hz)
-    periods = [channel.period_us for channel in channels.values() if channel.period_us]
-    fastest = max(min(periods), SECOND_US / settings.maximum_rate_hz)
+    fastest = min(channel.period_us for channel in channels.values() if channel.period_us)
     if fastest > SECOND_US / 1.5:
-        return max(round(fastest / SECOND_US), 1) * SECOND_US
-    return round(SECOND_US / round(SECOND_US / fastest))
+        rounded = max(round(fastest / SECOND_US), 1) * SECOND_US
+    else:
+        rounded = round(SECOND_US / round(SECOND_US / fastest))
+    return max(rounded, ceil(SECOND_US / settings.maximum_rate_hz))
 
 
 def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
@@ -100,28 +107,25 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Valu
     value, present, gap
         Shape (n,) each; `value` is nan where not present; `gap` where the channel was silent.
     """
+    n = len(grid_us)
+    if not n or not len(channel.time_us):
+        return np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_)
     if channel.period_us and channel.period_us * AVERAGE_ABOVE < period_us:
         return _averaged(channel, grid_us, period_us)
     return _interpolated(channel, grid_us)
 
 
 def _interpolated(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
-    kept = np.flatnonzero(~channel.refused)
-    n = len(grid_us)
-    if not len(kept):
-        return np.full(n, np.nan), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-    time, value = channel.time_us[kept], channel.value[kept]
-    left = np.searchsorted(time, grid_us, side="right") - 1
-    right = np.minimum(left + 1, len(time) - 1)
-    left = np.maximum(left, 0)
-    exact = time[left] == grid_us
-    inside = (time[left] <= grid_us) & (grid_us <= time[right])
+    time, kept = channel.time_us, ~channel.refused
+    value = np.where(kept, channel.value, np.nan)
+    right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
+    left = np.where(time[right] == grid_us, right, np.maximum(right - 1, 0))
     distance = time[right] - time[left]
-    neighbours = kept[right] - kept[left] == 1
-    silent = ~exact & (~inside | (neighbours & (distance > channel.longest_gap_us)))
-    present = exact | (inside & neighbours & ~silent)
+    inside = (time[left] <= grid_us) & (grid_us <= time[right])
+    silent = ~inside | (distance > channel.longest_gap_us)
+    present = ~silent & kept[left] & kept[right]
     share = (grid_us - time[left]) / np.maximum(distance, 1)
-    result = np.where(exact, value[left], value[left] + share * (value[right] - value[left]))
+    result = value[left] + share * (value[right] - value[left])
     result[~present] = np.nan
     return result, present, silent
 
@@ -181,7 +185,8 @@ def bring_together(
         high, low = "high_port_pressure", "low_port_pressure"
         values["pressure_difference"] = values[high] - values[low]
         present["pressure_difference"] = present[high] & present[low]
-    complete = np.logical_and.reduce([present[name] for name in INPUTS])
+    low_pressures = [name for name in LOW_PRESSURES if name in channels]
+    complete = np.logical_and.reduce([present[name] for name in (*INPUTS, *low_pressures)])
     masks = _joint_masks(channels, grid, period, values, present, cleaning)
     refused = np.logical_or.reduce(list(masks.values())) | ~complete
     masks["incomplete"], masks["any"] = ~complete, refused
@@ -198,6 +203,7 @@ def bring_together(
             oil_temperature_c=temperature,
             speed_rpm=speed,
             leakage_l_per_min=leakage,
+            low_pressures_bar={name: values[name][kept] for name in low_pressures},
             period_us=period,
             n_grid=len(grid),
             n_running=int((~(masks["standstill"] | masks["guard"])).sum()),

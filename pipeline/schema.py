@@ -116,6 +116,19 @@ FITS = Table(
             "Training samples that would carry as much if their errors were independent: "
             "N(1−φ)/(1+φ), φ the lag-one correlation",
         ),
+        Column(
+            "lag_one_autocorrelation", pl.Float64, "", "Of the training errors, φ of n_effective"
+        ),
+        Column("aic_effective", pl.Float64, "", "aic with n_effective in place of n_training"),
+        Column("aicc_effective", pl.Float64, "", "aicc with n_effective"),
+        Column("bic_effective", pl.Float64, "", "bic with n_effective"),
+        Column("n_parameters", pl.Int64, "", "Identified coefficients: d of fpe, aic and bic"),
+        Column(
+            "is_best_on_validation",
+            pl.Boolean,
+            "",
+            "The night's mode of flushing with the highest validation fit",
+        ),
         Column("cost", pl.Float64, "(l/min)²", "Criterion V (20) at the published estimate"),
         Column(
             "certificate_gap",
@@ -133,16 +146,26 @@ FITS = Table(
         Column("n_starts_at_minimum", pl.Int64, "", "Starts within 1e-4 of the minimum"),
         Column("rank", pl.Int64, "", "Rank of the free regressors, columns scaled"),
         Column("condition_number", pl.Float64, "", "Of the free regressors, columns scaled"),
-        Column("n_free_off_bounds", pl.Int64, "", "Estimated coefficients off their bounds: d"),
+        Column("singular_values", NUMBERS, "", "Of the free regressors, columns scaled to norm 1"),
+        Column("correlation_time_s", pl.Float64, "s", "Time over which the training errors forget"),
+        Column("interval_status", pl.String, "", "ok, or why the night has no intervals"),
+        Column("n_interval_blocks", pl.Int64, "", "Blocks behind the intervals, after lengthening"),
         Column(
             "reference_leakage_l_per_min",
             pl.Float64,
             "l/min",
-            "Leakage of the fitted model at the reference conditions, flushing excluded",
+            "Leakage of the fitted model at the reference conditions, flushing excluded; null "
+            "unless identified or fixed",
         ),
         *_interval("reference_leakage", "l/min", "the reference leakage"),
         Column("reference_leakage_systematic", pl.Float64, "l/min", "± from stated tolerances"),
-        Column("reference_verdict", pl.String, "", "Whether the data determine it"),
+        Column(
+            "reference_verdict",
+            pl.String,
+            "",
+            "identified, fixed, not_identified, outside_fitted_range or too_little_data",
+        ),
+        Column("reference_reason", pl.String, "", "The verdict in words; null where identified"),
         Column("reference_pressure_bar", pl.Float64, "bar", "Reference conditions"),
         Column("reference_temperature_c", pl.Float64, "°C", "Reference conditions"),
         Column("reference_speed_rpm", pl.Float64, "rpm", "Reference conditions"),
@@ -153,6 +176,9 @@ FITS = Table(
             "Leakage of the fitted model at the night's own mean conditions, flushing excluded",
         ),
         *_interval("own_conditions_leakage", "l/min", "the leakage at own conditions"),
+        Column(
+            "own_conditions_leakage_systematic", pl.Float64, "l/min", "± from stated tolerances"
+        ),
         Column("own_pressure_bar", pl.Float64, "bar", "Mean pressure difference of the night"),
         Column("own_temperature_c", pl.Float64, "°C", "Mean oil temperature of the night"),
         Column("own_speed_rpm", pl.Float64, "rpm", "Mean speed of the night"),
@@ -165,6 +191,8 @@ FITS = Table(
         Column("mean_flow_l_per_min", pl.Float64, "l/min", "Mean measured drain flow"),
         Column("kept_share", pl.Float64, "", "Share of the running motor's samples that was kept"),
         Column("film_pressure", pl.String, "", "thesis (with its share) or slot"),
+        Column("two_sided", pl.Boolean, "", "Paths leak from both sides to the case"),
+        Column("loss", pl.String, "", "squared or huber"),
         Column("oil", pl.String, "", "The night's oil"),
         Column("model_hash", pl.String, "", "Hash of all that shapes the statistics"),
         RUN_ID,
@@ -187,6 +215,8 @@ PARAMETERS = Table(
         Column("unit", pl.String, "", "m3, um, l_per_min or 1"),
         Column("lower", pl.Float64, "see unit", "Lower end of the 95 % interval"),
         Column("upper", pl.Float64, "see unit", "Upper end of the 95 % interval"),
+        Column("bootstrap_lower", pl.Float64, "see unit", "The same by a block bootstrap"),
+        Column("bootstrap_upper", pl.Float64, "see unit", "The same by a block bootstrap"),
         Column("systematic", pl.Float64, "see unit", "± from stated tolerances"),
         Column("feasible_min", pl.Float64, "see unit", "Least value that the K allows"),
         Column("feasible_max", pl.Float64, "see unit", "Largest value that the K allows"),
@@ -194,7 +224,8 @@ PARAMETERS = Table(
             "verdict",
             pl.String,
             "",
-            "fixed, at_bound or only_in_combination where the model itself says so, else null",
+            "identified, only_in_combination, not_excited, at_bound, fixed or too_little_data; of "
+            "shares as reference_verdict",
         ),
         Column("reason", pl.String, "", "The verdict in words"),
         Column(
@@ -203,6 +234,27 @@ PARAMETERS = Table(
             "see unit",
             "Largest minus smallest value over the starts at the minimum",
         ),
+        RUN_ID,
+    ),
+)
+
+SENSITIVITIES = Table(
+    "sensitivities",
+    "a fit, an indicator, a source of systematic error",
+    (*FIT_KEY_NAMES, "indicator", "source"),
+    (
+        *FIT_KEY,
+        Column(
+            "indicator",
+            pl.String,
+            "",
+            "A coefficient, reference_leakage or own_conditions_leakage",
+        ),
+        Column("source", pl.String, "", "A channel's offset or gain, or a constant"),
+        Column("tolerance", pl.Float64, "see tolerance_unit", "Assumed error, as stated"),
+        Column("tolerance_unit", pl.String, "", "Unit of the tolerance; 1 for a relative one"),
+        Column("effect", pl.Float64, "see unit", "Change of the indicator, signed"),
+        Column("unit", pl.String, "", "m3, l_per_min or 1"),
         RUN_ID,
     ),
 )
@@ -389,7 +441,16 @@ DATA_DICTIONARY = Table(
 )
 
 # One file a night; a redone night of a motor replaces that motor's rows in each of them.
-NIGHT_TABLES = (FITS, PARAMETERS, STARTS, PREDICTIONS, QUALITY, BLOCK_STATISTICS, INPUT_FILES)
+NIGHT_TABLES = (
+    FITS,
+    PARAMETERS,
+    SENSITIVITIES,
+    STARTS,
+    PREDICTIONS,
+    QUALITY,
+    BLOCK_STATISTICS,
+    INPUT_FILES,
+)
 TABLES = (*NIGHT_TABLES, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
 
 

@@ -39,7 +39,7 @@ def smooth(
         Shape (n, c). A window is cut at a gap of the time base and at a block's border, and its
         weights are renormalised over the samples in it.
     """
-    half = int(how.window_s * SECOND_US / period_us / 2)
+    half = round(how.window_s * SECOND_US) // (2 * period_us)
     if half == 0:
         return z
     row = np.arange(len(z))

@@ -51,14 +51,16 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
 
     def write(name: str) -> None:
         content = rows.to_arrow(compat_level=pl.CompatLevel.oldest())
-        metadata = {b"motor_leakage_schema_version": str(SCHEMA_VERSION).encode()}
-        pq.write_table(
-            content.replace_schema_metadata(metadata),
+        with pq.ParquetWriter(
             name,
+            content.schema,
             compression="zstd",
             write_page_checksum=True,
             store_schema=False,
-        )
+        ) as table:
+            table.write_table(content)
+            # Metadata of the schema would be left out with it.
+            table.add_key_value_metadata({"motor_leakage_schema_version": str(SCHEMA_VERSION)})
 
     replace_whole(path, write)
 
@@ -102,19 +104,33 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         If the file is damaged.
     """
     try:
-        content = pq.read_table(path, page_checksum_verification=True, partitioning=None)
-    except (OSError, pa.ArrowException) as error:
+        rows = pl.from_arrow(
+            pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        )
+        assert isinstance(rows, pl.DataFrame)
+        _require_columns(rows.columns, table)
+        absent = [
+            pl.lit(None, dtype=kind).alias(name)
+            for name, kind in table.schema.items()
+            if name not in rows.columns
+        ]
+        return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
+    # A damaged name is a UnicodeDecodeError, a ValueError.
+    except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
         raise StoreError(
             "store_read", f"{path.name} of {table.name} is damaged: {error}"
         ) from error
-    rows = pl.from_arrow(content)
-    assert isinstance(rows, pl.DataFrame)
-    absent = [
-        pl.lit(None, dtype=kind).alias(name)
-        for name, kind in table.schema.items()
-        if name not in rows.columns
-    ]
-    return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
+
+
+def _require_columns(names: Sequence[str], table: Table) -> None:
+    """Refuse columns that are not the table's: a damaged name would read as a column of nulls."""
+    strange = sorted(set(names) - table.schema.keys())
+    absent = sorted(set(table.key) - set(names))
+    if strange or absent:
+        raise ValueError(
+            f"column {', '.join(strange) or 'none'} is not known to this version, and of the key "
+            f"{', '.join(absent) or 'none'} is absent"
+        )
 
 
 class StagedRows:
@@ -178,7 +194,7 @@ def publish_night(
         If the present file is damaged or the new one cannot be written.
     """
     path = night_file(output, table, night)
-    parts: list[pl.DataFrame] = []
+    parts = [frame(table, [])]
     if path.exists():
         before = read_table(path, table)
         parts.append(before.filter(~pl.col("motor_id").is_in(list(staged))))

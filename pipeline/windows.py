@@ -15,7 +15,7 @@ from pipeline.clean import SECOND_US, Times
 from pipeline.config import Windows
 
 TRAINING, VALIDATION, GUARD = "training", "validation", "guard"
-# Interleaved: this many blocks train and validate in turn (design.md, section 2).
+# Interleaved: this many blocks train and validate in turn (seven to three).
 INTERLEAVED = (7, 3)
 
 
@@ -63,6 +63,8 @@ def split_into_blocks(time_us: Times, night_start_us: int, settings: Windows) ->
         In time order; blocks without a kept sample are left out.
     """
     length = round(settings.block_s * SECOND_US)
+    if not len(time_us):
+        return ()
     number = (time_us - night_start_us) // length
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     ends = np.append(starts[1:], len(time_us))
@@ -81,8 +83,6 @@ def split_into_blocks(time_us: Times, night_start_us: int, settings: Windows) ->
 
 
 def _parts(numbers: NDArray[np.int64], sizes: NDArray[np.int64], settings: Windows) -> list[str]:
-    if not len(numbers):
-        return []
     if settings.split == "interleaved":
         return _interleaved(numbers, settings)
     before = np.cumsum(sizes) - sizes
@@ -94,9 +94,10 @@ def _parts(numbers: NDArray[np.int64], sizes: NDArray[np.int64], settings: Windo
 
 def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
     guard = settings.guard_blocks
-    # A night of many blocks takes longer turns, so that its parts fit into the stored blocks.
-    turns = 4 * (int(numbers[-1] - numbers[0]) // (sum(INTERLEAVED) + 2 * guard) + 1)
-    stretch = -(-turns // settings.maximum_blocks)
+    # A night of many blocks takes longer turns: a cycle has four parts, which cannot be merged.
+    cycles = settings.maximum_blocks // 4
+    shortest = -(-int(numbers[-1] - numbers[0] + 1) // cycles)
+    stretch = max(1, -(-(shortest - 2 * guard) // sum(INTERLEAVED)))
     training, validation = (count * stretch for count in INTERLEAVED)
     cycle = [TRAINING] * training + [GUARD] * guard + [VALIDATION] * validation + [GUARD] * guard
     return [cycle[int(number - numbers[0]) % len(cycle)] for number in numbers]

@@ -1,6 +1,7 @@
 """Typed config: the only door for settings."""
 
-from pipeline.config.loading import ConfigError, Fault, Fleet, MotorSpec, load_fleet
+from pipeline.config.faults import ConfigError, Fault
+from pipeline.config.loading import Fleet, MotorSpec, load_fleet
 from pipeline.config.motors import Channel, Event, MotorFile
 from pipeline.config.settings import (
     Cleaning,

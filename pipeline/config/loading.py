@@ -5,54 +5,36 @@ from __future__ import annotations
 import datetime as dt
 import json
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import ErrorDetails
 
-from leakage import FilmPressure, LeakageError, Motor
+from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
+from pipeline.config.faults import ConfigError, Fault, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile
-from pipeline.config.settings import Execution, FleetFile, Settings
-from pipeline.errors import MotorLeakageError
+from pipeline.config.settings import Execution, FleetFile, Folders, Settings
 
 Model = TypeVar("Model", bound=BaseModel)
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """One thing wrong in one config file."""
-
-    file: str
-    key: str
-    message: str
-
-    def __str__(self) -> str:
-        return (
-            f"{self.file}: {self.key}: {self.message}"
-            if self.key
-            else f"{self.file}: {self.message}"
-        )
-
-
-class ConfigError(MotorLeakageError):
-    """Everything that is wrong in a fleet's config, in one error; exit code 2."""
-
-    def __init__(self, faults: Iterable[Fault]) -> None:
-        self.faults = tuple(faults)
-        lines = "\n".join(f"  {fault}" for fault in self.faults)
-        count = len(self.faults)
-        super().__init__("config", f"{count} config fault{'s' if count > 1 else ''}\n{lines}")
+Document = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
 class Folder(Generic[Model]):
-    """The TOML files of a folder by name without ending: all there are, and those without fault."""
+    """The TOML files of a folder by name without ending.
 
-    names: tuple[str, ...]
+    Attributes
+    ----------
+    documents
+        Content of every file there is; empty where it cannot be read.
+    parsed
+        Those without a fault of their own.
+    """
+
+    documents: Mapping[str, Document]
     parsed: Mapping[str, Model]
 
 
@@ -113,132 +95,155 @@ def load_fleet(path: Path) -> Fleet:
     Raises
     ------
     ConfigError
-        With every fault of every file.
+        With every fault of every file, those of the motors too where the fleet file has one.
     """
     faults: list[Fault] = []
-    document = _read_toml(path, faults)
-    fleet = _validate(FleetFile, document, path.name, faults) if document is not None else None
-    if fleet is None:
+    document = _read_toml(path, path.name, faults)
+    if document is None:
         raise ConfigError(faults)
+    fleet = _validate(FleetFile, document, path.name, faults)
+    folders = fleet.folders if fleet else _folders(document)
+    # Settings with faults would be reported again for each motor that overrides any.
+    shared = {key: document[key] for key in Settings.model_fields if fleet and key in document}
     base = path.parent
-    types = _read_folder(base / fleet.folders.motor_types, MotorTypeFile, faults)
-    oils = _read_folder(base / fleet.folders.oils, OilFile, faults)
-    motors = _read_folder(base / fleet.folders.motors, MotorFile, faults)
-    log_root = (base / fleet.folders.logs).resolve()
-    shared = {key: value for key, value in (document or {}).items() if key in Settings.model_fields}
+    types = _read_folder(base / folders.motor_types, MotorTypeFile, faults)
+    oils = _read_folder(base / folders.oils, OilFile, faults)
+    motors = _read_folder(base / folders.motors, MotorFile, faults)
+    faults += _misnamed("motor_types", "motor_type", types.documents)
+    log_root = (base / folders.logs).resolve()
     specs = [
         spec
-        for name, motor in sorted(motors.parsed.items())
-        if (spec := _resolve(name, motor, types, oils, shared, log_root, faults)) is not None
+        for name in sorted(motors.documents)
+        if (spec := _resolve(name, motors, types, oils, shared, log_root, faults)) is not None
     ]
-    if not motors.names and not faults:
-        faults.append(Fault(str(fleet.folders.motors), "", "expected at least one motor's file"))
-    if faults:
+    if not motors.documents and not faults:
+        faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
+    if faults or fleet is None:
         raise ConfigError(faults)
-    output = Path("out") if fleet.folders.output is None else base / fleet.folders.output
+    output = Path("out") if folders.output is None else base / folders.output
     return Fleet(fleet.name, tuple(specs), fleet.execution, log_root, output.resolve())
+
+
+def _folders(document: Document) -> Folders:
+    """The folders of a fleet file that has faults, so that the other files are looked at too."""
+    try:
+        return Folders.model_validate(document.get("folders", {}))
+    except ValidationError:
+        return Folders()
 
 
 def _resolve(
     name: str,
-    motor: MotorFile,
+    motors: Folder[MotorFile],
     types: Folder[MotorTypeFile],
     oils: Folder[OilFile],
-    shared: Mapping[str, Any],
+    shared: Document,
     log_root: Path,
     faults: list[Fault],
 ) -> MotorSpec | None:
     """One motor's file brought together with what it names."""
-    file = f"motors/{name}.toml"
+    file, document = f"motors/{name}.toml", motors.documents[name]
     before = len(faults)
-    if motor.motor_id != name:
-        faults.append(
-            Fault(file, "motor_id", f"got {motor.motor_id!r}; expected {name!r}, as the file")
-        )
-    if motor.motor_type not in types.names:
-        faults.append(Fault(file, "motor_type", _unknown(motor.motor_type, types.names)))
-    named = {"oil": motor.oil} | {
-        f"events.{index}.oil": event.oil for index, event in enumerate(motor.events) if event.oil
-    }
-    faults.extend(
-        Fault(file, key, _unknown(oil, oils.names))
-        for key, oil in named.items()
-        if oil not in oils.names
-    )
-    merged = {key: dict(value) for key, value in shared.items()}
-    for section, values in motor.override.items():
-        merged[section] = merged.get(section, {}) | values if isinstance(values, dict) else values
-    settings = _validate(Settings, merged, file, faults, prefix="override.")
-    if len(faults) > before or settings is None or motor.motor_type not in types.parsed:
+    faults += _misnamed("motors", "motor_id", {name: document})
+    faults += _strangers(file, document, types.documents, oils.documents)
+    settings = _settings(document.get("override"), shared, file, faults)
+    motor, motor_type = motors.parsed.get(name), types.parsed.get(document.get("motor_type", ""))
+    if len(faults) > before or not motor or not settings or not motor_type:
         return None
-    return MotorSpec(motor, types.parsed[motor.motor_type], oils.parsed, settings, log_root)
+    spec = MotorSpec(motor, motor_type, oils.parsed, settings, log_root)
+    faults += _impossible(file, spec)
+    return spec
 
 
-def _unknown(name: str, known: Iterable[str]) -> str:
-    return f"got {name!r}; expected one of {', '.join(sorted(known)) or '(none is readable)'}"
+def _misnamed(folder: str, key: str, documents: Mapping[str, Document]) -> Iterator[Fault]:
+    """Files whose own name for what they describe is not the file's."""
+    for name, document in documents.items():
+        own = document.get(key, name)
+        if own != name:
+            message = (
+                f"got {json.dumps(own, default=str)}; expected {json.dumps(name)}, as the file"
+            )
+            yield Fault(f"{folder}/{name}.toml", key, message)
+
+
+def _strangers(
+    file: str, document: Document, types: Iterable[str], oils: Iterable[str]
+) -> Iterator[Fault]:
+    """Names of motor types and oils that there are not; other faults of the file do not matter."""
+    events = document.get("events")
+    named = [("motor_type", document.get("motor_type"), types), ("oil", document.get("oil"), oils)]
+    named += [
+        (f"events.{index}.oil", event.get("oil"), oils)
+        for index, event in enumerate(events if isinstance(events, list) else ())
+        if isinstance(event, dict)
+    ]
+    for key, given, known in named:
+        if isinstance(given, str) and given not in known:
+            choice = ", ".join(sorted(known)) or "those in its folder, which has none"
+            yield Fault(file, key, f"got {json.dumps(given)}; expected one of {choice}")
+
+
+def _settings(override: Any, shared: Document, file: str, faults: list[Fault]) -> Settings | None:
+    """The fleet's settings with a motor's own in their place."""
+    merged: dict[str, Any] = dict(shared)
+    for section, values in override.items() if isinstance(override, dict) else ():
+        whole = isinstance(values, dict) and isinstance(shared.get(section, {}), dict)
+        merged[section] = {**shared.get(section, {}), **values} if whole else values
+    return _validate(Settings, merged, file, faults, prefix="override.")
+
+
+def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
+    """What shows only where type, oil, flushing and settings come together."""
+    reference = spec.settings.reference
+    conditions = OperatingConditions.from_bar(
+        reference.pressure_bar, reference.temperature_c, reference.speed_rpm
+    )
+    for night in (dt.date.min, *(event.date for event in spec.file.events)):
+        if spec.file.oil_on(night) not in spec.oils:
+            continue
+        for mode in spec.file.flushing.modes:
+            try:
+                leakage_l_per_min(spec.motor(night, mode), conditions)
+            except LeakageError as error:
+                yield Fault(file, "", f"with {spec.file.oil_on(night)}: {error}")
 
 
 def _read_folder(folder: Path, model: type[Model], faults: list[Fault]) -> Folder[Model]:
     """All TOML files of a folder."""
     if not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
-        return Folder((), {})
-    paths = sorted(folder.glob("*.toml"))
+        return Folder({}, {})
+    documents: dict[str, Document] = {}
     parsed: dict[str, Model] = {}
-    for path in paths:
-        document = _read_toml(path, faults)
-        if document is not None:
-            content = _validate(model, document, f"{folder.name}/{path.name}", faults)
-            if content is not None:
-                parsed[path.stem] = content
-    return Folder(tuple(path.stem for path in paths), parsed)
+    for path in sorted(folder.glob("*.toml")):
+        file = f"{folder.name}/{path.name}"
+        document = _read_toml(path, file, faults)
+        documents[path.stem] = document or {}
+        content = _validate(model, document, file, faults) if document is not None else None
+        if content is not None:
+            parsed[path.stem] = content
+    return Folder(documents, parsed)
 
 
-def _read_toml(path: Path, faults: list[Fault]) -> dict[str, Any] | None:
+def _read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:
     try:
         with path.open("rb") as stream:
             return tomllib.load(stream)
     except OSError as error:
-        faults.append(Fault(path.name, "", f"cannot be read: {error.strerror}"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        faults.append(Fault(path.name, "", f"is not TOML: {error}"))
+        faults.append(Fault(file, "", f"cannot be read: {error.strerror}"))
+    except UnicodeDecodeError as error:
+        faults.append(Fault(file, "", f"is not UTF-8, as TOML must be: byte {error.start}"))
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        faults.append(Fault(file, "", f"is not TOML: {error}"))
     return None
 
 
 def _validate(
-    model: type[Model],
-    document: Mapping[str, Any],
-    file: str,
-    faults: list[Fault],
-    prefix: str = "",
+    model: type[Model], document: Document, file: str, faults: list[Fault], prefix: str = ""
 ) -> Model | None:
     try:
         # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
         return model.model_validate_json(json.dumps(document, default=str))
     except ValidationError as error:
-        faults.extend(_fault(detail, file, prefix) for detail in error.errors())
-    except LeakageError as error:
-        faults.append(Fault(file, prefix.rstrip("."), str(error)))
+        faults += faults_of(error, file, prefix)
     return None
-
-
-def _fault(detail: ErrorDetails, file: str, prefix: str) -> Fault:
-    """A finding of pydantic's in a reader's words: key, what stands there, what was expected."""
-    key = prefix + ".".join(str(part) for part in detail["loc"])
-    kind = detail["type"]
-    if kind == "missing":
-        return Fault(file, key, "is missing")
-    if kind == "extra_forbidden":
-        return Fault(file, key, "is no key of this table; check its spelling")
-    message = detail["msg"].removeprefix("Value error, ")
-    if isinstance(detail["input"], Mapping | list):
-        return Fault(file, key, message)
-    return Fault(file, key, f"got {json.dumps(detail['input'], default=str)}; {_expected(message)}")
-
-
-def _expected(message: str) -> str:
-    return (
-        "expected" + message.removeprefix("Input should be")
-        if message.startswith("Input should be")
-        else message
-    )

@@ -5,6 +5,7 @@ Other motor families, and paths that the thesis leaves out, are files, not code.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
@@ -20,11 +21,16 @@ from leakage import (
     fit_speed_curve,
     walther_coefficients,
 )
+from leakage.motor import FIXED_COLUMNS
+from pipeline.config.faults import Place, refuse
 from pipeline.config.settings import NonNegative, Positive, Section
 
 BAR = 1e5
 MILLIMETRE = 1e-3
 MICROMETRE = 1e-6
+
+# The motor's flushing is a path beside those of its type.
+FLUSHING_PATH, FLUSHING_PARAMETER = "flushing", "C_f"
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Source = Annotated[
@@ -98,6 +104,9 @@ class AnnularGapPath(Section):
         description="Points [pressure difference in bar, gap height in µm, flow in l/min] of a "
         "simulation at constant viscosity, to which X is fitted",
     )
+    deformation_tolerance_percent: NonNegative = Field(
+        0.0, description="Stated tolerance of the deformation constant; 0: none stated"
+    )
     gap_um: GapHeight = Field(default_factory=lambda: GapHeight(), description="Gap height")
     eccentricity: Eccentricity | None = Field(None, description="Eccentricity, if the path has one")
 
@@ -154,6 +163,9 @@ class SpeedCurvePath(Section):
     )
     reference_pressure_bar: Positive = Field(description="Pressure difference of the simulation")
     reference_viscosity_mpa_s: Positive = Field(description="Dynamic viscosity of the simulation")
+    curve_tolerance_percent: NonNegative = Field(
+        0.0, description="Stated tolerance of the curve's level; 0: none stated"
+    )
     scale: Scale = Field(default_factory=lambda: Scale(), description="Factor on the curve")
 
     @model_validator(mode="after")
@@ -195,6 +207,11 @@ class LaminarPath(Section):
     count: int = Field(ge=1, description="Interfaces at high pressure at any time")
     coefficient_m3: Unknown = Field(description="Loss factor of one interface, m³")
 
+    @model_validator(mode="after")
+    def _physical(self) -> LaminarPath:
+        self.path()
+        return self
+
     def path(self) -> Laminar:
         """The path as the physics knows it."""
         return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))
@@ -214,10 +231,17 @@ class MotorTypeFile(Section):
 
     @model_validator(mode="after")
     def _names_once(self) -> MotorTypeFile:
-        names = [path.name for path in self.path]
-        if len(set(names)) != len(names):
-            raise ValueError("expected each path's name once")
+        refuse("path", self._taken_names())
         return self
+
+    def _taken_names(self) -> Iterator[tuple[Place, str, object]]:
+        names, parameters = {*FIXED_COLUMNS, FLUSHING_PATH}, {FLUSHING_PARAMETER}
+        for index, declared in enumerate(self.path):
+            own = {parameter.name for parameter in declared.path().parameters}
+            if declared.name in names or own & parameters:
+                yield ("path", index, "name"), "expected a name that is not taken", declared.name
+            names.add(declared.name)
+            parameters |= own
 
     def paths(self) -> tuple[LeakagePath, ...]:
         """The declared paths, in order."""
@@ -238,6 +262,12 @@ class OilFile(Section):
     density_15_c_kg_per_m3: Positive = Field(description="Density at 15 °C")
     thermal_expansion_per_k: NonNegative = Field(7.0e-4, description="β of the density")
     pressure_viscosity_per_pa: NonNegative = Field(2.0e-8, description="α of the Barus equation")
+    pressure_viscosity_tolerance_percent: NonNegative = Field(
+        0.0, description="Stated tolerance of α; 0: none stated"
+    )
+    density_tolerance_percent: NonNegative = Field(
+        0.0, description="Stated tolerance of the density; 0: none stated"
+    )
 
     @model_validator(mode="after")
     def _physical(self) -> OilFile:

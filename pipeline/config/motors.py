@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import datetime as dt
+from collections.abc import Iterator
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from leakage import Constant, Parameter
-from pipeline.config.settings import NonNegative, Positive, Section
+from pipeline.config.faults import Place, refuse
+from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
+from pipeline.config.settings import NonNegative, Positive, Section, known_zone
+from pipeline.errors import UsageError
 from pipeline.ingest import ChannelSource, LogSource
+from pipeline.ingest.time_stamps import require_time_format
 from pipeline.units import CHANNELS, QUANTITIES, UNITS
 
 MotorId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
@@ -17,6 +22,8 @@ ChannelName = Literal[
     "pressure_difference",
     "high_port_pressure",
     "low_port_pressure",
+    "charge_pressure",
+    "case_pressure",
     "oil_temperature",
     "speed",
     "leakage_flow",
@@ -25,6 +32,8 @@ FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
     "pressure_difference": (-450.0, 450.0),
     "high_port_pressure": (-1.0, 450.0),
     "low_port_pressure": (-1.0, 450.0),
+    "charge_pressure": (-1.0, 100.0),
+    "case_pressure": (-1.0, 50.0),
     "oil_temperature": (-40.0, 120.0),
     "speed": (-500.0, 500.0),
     "leakage_flow": (0.0, 200.0),
@@ -34,7 +43,8 @@ FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
 class Channel(Section):
     """One channel of the log: where it stands, its unit, and what its sensor can say.
 
-    Limits and resolution are in the unit of the tables (bar, °C, rpm, l/min), whatever the log's.
+    Limits, resolution and tolerance are in the unit of the tables (bar, °C, rpm, l/min), whatever
+    the log's.
     """
 
     source: str = Field(
@@ -55,9 +65,22 @@ class Channel(Section):
         "under back-flow",
     )
     resolution: NonNegative = Field(0.0, description="Smallest step of the sensor")
+    offset_tolerance: NonNegative = Field(
+        0.0, description="Stated constant error of the sensor; 0: none stated"
+    )
+    gain_tolerance_percent: NonNegative = Field(
+        0.0, description="Stated error in proportion to the reading; 0: none stated"
+    )
     frozen_after_s: Positive | None = Field(
         None, description="Overrides cleaning.frozen_after_s; temperature: 900 s unless stated"
     )
+
+    @field_validator("scale")
+    @classmethod
+    def _not_zero(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise ValueError("expected a factor other than 0")
+        return scale
 
     @field_validator("valid_range")
     @classmethod
@@ -94,10 +117,64 @@ class Logs(Section):
     @field_validator("files")
     @classmethod
     def _below_the_log_root(cls, files: tuple[str, ...]) -> tuple[str, ...]:
-        for pattern in files:
-            if pattern.startswith(("/", "\\")) or ".." in pattern.replace("\\", "/").split("/"):
-                raise ValueError("expected paths below the log root, without '..'")
+        refuse(
+            "files",
+            (
+                ((index,), message, pattern)
+                for index, pattern in enumerate(files)
+                if (message := _fault_of_pattern(pattern)) is not None
+            ),
+        )
         return files
+
+    @field_validator("time_zone")
+    @classmethod
+    def _known_zone(cls, name: str) -> str:
+        return known_zone(name)
+
+    @field_validator("time_format")
+    @classmethod
+    def _known_format(cls, time_format: str) -> str:
+        try:
+            require_time_format(time_format)
+        except UsageError as error:
+            raise ValueError(error.message) from error
+        return time_format
+
+    @field_validator("encoding")
+    @classmethod
+    def _known_encoding(cls, encoding: str) -> str:
+        try:
+            b"x".decode(encoding, "ignore")  # an empty text asks no codec
+        except (LookupError, ValueError):
+            raise ValueError("expected a text encoding, such as utf-8 or cp1252") from None
+        return encoding
+
+    @model_validator(mode="after")
+    def _readable(self) -> Logs:
+        # The reader's own judgement of the dialect; the channel only stands in.
+        try:
+            self.source((ChannelSource("speed", "speed", "rpm"),))
+        except UsageError as error:
+            raise ValueError(error.message) from error
+        return self
+
+    def source(self, channels: tuple[ChannelSource, ...]) -> LogSource:
+        """What the reader is told, with the channels that it is to read."""
+        dialect = self.model_dump(exclude={"files", "time"})
+        return LogSource(channels=channels, time_source=self.time, **dialect)
+
+
+def _fault_of_pattern(pattern: str) -> str | None:
+    """What is wrong with a path or glob of logs; None: nothing."""
+    parts = pattern.replace("\\", "/").split("/")
+    if pattern.startswith(("/", "\\")) or ".." in parts:
+        return "expected a path below the log root, without '..'"
+    if not pattern.isprintable() or not parts[-1].strip(". "):
+        return "expected the name of a file, or a glob"
+    if parts[-1] == "**" or any("**" in part and part != "**" for part in parts):
+        return "expected ** only as a folder of its own, with a file's name or glob behind it"
+    return None
 
 
 class Event(Section):
@@ -146,7 +223,8 @@ class FlushingTable(Section):
         if mode == "estimated":
             limits = (self.minimum_l_per_min, self.maximum_l_per_min)
         return Constant(
-            "flushing", Parameter("C_f", "l_per_min", flow, *limits, fixed=mode != "estimated")
+            FLUSHING_PATH,
+            Parameter(FLUSHING_PARAMETER, "l_per_min", flow, *limits, fixed=mode != "estimated"),
         )
 
 
@@ -169,25 +247,25 @@ class MotorFile(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> MotorFile:
+        refuse("motor", self._channel_faults())
+        return self
+
+    def _channel_faults(self) -> Iterator[tuple[Place, str, object]]:
         names = set(self.channels)
+        given = ", ".join(sorted(names))
         ports = {"high_port_pressure", "low_port_pressure"}
         has_ports = ports <= names
         if has_ports == ("pressure_difference" in names) or (not has_ports and ports & names):
-            raise ValueError(
-                "channels: expected pressure_difference, or high_port_pressure and "
-                "low_port_pressure"
-            )
+            message = "expected pressure_difference, or high_port_pressure and low_port_pressure"
+            yield ("channels",), message, given
         absent = {"oil_temperature", "speed", "leakage_flow"} - names
         if absent:
-            raise ValueError(f"channels: expected also {', '.join(sorted(absent))}")
+            yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
         for name, channel in self.channels.items():
             units = UNITS[QUANTITIES[name]]
             if channel.unit not in units:
-                raise ValueError(
-                    f"channels.{name}.unit: got {channel.unit!r}; expected one of "
-                    f"{', '.join(units)}"
-                )
-        return self
+                expected = f"expected one of {', '.join(units)}"
+                yield ("channels", name, "unit"), expected, channel.unit
 
     def oil_on(self, night: dt.date) -> str:
         """Name of the oil that the motor runs on in a night."""
@@ -208,5 +286,4 @@ class MotorFile(Section):
             for name in CHANNELS
             if name in self.channels
         )
-        dialect = self.logs.model_dump(exclude={"files", "time"})
-        return LogSource(channels=channels, time_source=self.logs.time, **dialect)
+        return self.logs.source(channels)

@@ -17,6 +17,13 @@ Share = Annotated[float, Field(gt=0, le=1)]
 RelativeFolder = Annotated[str, Field(min_length=1)]
 
 
+def known_zone(name: str) -> str:
+    """The name itself, if it is one of an IANA time zone."""
+    if name not in available_timezones():
+        raise ValueError("expected the name of an IANA time zone, such as Europe/Oslo")
+    return name
+
+
 class Section(BaseModel):
     """A table of a config file: unknown keys, infinities and NaN are errors, nothing is coerced."""
 
@@ -46,9 +53,7 @@ class Nights(Section):
     @field_validator("time_zone")
     @classmethod
     def _known_zone(cls, name: str) -> str:
-        if name not in available_timezones():
-            raise ValueError("expected the name of an IANA time zone, such as Europe/Oslo")
-        return name
+        return known_zone(name)
 
     @property
     def zone(self) -> ZoneInfo:
@@ -155,6 +160,23 @@ class Model(Section):
     film_pressure_share: NonNegative = Field(
         1.0, le=1, description="Share of the pressure difference in the film; `thesis` only"
     )
+    film_pressure_share_tolerance: NonNegative = Field(
+        0.0, le=1, description="Stated tolerance of that share; 0: none stated"
+    )
+    two_sided: bool = Field(
+        False,
+        description="Every path leaks to the case from both sides: the high one at pressure "
+        "difference + charge − case pressure, the low one at charge − case pressure",
+    )
+    charge_pressure_bar: NonNegative = Field(
+        0.0, description="Pressure of the low port; `two_sided` without a channel of it"
+    )
+    case_pressure_bar: NonNegative = Field(
+        0.0, description="Pressure of the case; `two_sided` without a channel of it"
+    )
+    charge_pressure_tolerance_bar: NonNegative = Field(
+        0.0, description="Stated tolerance of charge − case pressure; 0: none stated"
+    )
 
 
 class Estimation(Section):
@@ -171,6 +193,17 @@ class Estimation(Section):
         1e-10, description="Stops at a relative change of the criterion below this"
     )
     maximum_iterations: int = Field(200, ge=1, description="Iterations a start may take")
+    loss: Literal["squared", "huber"] = Field(
+        "squared",
+        description="`huber`: training samples with large errors count less, by weights found "
+        "before their statistics are made",
+    )
+    bootstrap_resamples: int = Field(
+        499, ge=0, le=100_000, description="Draws of the block bootstrap; 0: none"
+    )
+    sensitivity_samples: int = Field(
+        1500, ge=100, description="Training samples that carry the stated tolerances; thinned"
+    )
     seed: int = Field(1, ge=0, description="Seed of the run; a night's seed is derived from it")
 
 
@@ -206,7 +239,10 @@ class Settings(Section):
     @model_validator(mode="after")
     def _smoothing_fits_a_block(self) -> Settings:
         if self.smoothing.window_s >= self.windows.block_s:
-            raise ValueError("smoothing.window_s must be shorter than windows.block_s")
+            raise ValueError(
+                f"got smoothing.window_s = {self.smoothing.window_s:g}; expected less than "
+                f"windows.block_s = {self.windows.block_s:g}"
+            )
         return self
 
 

@@ -148,7 +148,7 @@ def truth_of(night: DemoNight) -> Truth:
         if isinstance(path, AnnularGap):
             gaps[path.name] = path.gap.value * _gap_factor(night, path.name, rng)
             others = [parameter.value for parameter in path.parameters[1:]]
-            coefficients[path.name] = path.coefficient([gaps[path.name], *others])
+            coefficients[path.name] = float(path.coefficient([gaps[path.name], *others]))
     if motor.constant is not None:
         scatter = 1.0 + FLUSHING_SCATTER * rng.standard_normal()
         coefficients[motor.constant.name] = night.demo.flushing_l_per_min * scatter

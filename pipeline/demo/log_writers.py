@@ -68,7 +68,7 @@ def as_logged(channel: str, values: FloatArray, source: Channel) -> FloatArray:
     """
     numerator, denominator, shift = conversion(channel, source.unit)
     in_unit = values * denominator / numerator - shift
-    return np.round((in_unit - source.offset) / source.scale, 6)
+    return np.round((in_unit - source.offset) / source.scale, 6) + 0.0  # no -0.0
 
 
 def _write_csv(path: Path, recording: Recording, motor: MotorFile) -> None:

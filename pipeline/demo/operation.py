@@ -196,7 +196,7 @@ def _running(time_s: FloatArray, halts: FloatArray) -> FloatArray:
     """1 where the motor runs, 0 where it halts, straight between."""
     knots: FloatArray = halts[:, [0, 0, 1, 1]] + np.array([-RUN_DOWN_S, 0.0, 0.0, RUN_UP_S])
     states = np.tile(np.array([1.0, 0.0, 0.0, 1.0]), len(halts))
-    return np.interp(time_s, knots.ravel(), states)
+    return np.asarray(np.interp(time_s, knots.ravel(), states), dtype=np.float64)
 
 
 def _direction(time_s: FloatArray, halts: FloatArray) -> FloatArray:

@@ -126,7 +126,7 @@ def in_steps(values: FloatArray, resolution: float) -> FloatArray:
     >>> in_steps(np.array([123.44, 0.26]), 0.1).tolist()
     [123.4, 0.3]
     """
-    return np.round(np.rint(values / resolution) * resolution, 6)
+    return np.round(np.rint(values / resolution) * resolution, 6) + 0.0  # no -0.0
 
 
 def flow_noise_l_per_min(
@@ -235,15 +235,17 @@ def with_log_faults(
     absent[[0, -1]] = False
     kept = np.flatnonzero(~absent)
     time_us = recording.time_us[kept]
+    delays = {name: delay[kept] for name, delay in recording.own_delay_us.items()}
     repeated = 1 + _some(kept.size - 2, rates.disordered_stamps * hours, rng)
-    time_us[repeated] = time_us[repeated - 1]
+    for stamps in (time_us, *delays.values()):
+        stamps[repeated] = stamps[repeated - 1]
     set_back = 1 + _some(kept.size - 2, rates.disordered_stamps * hours, rng)
     time_us[set_back] = np.maximum(time_us[set_back] - 3 * MICROSECONDS // 2, time_us[0])
     return replace(
         recording,
         time_us=time_us,
         values={name: values[kept] for name, values in recording.values.items()},
-        own_delay_us={name: delay[kept] for name, delay in recording.own_delay_us.items()},
+        own_delay_us=delays,
     )
 
 

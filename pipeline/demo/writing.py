@@ -46,9 +46,9 @@ def write_demo(
     nights
         Number of nights, one log file each and motor.
     minutes
-        Length of each log, 10 to 1440, [min].
+        Length of each log, 1 to 1440, [min].
     rate_hz
-        Rate of all channels but the temperature, which is logged every second, 1 to 100, [Hz].
+        Rate of all channels but the temperature, 0.1 to 100, [Hz]; that is logged once a second.
     seed
         The same seed makes the same files, whatever the number of workers.
     workers
@@ -61,28 +61,22 @@ def write_demo(
     Raises
     ------
     UsageError
-        ``demo_arguments``, ``demo_folder`` or ``demo_configs``; nothing was written then.
+        ``demo_arguments``, ``demo_configs``, or ``demo_folder``: refused, or it cannot be written.
     """
     _check_arguments(nights, minutes, rate_hz, seed, workers, first_night)
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night)
-    _prepare(folder, shipped_configs())
-    demo_nights = _demo_nights(folder, plan)
-    tasks = [
-        demo_nights[first : first + NIGHTS_A_TASK]
-        for first in range(0, len(demo_nights), NIGHTS_A_TASK)
-    ]
-    parallel = Parallel(
-        n_jobs=workers,
-        backend="sequential" if workers == 1 else "loky",
-        return_as="generator_unordered",
-    )
-    written = 0
-    for files in parallel(delayed(_write_nights)(folder / "logs", task) for task in tasks):
-        written += files
-        if progress is not None:
-            progress(written, len(demo_nights))
-    document = truth_document(plan, demo_nights)
-    _write_text(folder / TRUTH, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    try:
+        _prepare(folder, shipped_configs())
+        demo_nights = _demo_nights(folder, plan)
+        _write_logs(folder / "logs", demo_nights, workers, progress)
+        document = truth_document(plan, demo_nights)
+        _write_text(folder / TRUTH, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+    except OSError as error:
+        raise UsageError(
+            "demo_folder",
+            f"{error.filename or folder} cannot be written: {error.strerror}; name another folder,"
+            " or repeat when that is solved",
+        ) from error
 
 
 def shipped_configs() -> Path:
@@ -107,8 +101,8 @@ def _check_arguments(
 ) -> None:
     limits: Mapping[str, tuple[float, float, float]] = {
         "nights": (nights, 1, 3650),
-        "minutes": (minutes, 10, 1440),
-        "rate_hz": (rate_hz, 1, 100),
+        "minutes": (minutes, 1, 1440),
+        "rate_hz": (rate_hz, 0.1, 100),
         "seed": (seed, 0, 2**63),
         "workers": (workers, 1, 256),
         "the first night's year": (first_night.year, *YEARS),
@@ -185,6 +179,26 @@ def _spec(specs: Mapping[str, MotorSpec], motor_id: str) -> MotorSpec:
             "demo_configs", f"the shipped configs have no motor {motor_id}; restore motors/"
         )
     return specs[motor_id]
+
+
+def _write_logs(
+    logs: Path, nights: Sequence[DemoNight], workers: int, progress: Progress | None
+) -> None:
+    """Write all logs, some nights a task."""
+    parallel = Parallel(
+        n_jobs=workers,
+        backend="sequential" if workers == 1 else "loky",
+        return_as="generator_unordered",
+    )
+    tasks = (
+        delayed(_write_nights)(logs, nights[first : first + NIGHTS_A_TASK])
+        for first in range(0, len(nights), NIGHTS_A_TASK)
+    )
+    written = 0
+    for files in parallel(tasks):
+        written += files
+        if progress is not None:
+            progress(written, len(nights))
 
 
 def _write_nights(logs: Path, nights: Sequence[DemoNight]) -> int:

@@ -202,6 +202,14 @@ def test_every_kind_of_fault_is_there(specs: dict[str, MotorSpec]) -> None:
     assert np.mean(np.isfinite(flow) & (np.abs(speed) > 0.5)) > 0.8
 
 
+def test_messages_with_stamps_of_their_own_repeat_too(specs: dict[str, MotorSpec]) -> None:
+    recordings = [record_night(night_of(specs, "CB1120-02", number)) for number in range(1, 7)]
+    steps = [
+        np.diff(recording.time_us + recording.own_delay_us["speed"]) for recording in recordings
+    ]
+    assert np.any(np.concatenate(steps) == 0)
+
+
 def test_a_sensor_freezes_on_one_night_alone(specs: dict[str, MotorSpec]) -> None:
     def longest_standstill(number: int) -> int:
         flow = record_night(night_of(specs, "CB400-01", number)).values["leakage_flow"]
@@ -421,16 +429,18 @@ def test_a_file_in_the_folder_s_place_is_told(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
     with pytest.raises(UsageError, match="neither empty nor a demo"):
         small_demo(tmp_path / "file")
+    with pytest.raises(UsageError, match="cannot be written: Not a directory"):
+        small_demo(tmp_path / "file" / "demo")
 
 
 @pytest.mark.parametrize(
     "arguments",
     [
         {"nights": 0},
-        {"minutes": 9.0},
+        {"minutes": 0.5},
         {"minutes": float("nan")},
         {"minutes": 1441.0},
-        {"rate_hz": 0.5},
+        {"rate_hz": 0.05},
         {"rate_hz": float("inf")},
         {"seed": -1},
         {"workers": 0},

@@ -1,0 +1,120 @@
+"""Faults of config files, in a reader's words: file, key, what stands there, what was expected."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+from pydantic import ValidationError
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+from pipeline.errors import MotorLeakageError
+
+# What pydantic puts into the place of a fault and no file has: tags of a union, marks of a key.
+NO_KEYS = frozenset({"annular_gap", "speed_curve", "laminar", "[key]"})
+LONGEST_QUOTE = 80
+OPENINGS = {
+    "Input should be ": "expected ",
+    "String should match pattern ": "expected text that matches ",
+    "Tuple should have ": "expected ",
+    "String should have ": "expected ",
+    "Value error, ": "",
+}
+
+Place = tuple[str | int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One thing wrong in one config file."""
+
+    file: str
+    key: str
+    message: str
+
+    def __str__(self) -> str:
+        return ": ".join(part for part in (self.file, self.key, self.message) if part)
+
+
+class ConfigError(MotorLeakageError):
+    """Everything that is wrong in a fleet's config, in one error; exit code 2."""
+
+    def __init__(self, faults: Iterable[Fault]) -> None:
+        self.faults = tuple(dict.fromkeys(faults))
+        lines = "\n".join(f"  {fault}" for fault in self.faults)
+        count = len(self.faults)
+        super().__init__("config", f"{count} config fault{'s' if count > 1 else ''}\n{lines}")
+
+
+def refuse(title: str, found: Iterable[tuple[Place, str, object]]) -> None:
+    """Let a validator report several faults, each at its own key.
+
+    Parameters
+    ----------
+    title
+        What is validated.
+    found
+        Place below the validated table, what was expected, and what stands there.
+
+    Raises
+    ------
+    pydantic.ValidationError
+        If there is any.
+    """
+    details = [
+        InitErrorDetails(
+            type=PydanticCustomError("fault", "{message}", {"message": message}),
+            loc=place,
+            input=given,
+        )
+        for place, message, given in found
+    ]
+    if details:
+        raise ValidationError.from_exception_data(title, details)
+
+
+def faults_of(error: ValidationError, file: str, prefix: str = "") -> list[Fault]:
+    """All findings of pydantic's about a file.
+
+    Parameters
+    ----------
+    error
+        What pydantic raised.
+    file
+        The file's name, as a reader knows it.
+    prefix
+        Key of the table that was validated, with a dot; empty for the whole file.
+    """
+    return [_fault(detail, file, prefix) for detail in error.errors()]
+
+
+def _fault(detail: ErrorDetails, file: str, prefix: str) -> Fault:
+    parts = [str(part) for part in detail["loc"] if part not in NO_KEYS]
+    kind = detail["type"]
+    if kind.startswith("union_tag"):
+        parts.append("law")
+    key = (prefix + ".".join(parts)).rstrip(".")
+    if kind in ("missing", "union_tag_not_found"):
+        return Fault(file, key, "is missing")
+    if kind == "extra_forbidden":
+        return Fault(file, key, "is no key of this table; check its spelling")
+    if kind == "union_tag_invalid":
+        context = detail["ctx"]
+        message = f'got "{context["tag"]}"; expected one of {context["expected_tags"]}'
+        return Fault(file, key, message)
+    return Fault(file, key, _quote(detail["input"]) + _expected(detail["msg"]))
+
+
+def _quote(given: object) -> str:
+    """What stands in the file, unless that is long."""
+    text = json.dumps(given, default=str, ensure_ascii=False)
+    long = isinstance(given, Mapping | list | tuple) and len(text) > LONGEST_QUOTE
+    return "" if long else f"got {text}; "
+
+
+def _expected(message: str) -> str:
+    for opening, ours in OPENINGS.items():
+        if message.startswith(opening):
+            return ours + message.removeprefix(opening)
+    return message

@@ -1,0 +1,229 @@
+"""A night's fits: one for each mode of flushing, each with verdicts, intervals and error budget."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage import Fit, LeakageError, OperatingConditions, SearchSettings, fit
+from leakage.correlation import correlation_time
+from leakage.identifiability import (
+    Excitation,
+    Identification,
+    LeakageJudgement,
+    identify,
+    judge_leakage,
+)
+from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
+from leakage.uncertainty import Bootstrap, block_bootstrap
+from pipeline.config import MotorSpec
+from pipeline.night_statistics import NightStatistics, condition
+from pipeline.windows import TRAINING
+
+Array = NDArray[np.float64]
+
+# Longest memory of the errors that is looked for; beyond it there are no intervals.
+LONGEST_MEMORY_S = 600.0
+
+
+@dataclass(frozen=True, slots=True)
+class FittedMode:
+    """The fit under one mode of flushing, and all that is said of it.
+
+    Attributes
+    ----------
+    name
+        none, fixed or estimated.
+    fit, identification
+        Estimates; verdicts and intervals.
+    excitation
+        What the training samples saw.
+    error
+        Prediction errors of the training samples, shape (n,) [l/min].
+    reference_conditions
+        Where the reference leakage is evaluated.
+    reference, own
+        Leakage at the reference conditions, and at the night's own mean conditions.
+    bootstrap
+        Percentile limits, a cross-check.
+    budget
+        Effects of the stated tolerances on θ, the reference leakage and the own leakage; empty
+        where none is stated, or one leads where the model does not hold.
+    """
+
+    name: str
+    fit: Fit
+    identification: Identification
+    excitation: Excitation
+    error: Array
+    reference_conditions: OperatingConditions
+    reference: LeakageJudgement
+    own: LeakageJudgement
+    bootstrap: Bootstrap
+    budget: ErrorBudget
+
+
+def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
+    """Mean pressure difference [bar], temperature [°C] and speed [rpm], as magnitudes."""
+    samples = statistics.samples
+    return (
+        float(np.abs(samples.pressure_difference_bar).mean()),
+        float(samples.oil_temperature_c.mean()),
+        float(np.abs(samples.speed_rpm).mean()),
+    )
+
+
+def fit_modes(
+    spec: MotorSpec, night: dt.date, statistics: NightStatistics
+) -> tuple[FittedMode, ...]:
+    """A fit for each mode of flushing, the primary one first; all over the same statistics.
+
+    Raises
+    ------
+    EstimationError
+        If there are fewer samples than free coefficients.
+    """
+    reference = spec.settings.reference
+    samples = statistics.samples
+    at = (
+        condition(
+            spec, samples, reference.pressure_bar, reference.temperature_c, reference.speed_rpm
+        ),
+        condition(spec, samples, *own_conditions(statistics)),
+    )
+    return tuple(_fit_mode(spec, night, statistics, mode, at) for mode in spec.file.flushing.modes)
+
+
+def _fit_mode(
+    spec: MotorSpec,
+    night: dt.date,
+    statistics: NightStatistics,
+    mode: str,
+    at: tuple[OperatingConditions, OperatingConditions],
+) -> FittedMode:
+    estimation = spec.settings.estimation
+    search = SearchSettings(
+        starting_points=estimation.starting_points,
+        gradient_type=estimation.gradient_type,
+        step_tolerance=estimation.step_tolerance,
+        function_tolerance=estimation.function_tolerance,
+        maximum_iterations=estimation.maximum_iterations,
+    )
+    generator = np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, mode))
+    training = statistics.factors_of(TRAINING)
+    fitted = fit(statistics.factor_of(TRAINING), spec.motor(night, mode), search, generator)
+    rows = statistics.rows_of(TRAINING)
+    error = statistics.z[rows] @ -np.concatenate([fitted.coefficients, (1.0, -1.0)])
+    excitation = _excitation(statistics, rows, error)
+    identification = identify(fitted, training, excitation)
+    return FittedMode(
+        name=mode,
+        fit=fitted,
+        identification=identification,
+        excitation=excitation,
+        error=error,
+        reference_conditions=at[0],
+        reference=judge_leakage(fitted, identification, excitation, at[0]),
+        own=judge_leakage(fitted, identification, excitation, at[1]),
+        bootstrap=block_bootstrap(
+            training,
+            fitted.coefficients,
+            fitted.certificate.off_bounds,
+            generator,
+            resamples=estimation.bootstrap_resamples,
+        ),
+        budget=_budget(spec, statistics, fitted, rows, night, at),
+    )
+
+
+def _excitation(statistics: NightStatistics, rows: NDArray[np.bool_], error: Array) -> Excitation:
+    samples = statistics.samples
+    period_s = samples.period_us / 1e6
+    longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
+    memory = (
+        correlation_time(error, samples.index[rows], longest) * period_s if longest > 1 else 0.0
+    )
+
+    def limits(values: Array) -> tuple[float, float]:
+        return float(values.min()), float(values.max())
+
+    blocks = [block for block in statistics.blocks if block.part == TRAINING]
+    return Excitation(
+        minutes=len(error) * period_s / 60.0,
+        pressure_bar=limits(np.abs(samples.pressure_difference_bar[rows])),
+        temperature_c=limits(samples.oil_temperature_c[rows]),
+        speed_rpm=limits(np.abs(samples.speed_rpm[rows])),
+        correlation_time_s=memory,
+        block_s=float(np.median([block.end_us - block.start_us for block in blocks])) / 1e6,
+    )
+
+
+def _budget(
+    spec: MotorSpec,
+    statistics: NightStatistics,
+    fitted: Fit,
+    rows: NDArray[np.bool_],
+    night: dt.date,
+    at: tuple[OperatingConditions, OperatingConditions],
+) -> ErrorBudget:
+    """The stated tolerances carried through evenly thinned training samples."""
+    places = np.flatnonzero(rows)
+    wanted = min(spec.settings.estimation.sensitivity_samples, len(places))
+    chosen = places[np.linspace(0, len(places) - 1, wanted).round().astype(np.int64)]
+    conditions = statistics.conditions
+    charge = conditions.charge_over_case_pa
+    thinned = OperatingConditions(
+        conditions.pressure_difference_pa[chosen],
+        conditions.oil_temperature_c[chosen],
+        conditions.speed_rpm[chosen],
+        None if charge is None else charge[chosen],
+    )
+    flow = statistics.samples.leakage_l_per_min[chosen]
+    try:
+        return error_budget(fitted.motor, thinned, flow, tolerances(spec, night), at)
+    except LeakageError:
+        return ErrorBudget(())
+
+
+def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
+    """The tolerances that a motor's config states; of two ports the difference's, by squares."""
+
+    def of(*names: str) -> ChannelTolerance:
+        channels = [spec.file.channels[name] for name in names if name in spec.file.channels]
+        return ChannelTolerance(
+            float(np.hypot.reduce([channel.offset_tolerance for channel in channels])),
+            float(np.hypot.reduce([channel.gain_tolerance_percent for channel in channels])) / 100,
+        )
+
+    paths = spec.motor_type.path
+    oil, model = spec.oil_on(night), spec.settings.model
+    return Tolerances(
+        pressure_bar=of("pressure_difference", "high_port_pressure", "low_port_pressure"),
+        temperature_c=of("oil_temperature"),
+        speed_rpm=of("speed"),
+        flow_l_per_min=of("leakage_flow"),
+        deformation={
+            path.name: path.deformation_tolerance_percent / 100
+            for path in paths
+            if path.law == "annular_gap"
+        },
+        speed_curve={
+            path.name: path.curve_tolerance_percent / 100
+            for path in paths
+            if path.law == "speed_curve"
+        },
+        pressure_viscosity=oil.pressure_viscosity_tolerance_percent / 100,
+        density=oil.density_tolerance_percent / 100,
+        film_pressure_share=model.film_pressure_share_tolerance,
+        charge_pressure_bar=model.charge_pressure_tolerance_bar,
+    )
+
+
+def night_seed(seed: int, motor_id: str, night: dt.date, mode: str) -> int:
+    """Seed of a fit's draws: the same for the same run seed, motor, night and mode."""
+    text = "|".join((str(seed), motor_id, night.isoformat(), mode))
+    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

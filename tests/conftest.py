@@ -1,0 +1,90 @@
+"""One small demo fleet for all tests, made and fitted once, however many workers there are."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+
+DEMO_NIGHTS = 3
+DEMO_MINUTES = 60.0
+
+
+class OwnFleet(Protocol):
+    """Copies motors of the demo into a folder of the test's own; returns its fleet file."""
+
+    def __call__(self, *motors: str, fitted: bool = False) -> Path: ...
+
+
+@pytest.fixture(scope="session")
+def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder that all workers of pytest-xdist share."""
+    own = tmp_path_factory.getbasetemp()
+    return own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
+
+
+@pytest.fixture(scope="session")
+def demo_folder(shared_folder: Path) -> Path:
+    """The demo fleet, 3 nights of 60 minutes; only to be read."""
+
+    def make(folder: Path) -> None:
+        from pipeline.demo import write_demo
+
+        write_demo(folder, nights=DEMO_NIGHTS, minutes=DEMO_MINUTES, workers=1)
+
+    return made_once(shared_folder / "demo", make)
+
+
+@pytest.fixture(scope="session")
+def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
+    """What a run over the demo fleet, motor after motor, has written; only to be read."""
+
+    def make(folder: Path) -> None:
+        from pipeline.config import load_fleet
+        from pipeline.fleet import RunRequest, run_fleet
+
+        fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
+        execution = fleet.execution.model_copy(update={"backend": "sequential"})
+        run_fleet(RunRequest(replace(fleet, execution=execution, output=folder)))
+
+    return made_once(shared_folder / "fitted", make)
+
+
+@pytest.fixture
+def own_fleet(demo_folder: Path, tmp_path: Path, request: pytest.FixtureRequest) -> OwnFleet:
+    """Motors of the demo to be changed at will; output goes to ``out`` beside ``configs``."""
+
+    def copy(*motors: str, fitted: bool = False) -> Path:
+        shutil.copytree(demo_folder / "configs", tmp_path / "configs")
+        for file in (tmp_path / "configs" / "motors").iterdir():
+            if file.stem not in motors:
+                file.unlink()
+        for motor in motors:
+            shutil.copytree(demo_folder / "logs" / motor, tmp_path / "logs" / motor)
+        if fitted:
+            shutil.copytree(request.getfixturevalue("fitted_output"), tmp_path / "out")
+        fleet = tmp_path / "configs" / "fleet.toml"
+        text = fleet.read_text(encoding="utf-8")
+        fleet.write_text(
+            text.replace("[folders]", '[folders]\noutput = "../out"'), encoding="utf-8"
+        )
+        return fleet
+
+    return copy
+
+
+def made_once(folder: Path, make: Callable[[Path], object]) -> Path:
+    """Make a folder in whichever worker comes first; the others wait for it."""
+    with folder.with_name(f"{folder.name}.lock").open("w", encoding="utf-8") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = folder.with_name(f"{folder.name}.done")
+        if not done.exists():
+            make(folder)
+            done.touch()
+    return folder

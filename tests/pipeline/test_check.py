@@ -1,0 +1,122 @@
+"""`check`: what is wrong with config and logs, before a night depends on them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+
+import pytest
+
+from pipeline.check import MotorCheck, check_fleet
+from pipeline.config import load_fleet
+from tests.conftest import OwnFleet
+from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs, write_log
+
+MOTORS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-02"]
+
+
+def checks_of(fleet_file: Path) -> dict[str, MotorCheck]:
+    return {one.motor_id: one for one in check_fleet(load_fleet(fleet_file))}
+
+
+def test_a_sound_fleet(demo_folder: Path) -> None:
+    checks = checks_of(demo_folder / "configs" / "fleet.toml")
+    assert list(checks) == MOTORS
+    for motor, one in checks.items():
+        assert motor.startswith(one.motor_type)
+        assert (one.n_files, one.n_nights) == (3, 3)
+        assert (one.first, one.last) == ("2026-01-02", "2026-01-04")
+        assert one.faults == ()
+        assert one.placeholders
+    assert [checks[motor].log_format for motor in MOTORS] == [
+        *("parquet", "mcap", "csv", "parquet", "mcap", "csv")
+    ]
+
+
+def test_nothing_is_written_and_nothing_remembered(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB400-02")
+    before = sorted(fleet.parent.parent.rglob("*"))
+    check_fleet(load_fleet(fleet))
+    assert sorted(fleet.parent.parent.rglob("*")) == before
+
+
+def test_a_check_does_not_read_logs_to_their_end(
+    demo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A year of logs is looked at in seconds: neither hashed nor read."""
+
+    def forbidden(*_: object) -> object:
+        raise AssertionError
+
+    monkeypatch.setattr("pipeline.logs.content_hash", forbidden)
+    monkeypatch.setattr("pipeline.logs.read_log", forbidden)
+    assert all(not one.faults for one in checks_of(demo_folder / "configs" / "fleet.toml").values())
+
+
+@pytest.mark.parametrize("motor", ["CB400-01", "CB400-02", "CB560-01"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x00" * 4096, b"nonsense\n" * 1000], ids=["empty", "zeros", "text"]
+)
+def test_a_broken_log_is_a_fault_with_its_name(
+    own_fleet: OwnFleet, motor: str, content: bytes
+) -> None:
+    fleet = own_fleet(motor)
+    path = sorted((fleet.parent.parent / "logs" / motor).iterdir())[1]
+    path.write_bytes(content)
+    one = checks_of(fleet)[motor]
+    assert (one.n_files, one.n_nights) == (3, 2)
+    (fault,) = one.faults
+    assert fault.startswith("log_")
+    assert path.name in fault
+
+
+def test_names_that_are_absent_and_channels_that_are_not_there(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"M1/a.parquet", "M1/b.parquet", "M1/c*.parquet"')
+    fleet = write_configs(tmp_path, {"M1": text})
+    operation = operate()
+    values = operation.channels(operation.pressure_bar)
+    del values["speed"]
+    write_log(tmp_path / "logs" / "M1" / "a.parquet", operation.time_us, values)
+    one = checks_of(fleet)["M1"]
+    assert one.n_files == 1
+    assert any("log_missing" in fault and "M1/b.parquet" in fault for fault in one.faults)
+    assert not any("c*" in fault for fault in one.faults)
+
+
+def test_no_logs_at_all(tmp_path: Path) -> None:
+    one = checks_of(write_configs(tmp_path, {"M1": motor_toml("M1")}))["M1"]
+    assert asdict(one) == {
+        "motor_id": "M1",
+        "motor_type": "CB560",
+        "log_format": "parquet",
+        "n_files": 0,
+        "n_nights": 0,
+        "first": None,
+        "last": None,
+        "faults": (),
+        "placeholders": True,
+    }
+
+
+def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    path = tmp_path / "configs" / "motor_types" / "CB560.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('"placeholder"', '"drawing 4711"', 3), encoding="utf-8")
+    assert checks_of(fleet)["M1"].placeholders
+    path.write_text(text.replace('"placeholder"', '"drawing 4711"'), encoding="utf-8")
+    assert not checks_of(fleet)["M1"].placeholders
+
+
+def test_a_whole_night_counts_once_however_many_files(tmp_path: Path) -> None:
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    operation = operate()
+    for number, rows in enumerate((slice(0, 900), slice(900, None))):
+        values = operation.channels(operation.pressure_bar)
+        write_log(
+            tmp_path / "logs" / "M1" / f"{number}.parquet",
+            operation.time_us[rows],
+            {name: value[rows] for name, value in values.items()},
+        )
+    one = checks_of(fleet)["M1"]
+    assert (one.n_files, one.n_nights, one.first) == (2, 1, NIGHT.isoformat())

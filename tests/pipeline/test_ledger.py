@@ -1,0 +1,200 @@
+"""What a motor's task remembers, and that nothing of it is believed once it is damaged."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.errors import StoreError
+from pipeline.ledger import (
+    FileRecord,
+    Ledger,
+    NightRecord,
+    content_hash,
+    ledger_file,
+    read_ledger,
+    write_ledger,
+)
+
+HASH = "0123456789abcdef"
+MODELS = st.dictionaries(
+    st.sampled_from(["none", "fixed", "estimated"]),
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5).map(tuple),
+)
+NIGHTS = st.builds(NightRecord, st.sampled_from(["ok", "failed", "stood_still"]), MODELS)
+TEXTS = st.text(st.characters(codec="utf-8"), max_size=20)
+RECORDS = st.builds(
+    FileRecord,
+    path=TEXTS,
+    size=st.integers(0, 2**60),
+    modified_ns=st.integers(0, 2**63),
+    sha256=st.none() | st.just("ab" * 32),
+    rows=st.none() | st.integers(0, 2**40),
+    first_us=st.none() | st.integers(-(2**60), 2**60),
+    nights=st.lists(st.dates().map(dt.date.isoformat), max_size=3).map(tuple),
+    status=st.sampled_from(["ok", "failed"]),
+    message=st.none() | TEXTS,
+)
+LEDGERS = st.builds(
+    Ledger,
+    st.just(HASH),
+    st.dictionaries(TEXTS, RECORDS, max_size=3),
+    st.dictionaries(st.dates(), NIGHTS, max_size=4),
+)
+SOME = Ledger(
+    HASH,
+    {"A/1.csv": FileRecord("A/1.csv", 100, 17, "ab" * 32, 5, 1, 2, ("2026-01-02",))},
+    {
+        dt.date(2026, 1, 2): NightRecord("ok", {"none": (7.5e-14, 1.56e-14, 4.37e-14, 0.0)}),
+        dt.date(2026, 1, 3): NightRecord("stood_still"),
+    },
+)
+
+
+@given(LEDGERS)
+def test_round_trip(tmp_path_factory: pytest.TempPathFactory, ledger: Ledger) -> None:
+    """To the last bit: last night's model is part of tonight's figures."""
+    output = tmp_path_factory.mktemp("ledger")
+    write_ledger(output, "A", ledger)
+    assert read_ledger(output, "A", HASH) == ledger
+
+
+def test_same_ledger_same_bytes(tmp_path: Path) -> None:
+    backwards = Ledger(HASH, SOME.files, dict(reversed(SOME.nights.items())))
+    for motor, ledger in (("A", SOME), ("B", backwards)):
+        write_ledger(tmp_path, motor, ledger)
+    assert ledger_file(tmp_path, "A").read_bytes() == ledger_file(tmp_path, "B").read_bytes()
+
+
+def test_each_motor_has_its_own(tmp_path: Path) -> None:
+    write_ledger(tmp_path, "A", SOME)
+    assert read_ledger(tmp_path, "B", HASH) == Ledger(HASH)
+    assert [path.name for path in (tmp_path / "ledger").iterdir()] == ["A.json"]
+
+
+def test_other_settings_make_everything_new(tmp_path: Path) -> None:
+    write_ledger(tmp_path, "A", SOME)
+    assert read_ledger(tmp_path, "A", "other") == Ledger("other")
+
+
+def test_none_there(tmp_path: Path) -> None:
+    assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+
+
+class TestDamage:
+    @pytest.fixture
+    def file(self, tmp_path: Path) -> Path:
+        write_ledger(tmp_path, "A", SOME)
+        return ledger_file(tmp_path, "A")
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"",
+            b"null",
+            b"[]",
+            b"{}",
+            b'"text"',
+            b"\xff\xfe",
+            b"\0" * 4096,
+            b"[" * 100_000,
+            json.dumps({"settings_hash": HASH}).encode(),
+            json.dumps({"settings_hash": HASH, "files": [], "nights": {}}).encode(),
+            json.dumps({"settings_hash": HASH, "files": {"a": 1}, "nights": {}}).encode(),
+            json.dumps({"settings_hash": HASH, "files": {}, "nights": {"soon": {}}}).encode(),
+        ],
+        ids=lambda content: content[:20].decode(errors="replace"),
+    )
+    def test_something_else(self, tmp_path: Path, file: Path, content: bytes) -> None:
+        file.write_bytes(content)
+        assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+
+    def test_any_truncation(self, tmp_path: Path, file: Path) -> None:
+        whole = file.read_bytes()
+        for length in range(len(whole) - 1):
+            file.write_bytes(whole[:length])
+            assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+
+    def test_any_flipped_bit(self, tmp_path: Path, file: Path) -> None:
+        """A digit of last night's model that is another one would show in tonight's figures."""
+        whole = file.read_bytes()
+        for place in range(0, 8 * len(whole), 11):
+            flipped = bytearray(whole)
+            flipped[place // 8] ^= 1 << place % 8
+            file.write_bytes(flipped)
+            assert read_ledger(tmp_path, "A", HASH) in (Ledger(HASH), SOME)
+
+    def test_folder_in_its_place(self, tmp_path: Path) -> None:
+        ledger_file(tmp_path, "A").mkdir(parents=True)
+        assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+        with pytest.raises(StoreError):
+            write_ledger(tmp_path, "A", SOME)
+
+    def test_failed_write_leaves_the_old_one(
+        self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def fail(*_: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(Path, "replace", fail)
+        with pytest.raises(StoreError):
+            write_ledger(tmp_path, "A", Ledger(HASH))
+        assert read_ledger(tmp_path, "A", HASH) == SOME
+        assert [path.name for path in file.parent.iterdir()] == [file.name]
+
+
+class TestModelBefore:
+    MODEL = {"none": (1.0, 2.0)}  # noqa: RUF012 - never changed
+
+    def ledger(self, **nights: bool) -> Ledger:
+        """Nights of January by day, and whether they have a model."""
+        return Ledger(
+            HASH,
+            nights={
+                dt.date(2026, 1, int(day[1:])): NightRecord(
+                    "ok" if fitted else "stood_still", {"none": (float(day[1:]),)} if fitted else {}
+                )
+                for day, fitted in nights.items()
+            },
+        )
+
+    def before(self, ledger: Ledger, day: int) -> float | None:
+        model = ledger.model_before(dt.date(2026, 1, day))
+        return model["none"][0] if model else None
+
+    def test_the_night_s_own_model_is_not_before_it(self) -> None:
+        assert self.before(self.ledger(d5=True), 5) is None
+
+    def test_nights_without_a_fit_are_passed_over(self) -> None:
+        ledger = self.ledger(d3=True, d4=False, d5=False)
+        assert self.before(ledger, 6) == 3
+
+    def test_later_nights_do_not_count(self) -> None:
+        assert self.before(self.ledger(d3=True, d9=True), 5) == 3
+
+    def test_the_last_one_whatever_the_order(self) -> None:
+        assert self.before(self.ledger(d4=True, d2=True, d3=True), 8) == 4
+
+    def test_none_before_the_first(self) -> None:
+        assert self.before(Ledger(HASH), 1) is None
+        assert self.before(self.ledger(d3=True), 3) is None
+
+
+@settings(max_examples=20)
+@given(st.binary(max_size=100))
+def test_content_hash(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    path = tmp_path_factory.mktemp("hash") / "log"
+    path.write_bytes(content)
+    assert content_hash(path) == hashlib.sha256(content).hexdigest()
+
+
+def test_content_hash_of_what_cannot_be_read(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "absent"):
+        with pytest.raises(OSError, match="."):
+            content_hash(path)

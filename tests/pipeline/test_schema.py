@@ -1,0 +1,269 @@
+"""Names, types and units of the tables, against the design's list of them."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pipeline.schema import (
+    COUNTS,
+    FITS,
+    NIGHT_TABLES,
+    NUMBERS,
+    PREDICTIONS,
+    PRESSURE_EDGES_BAR,
+    QUALITY,
+    SCHEMA_VERSION,
+    SPEED_EDGES_RPM,
+    STARTS,
+    TABLES,
+    TEMPERATURE_EDGES_C,
+    TIMESTAMP,
+    Column,
+    Table,
+    data_dictionary,
+    frame,
+)
+
+EACH_TABLE = pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
+FIT_KEY = ("motor_id", "night", "flushing_mode")
+# Design 4: key and core columns; others may follow.
+DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
+    "fits": (
+        FIT_KEY,
+        "motor_id motor_type night window_start window_end flushing_mode is_primary status reason "
+        "n_training n_validation training_fit_percent validation_fit_percent "
+        "previous_model_fit_percent training_rmse_l_per_min validation_rmse_l_per_min smoothing_s "
+        "fpe aic aicc bic n_effective cost certificate_gap n_starts n_starts_at_minimum rank "
+        "condition_number reference_leakage_l_per_min reference_leakage_lower "
+        "reference_leakage_upper reference_leakage_systematic reference_verdict "
+        "own_conditions_leakage_l_per_min own_conditions_leakage_lower "
+        "own_conditions_leakage_upper outside_fitted_range",
+    ),
+    "parameters": (
+        (*FIT_KEY, "parameter"),
+        "value unit lower upper systematic feasible_min feasible_max verdict reason "
+        "spread_over_starts",
+    ),
+    "starts": ((*FIT_KEY, "start"), "cost status reason iterations initial_values final_values"),
+    "predictions": (
+        (*FIT_KEY, "time"),
+        "part pressure_difference_bar oil_temperature_c speed_rpm measured_l_per_min "
+        "predicted_l_per_min",
+    ),
+    "quality": (("motor_id", "night", "channel", "reason"), "n_samples n_refused"),
+    "block_statistics": (
+        ("motor_id", "night", "block_start"),
+        "block_end part n statistics columns mean_temperature_c minimum_pressure_bar "
+        "maximum_pressure_bar pressure_histogram minimum_temperature_c maximum_temperature_c "
+        "temperature_histogram minimum_speed_rpm maximum_speed_rpm speed_histogram share_reversed "
+        "n_beyond_curve model_hash",
+    ),
+    "input_files": (
+        ("motor_id", "path"),
+        "size_bytes sha256 rows first_time last_time status error_code message",
+    ),
+    "runs": (("run_id", "started_at"), "status seconds"),
+    "motor_outcomes": (
+        ("run_id", "started_at", "motor_id"),
+        "status error_code message read_s clean_s statistics_s fit_s store_s",
+    ),
+    "data_dictionary": (("table", "column"), "type unit description"),
+}
+# How a unit shows in a column's name.
+SUFFIXES = {
+    "bar": "_bar",
+    "°C": "_c",
+    "rpm": "_rpm",
+    "l/min": "_l_per_min",
+    "s": "_s",
+    "%": "_percent",
+    "B": "_bytes",
+    "MiB": "_mib",
+}
+
+
+@pytest.mark.parametrize("name", DESIGN)
+def test_tables_of_the_design(name: str) -> None:
+    table = next(table for table in TABLES if table.name == name)
+    key, core = DESIGN[name]
+    assert table.key == key
+    assert set(core.split()) <= table.schema.keys()
+
+
+def test_names_of_tables_are_unique() -> None:
+    names = [table.name for table in TABLES]
+    assert len(names) == len(set(names))
+
+
+@EACH_TABLE
+def test_names_of_columns_are_unique_and_plain(table: Table) -> None:
+    names = [column.name for column in table.columns]
+    assert len(names) == len(set(names)) == len(table.schema)
+    assert all(re.fullmatch(r"[a-z][a-z0-9_]*", name) for name in names)
+
+
+@EACH_TABLE
+def test_key_columns_exist(table: Table) -> None:
+    assert set(table.key) <= table.schema.keys()
+    assert len(set(table.key)) == len(table.key) > 0
+
+
+@EACH_TABLE
+def test_every_column_says_what_it_is(table: Table) -> None:
+    assert table.row
+    assert all(column.description for column in table.columns)
+
+
+@EACH_TABLE
+def test_every_row_carries_its_run(table: Table) -> None:
+    if table.name != "data_dictionary":
+        assert "run_id" in table.schema
+
+
+@pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
+def test_rows_of_a_night_can_be_replaced(table: Table) -> None:
+    assert {"motor_id", "night"} <= table.schema.keys()
+    assert table.schema["night"] == pl.Date
+
+
+def in_name(column: Column, table: Table) -> bool:
+    """Whether the unit stands in the name, or in that of the figure that the column goes with."""
+    suffix = SUFFIXES[column.unit]
+    stem = re.sub(r"_(lower|upper|systematic)$", "", column.name)
+    if stem != column.name:
+        return f"{stem}{suffix}" in table.schema
+    return column.name.endswith(suffix) or column.name == "seconds"
+
+
+@EACH_TABLE
+def test_units_stand_in_the_names(table: Table) -> None:
+    for column in table.columns:
+        if column.unit in SUFFIXES:
+            assert in_name(column, table), column.name
+        for unit, suffix in SUFFIXES.items():
+            if column.name.endswith(suffix):
+                assert column.unit == unit, column.name
+
+
+@EACH_TABLE
+def test_times_are_utc_microseconds(table: Table) -> None:
+    for column in table.columns:
+        is_time = isinstance(column.type, pl.Datetime)
+        assert is_time == (column.unit == "UTC"), column.name
+        if is_time:
+            assert column.type == TIMESTAMP == pl.Datetime("us", "UTC")
+
+
+def test_a_name_means_one_thing_in_all_tables() -> None:
+    kinds: dict[str, Column] = {}
+    shared = {"value", "status", "reason", "unit", "column", "columns", "seconds"}
+    for table in TABLES:
+        for column in table.columns:
+            first = kinds.setdefault(column.name, column)
+            if column.name not in shared:
+                assert (column.type, column.unit) == (first.type, first.unit), column.name
+
+
+def test_histogram_edges() -> None:
+    """As the descriptions of their columns say: 20 bar from 0, 5 °C from −20, 10 rpm from 0."""
+    for edges, first, step in (
+        (PRESSURE_EDGES_BAR, 0.0, 20.0),
+        (TEMPERATURE_EDGES_C, -20.0, 5.0),
+        (SPEED_EDGES_RPM, 0.0, 10.0),
+    ):
+        assert edges[0] == first
+        assert set(np.diff(edges)) == {step}
+
+
+class TestFrame:
+    ROW: dict[str, Any] = {  # noqa: RUF012 - never changed
+        "motor_id": "A",
+        "night": dt.date(2026, 1, 2),
+        "channel": "speed",
+        "reason": "gap",
+        "n_samples": 10,
+        "n_refused": 1,
+        "run_id": "r",
+    }
+
+    def test_unknown_column_is_refused(self) -> None:
+        with pytest.raises(ValueError, match="quality has no column n_kept, n_lost"):
+            frame(QUALITY, [self.ROW, self.ROW | {"n_lost": 1, "n_kept": 2}])
+
+    def test_a_column_that_comes_later_is_not_taken(self) -> None:
+        with pytest.raises(ValueError, match="run_id"):
+            frame(QUALITY, [self.ROW], without="run_id")
+        row = {name: value for name, value in self.ROW.items() if name != "run_id"}
+        assert "run_id" not in frame(QUALITY, [row], without="run_id").columns
+
+    @EACH_TABLE
+    def test_no_rows(self, table: Table) -> None:
+        assert frame(table, []).height == 0
+        assert list(frame(table, []).schema) == list(table.schema)
+
+    @EACH_TABLE
+    def test_absent_values_are_null_whatever_the_order(self, table: Table) -> None:
+        """A column that only the last of many rows has."""
+        last = table.columns[-1].name
+        kind = str(table.schema[last])
+        value: Any = 1 if kind == "Int64" else 1.0 if kind == "Float64" else "x"
+        found = frame(table, [{}] * 1000 + [{last: value}])
+        assert dict(found.schema) == dict(pl.Schema(table.schema))
+        assert found[last].to_list() == [None] * 1000 + [value]
+        assert found.drop(last).null_count().row(0) == (1001,) * (len(table.columns) - 1)
+
+    def test_rows_may_come_once(self) -> None:
+        assert frame(QUALITY, iter([self.ROW])).height == 1
+
+    def test_wrong_type_is_refused(self) -> None:
+        for name, value in (("n_samples", "ten"), ("n_samples", np.nan), ("night", "2026-01-02")):
+            with pytest.raises((TypeError, pl.exceptions.PolarsError)):
+                frame(QUALITY, [self.ROW | {name: value}])
+
+    def test_not_a_number_stays_apart_from_null(self) -> None:
+        found = frame(FITS, [{"cost": float("nan")}, {"cost": None}])
+        assert found["cost"].is_nan().to_list() == [True, None]
+
+    def test_numbers_of_numpy_and_whole_ones(self) -> None:
+        found = frame(
+            FITS,
+            [{"cost": 1, "n_training": np.int64(5)}, {"cost": np.float64(0.1), "n_training": 6}],
+        )
+        assert found["cost"].to_list() == [1.0, 0.1]
+        assert found["n_training"].to_list() == [5, 6]
+
+    def test_lists(self) -> None:
+        found = frame(STARTS, [{"initial_values": [1.0, 2.5], "parameters": ["h_o", "e_p"]}])
+        assert found["initial_values"].dtype == NUMBERS
+        assert found["initial_values"].to_list() == [[1.0, 2.5]]
+
+    def test_times_keep_their_microseconds(self) -> None:
+        moment = dt.datetime(2026, 1, 2, 3, 4, 5, 678_901, tzinfo=dt.UTC)
+        found = frame(PREDICTIONS, [{"time": moment}])
+        assert found["time"].to_list() == [moment]
+        assert found["time"].dt.epoch("us").to_list() == [1_767_323_045_678_901]
+
+
+def test_data_dictionary_has_every_column_once() -> None:
+    found = data_dictionary()
+    expected = {(table.name, column.name) for table in TABLES for column in table.columns}
+    assert set(found.select("table", "column").iter_rows()) == expected
+    assert found.height == len(expected)
+    assert found["schema_version"].unique().to_list() == [SCHEMA_VERSION]
+    assert not found.select(pl.any_horizontal(pl.all().is_null()).any()).item()
+    keys = found.filter("in_key").group_by("table").len()
+    assert dict(keys.iter_rows()) == {table.name: len(table.key) for table in TABLES}
+
+
+def test_types_are_named_as_polars_names_them() -> None:
+    types = {row["column"]: row["type"] for row in data_dictionary().iter_rows(named=True)}
+    assert types["night"] == "Date"
+    assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
+    assert types["statistics"] == str(NUMBERS) == "List(Float64)"
+    assert types["speed_histogram"] == str(COUNTS)
