@@ -1,0 +1,1 @@
+"""Slow studies and measurements; `make bench` runs them and writes to `benchmarks/results/`."""

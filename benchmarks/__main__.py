@@ -1,0 +1,25 @@
+"""Run benchmarks by name, or all: `python -m benchmarks [NAME ...]`."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+BENCHMARKS = ("coverage", "demo_run", "model_choices", "multi_start")
+
+
+def main(names: list[str]) -> int:
+    """Run the named benchmarks, one after the other."""
+    strangers = sorted(set(names) - set(BENCHMARKS))
+    if strangers:
+        sys.stderr.write(
+            f"no benchmark {', '.join(strangers)}; there are {', '.join(BENCHMARKS)}\n"
+        )
+        return 2
+    for name in names or BENCHMARKS:
+        importlib.import_module(f"benchmarks.{name}").main()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
