@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 
-BENCHMARKS = ("coverage", "demo_run", "model_choices", "multi_start")
+BENCHMARKS = ("coverage", "demo_run", "demo_truth", "model_choices", "multi_start")
 
 
 def main(names: list[str]) -> int:

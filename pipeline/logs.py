@@ -43,7 +43,13 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
             found.add(spec.log_root / pattern)
         else:
             absent.append(pattern)
-    return {path.relative_to(spec.log_root).as_posix(): path for path in sorted(found)}, absent
+    names = {legible(path.relative_to(spec.log_root).as_posix()): path for path in sorted(found)}
+    return names, absent
+
+
+def legible(text: str) -> str:
+    """Text that tables can hold: bytes of a file's name that are no UTF-8 become their numbers."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
 
 
 def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpec) -> FileRecord:
@@ -125,7 +131,7 @@ def spanned(record: FileRecord, path: Path, spec: MotorSpec) -> FileRecord:
 
 def failed(record: FileRecord, error: LogError) -> FileRecord:
     """The record of a file that cannot be read."""
-    return replace(record, status="failed", error_code=error.code, message=error.message)
+    return replace(record, status="failed", error_code=error.code, message=legible(error.message))
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:

@@ -29,6 +29,7 @@ from pipeline.logs import (
     find_logs,
     inspect_log,
     labels_of,
+    legible,
     place_failed,
     slice_night,
 )
@@ -44,8 +45,8 @@ from pipeline.motor_night import (
 from pipeline.night_rows import Row, utc
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
-from pipeline.schema import NIGHT_TABLES
-from pipeline.store import stage
+from pipeline.schema import FITS, NIGHT_TABLES
+from pipeline.store import night_file, stage
 
 log = logging.getLogger(__name__)
 
@@ -149,7 +150,7 @@ def run_motor(task: MotorTask) -> MotorOutcome:
             return _Nights(task).run()
         except Exception as error:  # the edge of a motor's task: it must not take others down
             log.exception("motor %s failed", task.spec.motor_id)
-            return lost(task, "internal", f"{type(error).__name__}: {error}")
+            return lost(task, "internal", legible(f"{type(error).__name__}: {error}"))
 
 
 def lost(task: MotorTask, code: str, message: str) -> MotorOutcome:
@@ -166,13 +167,24 @@ def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
     return hash_of(dict(items))
 
 
+def _still_published(ledger: Ledger, output: Path) -> Ledger:
+    """A ledger without the nights whose tables somebody removed: they are to be made anew."""
+    gone = {label for label in ledger.nights if not night_file(output, FITS, label).exists()}
+    return replace(
+        ledger,
+        files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
+        nights={label: one for label, one in ledger.nights.items() if label not in gone},
+    )
+
+
 class _Nights:
     """A motor's files and nights while its task works through them."""
 
     def __init__(self, task: MotorTask) -> None:
         self.task = task
         self.spec = task.spec
-        self.before = read_ledger(task.output, task.spec.motor_id, settings_hash(task.spec))
+        remembered = read_ledger(task.output, task.spec.motor_id, settings_hash(task.spec))
+        self.before = _still_published(remembered, task.output)
         self.paths: dict[str, Path] = {}
         self.files: dict[str, FileRecord] = {}
         self.open_logs: OrderedDict[str, RawLog] = OrderedDict()
@@ -287,7 +299,7 @@ class _Nights:
             return fit_night(self.spec, here, channels, before)
         except Exception as error:  # a fault of ours in one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
-            reason = f"{type(error).__name__}: {error}"
+            reason = legible(f"{type(error).__name__}: {error}")
             return unfitted(self.spec, label, FAILED, reason, code="internal")
 
     def _log(self, name: str) -> RawLog | None:

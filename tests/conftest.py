@@ -11,6 +11,11 @@ from pathlib import Path
 from typing import Protocol
 
 import pytest
+from hypothesis import settings
+
+# A busy machine is no fault of the code: speed is for `benchmarks/`.
+settings.register_profile("patient", deadline=None)
+settings.load_profile("patient")
 
 DEMO_NIGHTS = 3
 DEMO_MINUTES = 60.0

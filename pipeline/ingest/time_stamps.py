@@ -247,7 +247,6 @@ def from_arrow_timestamps(stamps: pa.ChunkedArray, zone: str) -> TimeStamps:
     else:
         per_unit = EPOCH_UNITS[f"epoch_{unit}"]
         fits = np.abs(counts.astype(np.float64)) < LATEST_US / per_unit
-        readable &= fits
         time_us = np.where(fits, counts, 0) * per_unit
     return from_naive(time_us, readable, "UTC" if stamps.type.tz else zone)
 

@@ -66,7 +66,7 @@ def test_round_trip(tmp_path_factory: pytest.TempPathFactory, ledger: Ledger) ->
 
 
 def test_same_ledger_same_bytes(tmp_path: Path) -> None:
-    backwards = Ledger(HASH, SOME.files, dict(reversed(SOME.nights.items())))
+    backwards = Ledger(HASH, SOME.files, dict(reversed(list(SOME.nights.items()))))
     for motor, ledger in (("A", SOME), ("B", backwards)):
         write_ledger(tmp_path, motor, ledger)
     assert ledger_file(tmp_path, "A").read_bytes() == ledger_file(tmp_path, "B").read_bytes()
@@ -196,5 +196,5 @@ def test_content_hash(tmp_path_factory: pytest.TempPathFactory, content: bytes) 
 
 def test_content_hash_of_what_cannot_be_read(tmp_path: Path) -> None:
     for path in (tmp_path, tmp_path / "absent"):
-        with pytest.raises(OSError, match="."):
+        with pytest.raises((FileNotFoundError, IsADirectoryError)):
             content_hash(path)

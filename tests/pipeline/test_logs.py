@@ -371,8 +371,8 @@ class TestSliceNight:
     def test_every_sample_is_in_one_night(self, seconds: list[int]) -> None:
         time = [self.HERE.start_us + second * 1_000_000 for second in seconds]
         nights = [night(LABEL + number * DAY, Nights()) for number in range(4)]
-        parts = [self.sliced(time, here) for here in nights]
-        assert sorted(sum(parts, [])) == sorted(time)
+        found = [moment for here in nights for moment in self.sliced(time, here)]
+        assert sorted(found) == sorted(time)
 
     def sliced(self, time: list[int], here: Night) -> list[int]:
         found: list[int] = slice_night([self.log(*time)], here)["speed"].time_us.tolist()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import os
 import pickle
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -474,6 +475,18 @@ def test_a_log_with_hardly_a_row(workshop: Workshop, rows: int) -> None:
     assert statuses[NIGHT] == ("failed" if rows == 0 else "insufficient_data")
 
 
+def test_a_name_that_is_no_utf8_costs_its_night_alone(workshop: Workshop) -> None:
+    workshop.log(NIGHT)
+    broken = workshop.logs / os.fsdecode(b"\xff " + str(NIGHT + DAY).encode() + b".parquet")
+    broken.write_bytes(b"nonsense" * 100)
+    outcome = workshop.run()
+    assert workshop.statuses() == {NIGHT: "ok", NIGHT + DAY: "failed"}
+    assert f"\\udcff {NIGHT + DAY}.parquet" in (outcome.message or "")
+    paths = workshop.rows("input_files")["path"].to_list()
+    assert paths == [f"M1/{NIGHT}.parquet", f"M1/\\udcff {NIGHT + DAY}.parquet"]
+    assert workshop.run().nights == ()
+
+
 # Faults of our own
 
 
@@ -563,6 +576,22 @@ def test_a_damaged_ledger_is_an_empty_one(tmp_path: Path, content: str) -> None:
     (tmp_path / "ledger").mkdir()
     (tmp_path / "ledger" / "M1.json").write_text(content, "utf-8")
     assert read_ledger(tmp_path, "M1", "x") == Ledger("x")
+
+
+def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
+    """The ledger stands beside the tables; it must not speak for tables that are gone."""
+    for day in range(3):
+        workshop.log(NIGHT + day * DAY, seed=day)
+    workshop.run()
+    before = workshop.rows("fits")
+    for path in (workshop.output / "tables").rglob(f"{NIGHT + DAY}.parquet"):
+        path.unlink()
+    # Its fit is the same again, so nothing that looks back on it has to be done.
+    assert workshop.run().nights == (NIGHT + DAY,)
+    assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
+    shutil.rmtree(workshop.output / "tables")
+    assert len(workshop.run().nights) == 3
+    assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
 
 
 def test_settings_hash_is_of_what_shapes_figures(workshop: Workshop) -> None:

@@ -202,8 +202,8 @@ class TestAverage:
         assert present.all()
         assert not silent.any()
         expected = [
-            value[(self.TIME >= point - STEP // 2) & (self.TIME < point + STEP // 2)].mean()
-            for point in self.GRID
+            value[(from_point >= -STEP // 2) & (from_point < STEP // 2)].mean()
+            for from_point in (self.TIME - point for point in self.GRID)
         ]
         np.testing.assert_allclose(got, expected, rtol=1e-12)
 

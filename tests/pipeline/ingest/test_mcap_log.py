@@ -112,16 +112,44 @@ def chunk_record(records: bytes, packed: bytes, compression: str, **wrong: int) 
     return record(0x06, head + struct.pack("<Q", packed_size) + packed)
 
 
-def file_of(*records: bytes, data_end: bytes | None = None, behind: bytes = b"") -> bytes:
-    """A file without summary around some records of its data section."""
+def file_of(
+    *records: bytes,
+    data_end: bytes | None = None,
+    behind: bytes = b"",
+    summary: bytes = b"",
+    checksum: int = 0,
+) -> bytes:
+    """A file around some records of its data section, and of its summary."""
     end = record(0x0F, struct.pack("<I", 0)) if data_end is None else data_end
-    footer = record(0x02, struct.pack("<QQI", 0, 0, 0))
-    header = record(0x01, text("") + text("by hand"))
-    return MAGIC + header + b"".join(records) + end + behind + footer + MAGIC
+    data = MAGIC + record(0x01, text("") + text("by hand")) + b"".join(records) + end + behind
+    footer = record(0x02, struct.pack("<QQI", len(data) if summary else 0, 0, checksum))
+    return data + summary + footer + MAGIC
+
+
+def statistics_record(counts: dict[int, int]) -> bytes:
+    total = sum(counts.values())
+    head = struct.pack("<QHIIIIQQI", total, 0, len(counts), 0, 0, 0, T0_NS, T0_NS, 10 * len(counts))
+    return record(0x0B, head + b"".join(struct.pack("<HQ", *pair) for pair in counts.items()))
 
 
 DP = channel_record(1, "dp")
 ONE = message_record(1, T0_NS, b'{"value": 1}')
+
+
+def test_files_laid_out_by_hand_as_the_specification_says_are_read(tmp_path: Path) -> None:
+    """So that the damaged ones below are damaged in one place each."""
+    summary = DP + statistics_record({1: 2})
+    start = len(file_of(DP, ONE, ONE)) - 37
+    footer = struct.pack("<BQQQ", 0x02, 20, start, 0)
+    checksum = zlib.crc32(summary + footer)
+    for data in (
+        file_of(DP, ONE, ONE),
+        file_of(DP, ONE, ONE, summary=summary),
+        file_of(DP, ONE, ONE, summary=summary, checksum=checksum),
+        file_of(chunk_record(DP + ONE + ONE, DP + ONE + ONE, ""), summary=summary),
+    ):
+        assert read(tmp_path, data).rows == 2
+        assert time_span(tmp_path / "log.mcap", SOURCE) == (T0_US, T0_US)
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])
@@ -257,6 +285,13 @@ def test_what_holds_no_number_is_missing_and_counted(tmp_path: Path, payload: by
     assert channel.unparsed == 1
 
 
+def test_messages_of_many_lines_are_read(tmp_path: Path) -> None:
+    # Three megabytes: longer than what the parser takes at a time, so that it parts some messages.
+    payloads = [json.dumps({"value": i, "unit": "bar"}, indent=16).encode() for i in range(40_000)]
+    channel = pressure(tmp_path, payloads)
+    np.testing.assert_array_equal(channel.value, np.arange(40_000.0))
+
+
 def test_integers_beyond_all_floats_are_not_finite(tmp_path: Path) -> None:
     for sign, value in (("", np.inf), ("-", -np.inf)):
         payload = f'{{"value": {sign}{"9" * 400}}}'.encode()
@@ -265,10 +300,17 @@ def test_integers_beyond_all_floats_are_not_finite(tmp_path: Path) -> None:
 
 
 def test_halves_of_an_object_do_not_make_one_together(tmp_path: Path) -> None:
-    halves = [b'{"value":', b"1}", b'{"value": 2}{"value": 3}', b"", b'{"value": 4}']
-    channel = pressure(tmp_path, halves)
-    np.testing.assert_array_equal(channel.value, [np.nan, np.nan, np.nan, np.nan, 4.0])
-    assert channel.unparsed == 4
+    for one, other in (
+        (b'{"value":', b"1}"),
+        (b'{"value": 2}{"value": 3}', b""),
+        (b'{"value": 1}{"a": {}', b', "value": 2}'),
+        (b'{"a":', b'{"b": 1}, "value": 2}{"value": 3}'),
+        (b'{"value": 1} {"value"', b": 2}"),
+        (b'{"a": "}', b'{", "value": 2}{"value": 3}'),
+    ):
+        channel = pressure(tmp_path, [one, other, b'{"value": 4}'])
+        np.testing.assert_array_equal(channel.value, [np.nan, np.nan, 4.0])
+        assert channel.unparsed == 2
 
 
 def test_an_absent_field_is_missing_but_absent_throughout_it_is_an_error(tmp_path: Path) -> None:
@@ -391,8 +433,18 @@ def test_an_unknown_compression_is_an_error(tmp_path: Path, name: str) -> None:
         file_of(DP, ONE, behind=b"\x05\x01"),
         file_of(DP, ONE)[:-8] + b"\0" + MAGIC,
         MAGIC + MAGIC + bytes(29) + MAGIC,
+        file_of(DP, ONE)[:-37] + b"\x82" + file_of(DP, ONE)[-36:],
+        file_of(DP, ONE, checksum=1),
+        file_of(DP, ONE, summary=DP, checksum=1),
+        file_of(DP, ONE, summary=DP[:-1]),
+        file_of(DP, ONE, summary=record(0x0B, b"short")),
+        file_of(DP, ONE, summary=record(0x04, b"short")),
+        file_of(DP, ONE, summary=statistics_record({1: 2})),
+        file_of(DP, channel_record(2, "dq"), ONE, ONE, summary=statistics_record({1: 1, 2: 1})),
+        file_of(DP, ONE)[:-29] + struct.pack("<QQI", 2**40, 0, 0) + MAGIC,
+        file_of(DP, ONE)[:-29] + struct.pack("<QQI", 3, 0, 0) + MAGIC,
     ],
-    ids=range(20),
+    ids=range(30),
 )
 def test_damage_is_found(tmp_path: Path, data: bytes) -> None:
     assert error(tmp_path, data).code == "log_damaged"

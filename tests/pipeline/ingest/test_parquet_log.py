@@ -254,6 +254,15 @@ def test_damaged_metadata_of_a_column_do_not_end_the_process(tmp_path: Path) -> 
         for reader in (read_log, time_span):
             with suppress(LogError):
                 reader(path, SOURCE)
+        with suppress(LogError):
+            assert read_log(path, SOURCE).rows == pq.read_metadata(path).num_rows
+
+
+def test_text_that_is_no_utf_8_is_damage(tmp_path: Path) -> None:
+    offsets = np.array([0, 20], dtype=np.int32)
+    stamp = b"2025-03-01T06:00:00\xff"
+    cells = pa.StringArray.from_buffers(1, pa.py_buffer(offsets), pa.py_buffer(stamp))
+    assert error(written(tmp_path, {"time": cells, "dp": [1.0]})).code == "log_damaged"
 
 
 def test_malformed_files_of_others_raise_nothing_else(foreign_files: Path) -> None:

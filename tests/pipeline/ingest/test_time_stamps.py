@@ -129,6 +129,9 @@ def test_formats_mean_what_they_mean_to_python(time_format: str, text: str, offs
     stamps = read([f" {text} ", "?", None, text], time_format)
     assert stamps.time_us.tolist() == [T0_US + offset_us, 0, 0, T0_US + offset_us]
     assert stamps.readable.tolist() == [True, False, False, True]
+    in_tokyo = read([text], time_format, "Asia/Tokyo").time_us.tolist()
+    nine_hours = 0 if "%z" in time_format else 9 * 3600 * 1_000_000
+    assert in_tokyo == [T0_US + offset_us - nine_hours]
 
 
 @given(st.lists(moments, min_size=1, max_size=10))
