@@ -37,10 +37,11 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
     found: set[Path] = set()
     absent: list[str] = []
     for pattern in spec.file.logs.files:
-        if GLOB_CHARACTERS & set(pattern):
-            found |= {path for path in spec.log_root.glob(pattern) if not path.is_dir()}
-        elif (spec.log_root / pattern).exists():
+        # A file may be called `a[1].csv`: what exists under its very name is no glob.
+        if (spec.log_root / pattern).exists():
             found.add(spec.log_root / pattern)
+        elif GLOB_CHARACTERS & set(pattern):
+            found |= {path for path in spec.log_root.glob(pattern) if not path.is_dir()}
         else:
             absent.append(pattern)
     names = {legible(path.relative_to(spec.log_root).as_posix()): path for path in sorted(found)}

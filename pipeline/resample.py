@@ -54,7 +54,8 @@ class Samples:
     n_grid
         Samples of the grid between the first and the last of the log.
     n_running
-        Those of them in which the motor ran, away from standstill and its guard times.
+        Those of them that the log covers and in which the motor ran, away from standstill and its
+        guard times; where every channel is silent, nobody knows.
     """
 
     index: Times
@@ -178,9 +179,11 @@ def bring_together(
     values: dict[str, Values] = {}
     present: dict[str, Mask] = {}
     found: list[Quality] = []
+    logged = np.zeros(len(grid), dtype=np.bool_)
     for name, channel in channels.items():
         values[name], present[name], silent = on_grid(channel, grid, period)
         found.append(Quality(name, "gap", len(grid), int(silent.sum())))
+        logged |= ~silent
     if "high_port_pressure" in channels:
         high, low = "high_port_pressure", "low_port_pressure"
         values["pressure_difference"] = values[high] - values[low]
@@ -206,7 +209,7 @@ def bring_together(
             low_pressures_bar={name: values[name][kept] for name in low_pressures},
             period_us=period,
             n_grid=len(grid),
-            n_running=int((~(masks["standstill"] | masks["guard"])).sum()),
+            n_running=int((logged & ~masks["standstill"] & ~masks["guard"]).sum()),
         ),
         tuple(found),
     )

@@ -105,6 +105,12 @@ class TestFind:
         assert found == {}
         assert absent == ["named.csv"]
 
+    def test_a_file_named_like_a_glob_is_the_file(self, spec: MotorSpec, tmp_path: Path) -> None:
+        path = write(tmp_path / "a[1].csv", every_minute())
+        write(tmp_path / "a1.csv", every_minute())
+        found, absent = find_logs(with_files(spec, "a[1].csv"))
+        assert (list(found.values()), absent) == ([path], [])
+
     def test_a_glob_takes_no_folders(self, spec: MotorSpec, tmp_path: Path) -> None:
         (tmp_path / "folder.csv").mkdir()
         assert find_logs(spec) == ({}, [])
