@@ -129,7 +129,9 @@ def settings_hash(spec: MotorSpec) -> str:
     return hash_of(
         {
             "version": FIGURES_VERSION,
-            "motor": spec.file.model_dump(mode="json", exclude={"override"}),
+            "motor": spec.file.model_dump(
+                mode="json", exclude={"override": True, "events": {"__all__": {"note"}}}
+            ),
             "type": spec.motor_type.model_dump(mode="json"),
             "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
             "settings": spec.settings.model_dump(mode="json"),

@@ -44,6 +44,8 @@ WORDS_AND_TOLERANCES = {
     "offset_tolerance",
     "gain_tolerance_percent",
 }
+# Where a channel stands in its log, which says nothing of its values.
+WHERE_IT_STANDS = {"field"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +211,7 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         "oil": spec.oil_on(night).model_dump(exclude=WORDS_AND_TOLERANCES),
         "settings": settings,
         "channels": {
-            name: channel.model_dump(exclude=WORDS_AND_TOLERANCES)
+            name: channel.model_dump(exclude=WORDS_AND_TOLERANCES | WHERE_IT_STANDS)
             for name, channel in spec.file.channels.items()
         },
     }

@@ -7,6 +7,7 @@ memory does not grow with the fleet's history. Data files hold no clock time of 
 from __future__ import annotations
 
 import datetime as dt
+import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -20,6 +21,9 @@ import pyarrow.parquet as pq
 from pipeline.errors import StoreError
 from pipeline.schema import SCHEMA_VERSION, Table, frame
 
+log = logging.getLogger(__name__)
+
+VERSION_KEY = "motor_leakage_schema_version"
 TEMPORARY_PREFIX = ".writing-"
 
 
@@ -60,7 +64,7 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
         ) as table:
             table.write_table(content)
             # Metadata of the schema would be left out with it.
-            table.add_key_value_metadata({"motor_leakage_schema_version": str(SCHEMA_VERSION)})
+            table.add_key_value_metadata({VERSION_KEY: str(SCHEMA_VERSION)})
 
     replace_whole(path, write)
 
@@ -101,12 +105,13 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
     Raises
     ------
     StoreError
-        If the file is damaged.
+        If the file is damaged (``store_read``), or of a newer version of the program
+        (``store_newer``).
     """
     try:
-        rows = pl.from_arrow(
-            pq.read_table(path, page_checksum_verification=True, partitioning=None)
-        )
+        content = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        _require_known_version(path, content)
+        rows = pl.from_arrow(content)
         assert isinstance(rows, pl.DataFrame)
         _require_columns(rows.columns, table)
         absent = [
@@ -120,6 +125,15 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         raise StoreError(
             "store_read", f"{path.name} of {table.name} is damaged: {error}"
         ) from error
+
+
+def _require_known_version(path: Path, content: pa.Table) -> None:
+    """Refuse a file of a newer version of the program: it may hold what this one would lose."""
+    version = int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            "store_newer", f"{path.name} is of schema version {version}; update the program"
+        )
 
 
 def _require_columns(names: Sequence[str], table: Table) -> None:
@@ -191,12 +205,13 @@ def publish_night(
     Raises
     ------
     StoreError
-        If the present file is damaged or the new one cannot be written.
+        If the new file cannot be written. A present one that is damaged is put aside as
+        ``.damaged``; the next run makes the other motors' rows of that night anew.
     """
     path = night_file(output, table, night)
     parts = [frame(table, [])]
-    if path.exists():
-        before = read_table(path, table)
+    before = _present_rows(path, table)
+    if before is not None:
         parts.append(before.filter(~pl.col("motor_id").is_in(list(staged))))
     parts += [
         rows.with_columns(pl.lit(run_id).alias("run_id")).select(table.schema.keys())
@@ -208,6 +223,20 @@ def publish_night(
     elif path.exists():
         path.unlink()
         _flush_folder(path.parent)
+
+
+def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:
+    """Rows of a night's file as it is; None where there is none, or none that can be trusted."""
+    if not path.exists():
+        return None
+    try:
+        return read_table(path, table)
+    except StoreError as error:
+        if error.code != "store_read":
+            raise
+        log.warning("%s; it is put aside, and the next run makes that night anew", error)
+        path.replace(path.with_suffix(".damaged"))
+        return None
 
 
 def publish_run_table(output: Path, table: Table, started: dt.datetime, rows: pl.DataFrame) -> None:

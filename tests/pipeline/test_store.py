@@ -20,6 +20,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from polars.testing import assert_frame_equal
 
+from pipeline import store
 from pipeline.errors import StoreError
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -238,15 +239,26 @@ class TestDamage:
         with pytest.raises(StoreError):
             read_table(tmp_path / "2026-01-02.parquet", QUALITY)
 
-    def test_publishing_over_a_damaged_file_leaves_it_to_be_looked_at(
+    def test_publishing_over_a_damaged_file_puts_it_aside_to_be_looked_at(
         self, tmp_path: Path, file: Path, data: bytes
     ) -> None:
         damaged = data[:500] + b"\0" * 20 + data[520:]
         file.write_bytes(damaged)
-        with pytest.raises(StoreError):
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
+        assert read_table(file, QUALITY)["motor_id"].to_list() == ["A"]
+        aside = file.with_suffix(".damaged")
+        assert aside.read_bytes() == damaged
+        assert sorted(all_files(tmp_path)) == sorted([file.name, aside.name])
+
+    def test_a_file_of_a_newer_version_is_refused_and_stays(
+        self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = file.read_bytes()
+        monkeypatch.setattr(store, "SCHEMA_VERSION", 0)
+        with pytest.raises(StoreError) as refused:
             publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
-        assert file.read_bytes() == damaged
-        assert all_files(tmp_path) == [file.name]
+        assert refused.value.code == "store_newer"
+        assert file.read_bytes() == before
 
 
 class TestSchema:

@@ -426,6 +426,7 @@ def test_an_unknown_compression_is_an_error(tmp_path: Path, name: str) -> None:
         file_of(DP, channel_record(1, "other"), ONE),
         file_of(record(0x04, b"\x01\0\0\0\xff\xff\xff\xff")),
         file_of(record(0x04, b"\x01\0\0\0\x01\0\0\0\xff\x00\0\0\0")),
+        file_of(record(0x04, struct.pack("<HH", 1, 0) + text("dp") + b"\x0a\0\0\0json"), ONE),
         file_of(DP, ONE, data_end=b""),
         file_of(DP, ONE, data_end=record(0x0F, struct.pack("<I", 1))),
         file_of(DP, ONE, struct.pack("<BQ", 0x05, 2**63)),
@@ -444,7 +445,7 @@ def test_an_unknown_compression_is_an_error(tmp_path: Path, name: str) -> None:
         file_of(DP, ONE)[:-29] + struct.pack("<QQI", 2**40, 0, 0) + MAGIC,
         file_of(DP, ONE)[:-29] + struct.pack("<QQI", 3, 0, 0) + MAGIC,
     ],
-    ids=range(30),
+    ids=range(31),
 )
 def test_damage_is_found(tmp_path: Path, data: bytes) -> None:
     assert error(tmp_path, data).code == "log_damaged"
