@@ -89,6 +89,11 @@ def faults_of(error: ValidationError, file: str, prefix: str = "") -> list[Fault
     return [_fault(detail, file, prefix) for detail in error.errors()]
 
 
+def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
+    """A fault at a key: what stands there, and what was expected."""
+    return Fault(file, ".".join(map(str, place)), _quote(given) + message)
+
+
 def _fault(detail: ErrorDetails, file: str, prefix: str) -> Fault:
     parts = [str(part) for part in detail["loc"] if part not in NO_KEYS]
     kind = detail["type"]

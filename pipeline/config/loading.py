@@ -13,9 +13,9 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
-from pipeline.config.faults import ConfigError, Fault, faults_of
+from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
-from pipeline.config.motors import MotorFile
+from pipeline.config.motors import MotorFile, channel_faults
 from pipeline.config.settings import Execution, FleetFile, Folders, Settings
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -146,6 +146,8 @@ def _resolve(
     before = len(faults)
     faults += _misnamed("motors", "motor_id", {name: document})
     faults += _strangers(file, document, types.documents, oils.documents)
+    if name not in motors.parsed:
+        faults += _channel_faults(file, document)
     settings = _settings(document.get("override"), shared, file, faults)
     motor, motor_type = motors.parsed.get(name), types.parsed.get(document.get("motor_type", ""))
     if len(faults) > before or not motor or not settings or not motor_type:
@@ -181,6 +183,16 @@ def _strangers(
         if isinstance(given, str) and given not in known:
             choice = ", ".join(sorted(known)) or "those in its folder, which has none"
             yield Fault(file, key, f"got {json.dumps(given)}; expected one of {choice}")
+
+
+def _channel_faults(file: str, document: Document) -> Iterator[Fault]:
+    """Faults of the channels as a whole; where the file has others, nothing else looks at them."""
+    channels = document.get("channels")
+    if isinstance(channels, dict):
+        tables = {name: part for name, part in channels.items() if isinstance(part, dict)}
+        units = {name: part.get("unit") for name, part in tables.items()}
+        for place, message, given in channel_faults(units):
+            yield fault_at(file, place, message, given)
 
 
 def _settings(override: Any, shared: Document, file: str, faults: list[Fault]) -> Settings | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
@@ -247,25 +247,8 @@ class MotorFile(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> MotorFile:
-        refuse("motor", self._channel_faults())
+        refuse("motor", channel_faults({name: part.unit for name, part in self.channels.items()}))
         return self
-
-    def _channel_faults(self) -> Iterator[tuple[Place, str, object]]:
-        names = set(self.channels)
-        given = ", ".join(sorted(names))
-        ports = {"high_port_pressure", "low_port_pressure"}
-        has_ports = ports <= names
-        if has_ports == ("pressure_difference" in names) or (not has_ports and ports & names):
-            message = "expected pressure_difference, or high_port_pressure and low_port_pressure"
-            yield ("channels",), message, given
-        absent = {"oil_temperature", "speed", "leakage_flow"} - names
-        if absent:
-            yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
-        for name, channel in self.channels.items():
-            units = UNITS[QUANTITIES[name]]
-            if channel.unit not in units:
-                expected = f"expected one of {', '.join(units)}"
-                yield ("channels", name, "unit"), expected, channel.unit
 
     def oil_on(self, night: dt.date) -> str:
         """Name of the oil that the motor runs on in a night."""
@@ -287,3 +270,27 @@ class MotorFile(Section):
             if name in self.channels
         )
         return self.logs.source(channels)
+
+
+def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:
+    """What is wrong with a motor's channels as a whole, whatever is wrong within each.
+
+    Parameters
+    ----------
+    units
+        Unit by channel, as they stand in the file.
+    """
+    names = set(units)
+    given = ", ".join(sorted(names))
+    ports = {"high_port_pressure", "low_port_pressure"}
+    has_ports = ports <= names
+    if has_ports == ("pressure_difference" in names) or (not has_ports and ports & names):
+        message = "expected pressure_difference, or high_port_pressure and low_port_pressure"
+        yield ("channels",), message, given
+    absent = {"oil_temperature", "speed", "leakage_flow"} - names
+    if absent:
+        yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
+    for name, unit in units.items():
+        known = UNITS[QUANTITIES[name]] if name in QUANTITIES else {}
+        if known and isinstance(unit, str) and unit not in known:
+            yield ("channels", name, "unit"), f"expected one of {', '.join(known)}", unit

@@ -29,7 +29,7 @@ LATEST_US = int(datetime(2200, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
 
 _EPOCH = datetime(1970, 1, 1)
 _MICROSECOND = timedelta(microseconds=1)
-_BUCKET_US = 15 * 60 * 1_000_000
+_MINUTE_US = 60 * 1_000_000
 _STEP_BACK_US = 30 * 60 * 1_000_000
 _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
@@ -189,18 +189,18 @@ def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: s
 
 def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Offset from UTC on the first and on the second pass of each local time."""
-    # Since 1990 no zone has changed its offset elsewhere than at a quarter of an hour.
-    buckets, which = np.unique(local // _BUCKET_US, return_inverse=True)
+    # Since 1990 all zones have changed their offset at a whole minute, St. John's at 00:01.
+    minutes, which = np.unique(local // _MINUTE_US, return_inverse=True)
     tz = ZoneInfo(zone)
-    offsets = np.empty((2, buckets.size), dtype=np.int64)
-    for i, bucket in enumerate(buckets.tolist()):
-        wall = _EPOCH + timedelta(microseconds=bucket * _BUCKET_US)
+    offsets = np.empty((2, minutes.size), dtype=np.int64)
+    for i, minute in enumerate(minutes.tolist()):
+        wall = _EPOCH + timedelta(microseconds=minute * _MINUTE_US)
         for fold in (0, 1):
             offset = tz.utcoffset(wall.replace(fold=fold))
             offsets[fold, i] = 0 if offset is None else offset // _MICROSECOND
     if (offsets[1] > offsets[0]).any():
-        bucket = int(buckets[np.argmax(offsets[1] > offsets[0])])
-        wall = _EPOCH + timedelta(microseconds=bucket * _BUCKET_US)
+        minute = int(minutes[np.argmax(offsets[1] > offsets[0])])
+        wall = _EPOCH + timedelta(microseconds=minute * _MINUTE_US)
         raise TimeStampError(
             f"local time {wall:%Y-%m-%d %H:%M} does not exist in zone {zone}: where the logger's "
             "clock does not change over, set time_zone to a fixed one such as Etc/GMT-1"

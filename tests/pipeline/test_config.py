@@ -163,6 +163,14 @@ def test_message_counts_and_names_them(configs: Path) -> None:
     ]
 
 
+def test_a_wrong_unit_is_told_beside_other_faults_of_its_file(configs: Path) -> None:
+    change(configs, MOTOR, 'unit = "rpm"', 'unit = "rmp"')
+    change(configs, MOTOR, "resolution = 0.1", 'resolution = "fine"')
+    found = {fault.key for fault in faults(configs)}
+    assert "channels.speed.unit" in found
+    assert any(key.endswith(".resolution") for key in found)
+
+
 # Single faults: file, key, what was found, what was expected
 
 

@@ -214,22 +214,31 @@ def test_local_time_is_that_of_the_zone(times: list[datetime], zone: str) -> Non
     real = [
         time
         for time in times
-        if time.replace(tzinfo=tz).utcoffset() == time.replace(tzinfo=tz, fold=1).utcoffset()
+        if len({time.replace(tzinfo=tz, fold=fold).utcoffset() for fold in (0, 1)}) == 1
     ]
     naive = np.array([us(time.replace(tzinfo=UTC)) for time in real], dtype=np.int64)
     stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
     assert stamps.time_us.tolist() == [us(time.replace(tzinfo=tz)) for time in real]
 
 
-def test_an_hour_that_comes_twice_goes_on_where_the_clock_steps_back() -> None:
-    # Stockholm, 26 October 2025: at 01:00 UTC the clock goes from 03:00 back to 02:00.
-    start = us(datetime(2025, 10, 25, 23, 30, tzinfo=UTC))
-    utc = start + np.arange(0, 4 * 3600, 7, dtype=np.int64) * 1_000_000
-    tz = ZoneInfo("Europe/Stockholm")
+@pytest.mark.parametrize(
+    ("zone", "start"),
+    [
+        # At 01:00 UTC the clock goes from 03:00 back to 02:00.
+        ("Europe/Stockholm", datetime(2025, 10, 25, 23, 30, tzinfo=UTC)),
+        # At 02:31 UTC the clock goes from 00:01 back to 23:01 of the day before.
+        ("America/St_Johns", datetime(2005, 10, 30, 1, 5, tzinfo=UTC)),
+    ],
+)
+def test_an_hour_that_comes_twice_goes_on_where_the_clock_steps_back(
+    zone: str, start: datetime
+) -> None:
+    utc = us(start) + np.arange(0, 4 * 3600, 7, dtype=np.int64) * 1_000_000
+    tz = ZoneInfo(zone)
     walls = [(EPOCH + int(time) * MICROSECOND).astimezone(tz).replace(tzinfo=None) for time in utc]
     naive = np.array([us(wall.replace(tzinfo=UTC)) for wall in walls])
     assert np.any(np.diff(naive) < 0)
-    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), "Europe/Stockholm")
+    stamps = from_naive(naive, np.ones(naive.size, dtype=np.bool_), zone)
     np.testing.assert_array_equal(stamps.time_us, utc)
 
 
