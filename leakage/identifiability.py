@@ -252,7 +252,7 @@ def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -
             )
     if span < LEAST_PRESSURE_SPAN_BAR:
         return (
-            f"the pressure stayed between {low:.0f} and {high:.0f} bar; a span of "
+            f"the pressure stayed between {low:.4g} and {high:.4g} bar; a span of "
             f"{LEAST_PRESSURE_SPAN_BAR:.0f} bar is needed to tell paths apart"
         )
     return f"{path.name} is lost in the noise of these samples; more running time is needed"

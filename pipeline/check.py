@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
 from pipeline.ledger import FileRecord
 from pipeline.logs import find_logs, labels_of, look_at, spanned
@@ -24,6 +25,8 @@ class MotorCheck:
         Files that cannot be read, and files that are named but absent.
     placeholders
         Whether counts, geometry or curves of the type are placeholders.
+    channels
+        What each channel looks like in the newest log.
     """
 
     motor_id: str
@@ -35,13 +38,15 @@ class MotorCheck:
     last: str | None
     faults: tuple[str, ...]
     placeholders: bool
+    channels: tuple[ChannelCheck, ...]
 
 
 def check_motor(spec: MotorSpec) -> MotorCheck:
-    """Look at the ends of each of a motor's log files; nothing is fitted and nothing written."""
+    """Look at the ends of each of a motor's logs, and into the newest; nothing is written."""
     paths, absent = find_logs(spec)
-    records = [_looked_at(name, path, spec) for name, path in paths.items()]
-    nights = {label for record in records for label in labels_of(record)}
+    records = {name: _looked_at(name, path, spec) for name, path in paths.items()}
+    nights = {label for record in records.values() for label in labels_of(record)}
+    broken = [record for record in records.values() if record.status == "failed"]
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
@@ -50,8 +55,9 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*map(_fault, (r for r in records if r.status == "failed")), *map(_absent, absent)),
+        faults=(*map(_fault, broken), *map(_absent, absent)),
         placeholders=any(path.source == "placeholder" for path in spec.motor_type.path),
+        channels=check_channels(spec, records, paths),
     )
 
 

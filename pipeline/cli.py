@@ -18,6 +18,7 @@ import typer
 from pipeline.errors import LockedError, MotorLeakageError, UsageError
 
 if TYPE_CHECKING:
+    from pipeline.channel_check import ChannelCheck
     from pipeline.check import MotorCheck
     from pipeline.config import Fleet
     from pipeline.fleet import RunResult
@@ -103,6 +104,29 @@ def check(config: ConfigFile, as_json: AsJson = False) -> None:
     else:
         _print_checks(checks)
     raise typer.Exit(EXIT_MOTORS_FAILED if any(one.faults for one in checks) else EXIT_OK)
+
+
+@app.command()
+def explain(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+) -> None:
+    """Say in words why a motor's night has the figures it has, or none.
+
+    Example: motor-leakage explain configs/fleet.toml CB560-01 2026-01-03
+    """
+    from pipeline.explain import explain as explained
+
+    fleet = _load(config, output, None)
+    _known_motors([motor], fleet)
+    label = _night(night, "NIGHT")
+    assert label is not None
+    for line in explained(fleet.output, motor, label):
+        typer.echo(line)
 
 
 @app.command()
@@ -254,6 +278,8 @@ def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
             f"{one.motor_id}: {one.motor_type}, {one.log_format}, {one.n_files} files, "
             f"{one.n_nights} nights{span}, {len(one.faults)} faults"
         )
+        for channel in one.channels:
+            typer.echo(f"  {_channel_line(channel)}")
         for fault in one.faults:
             typer.echo(f"{one.motor_id}: {fault}", err=True)
     types = sorted({one.motor_type for one in checks if one.placeholders})
@@ -262,6 +288,19 @@ def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
             f"{', '.join(types)}: counts, geometry or curves are placeholders; "
             "replace them with the manufacturer's values"
         )
+
+
+def _channel_line(channel: ChannelCheck) -> str:
+    """A channel in a line: rate, typical value, what is missing or refused, what looks wrong."""
+    parts = [f"{channel.channel}:"]
+    parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
+    parts.append("no value," if channel.median is None else f"median {channel.median:.4g},")
+    parts.append(f"{100 * channel.share_missing:.2g} % missing,")
+    parts.append(f"{100 * channel.share_refused:.2g} % refused")
+    rules = ", ".join(f"{name} {100 * share:.2g} %" for name, share in channel.refused_by.items())
+    parts.append(f"({rules})" if rules else "")
+    line = " ".join(part for part in parts if part)
+    return f"{line}; LOOK: {channel.suspicion}" if channel.suspicion else line
 
 
 def _exit_code(error: MotorLeakageError) -> int:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from pipeline.channel_check import ChannelCheck
 from pipeline.check import MotorCheck, check_fleet
 from pipeline.config import load_fleet
 from tests.conftest import OwnFleet
@@ -95,6 +96,7 @@ def test_no_logs_at_all(tmp_path: Path) -> None:
         "last": None,
         "faults": (),
         "placeholders": True,
+        "channels": (),
     }
 
 
@@ -120,3 +122,42 @@ def test_a_whole_night_counts_once_however_many_files(tmp_path: Path) -> None:
         )
     one = checks_of(fleet)["M1"]
     assert (one.n_files, one.n_nights, one.first) == (2, 1, NIGHT.isoformat())
+
+
+def channels_of(fleet: Path, motor: str) -> dict[str, ChannelCheck]:
+    return {one.channel: one for one in checks_of(fleet)[motor].channels}
+
+
+def test_each_channel_of_the_newest_log_is_described(own_fleet: OwnFleet) -> None:
+    channels = channels_of(own_fleet("CB400-01"), "CB400-01")
+    assert set(channels) == {"pressure_difference", "oil_temperature", "speed", "leakage_flow"}
+    for name, one in channels.items():
+        assert one.suspicion == ""
+        assert one.rate_hz == pytest.approx(1.0 if name == "oil_temperature" else 5.0, rel=0.01)
+        assert 0 <= one.share_missing <= one.share_refused < 0.2
+    assert 30 < (channels["oil_temperature"].median or 0) < 70
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "channel"),
+    [
+        ("kPa", "bar", "pressure_difference"),
+        ("K", "degC", "oil_temperature"),
+        ("m3/h", "l/min", "leakage_flow"),
+    ],
+)
+def test_a_wrong_unit_is_suspected_and_the_right_one_named(
+    own_fleet: OwnFleet, right: str, wrong: str, channel: str
+) -> None:
+    fleet = own_fleet("CB1120-01")
+    assert channels_of(fleet, "CB1120-01")[channel].suspicion == ""
+    motor = fleet.parent / "motors" / "CB1120-01.toml"
+    motor.write_text(motor.read_text("utf-8").replace(f'"{right}"', f'"{wrong}"'), "utf-8")
+    assert right in channels_of(fleet, "CB1120-01")[channel].suspicion
+
+
+def test_a_motor_without_a_readable_log_has_no_channels(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB400-02")
+    for path in (fleet.parent.parent / "logs" / "CB400-02").iterdir():
+        path.write_bytes(b"nonsense")
+    assert checks_of(fleet)["CB400-02"].channels == ()
