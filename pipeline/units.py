@@ -165,6 +165,38 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
     return readings
 
 
+def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
+    """Readings of a channel in a unit of a log: the inverse of `to_canonical`.
+
+    Parameters
+    ----------
+    channel
+        One of `CHANNELS`.
+    values : (n,)
+        Readings in bar, °C, rpm or l/min.
+    unit
+        One of `UNITS` for the channel's quantity.
+
+    Returns
+    -------
+    (n,) float64
+        Readings [unit].
+
+    Raises
+    ------
+    UsageError
+        ``channel_unknown`` or ``unit_unknown``.
+
+    Examples
+    --------
+    >>> from_canonical("oil_temperature", [0.0, 100.0], "degF")
+    array([ 32., 212.])
+    """
+    numerator, denominator, shift = conversion(channel, unit)
+    readings = np.array(values, dtype=np.float64)
+    return readings * denominator / numerator - shift
+
+
 def _quantity(channel: str) -> str:
     if channel not in QUANTITIES:
         raise UsageError("channel_unknown", f"channel {channel!r} is none of {', '.join(CHANNELS)}")

@@ -6,21 +6,19 @@ and judges nothing but the file itself; whether a sample is plausible is for the
 
 Codes of the `LogError` that readers raise:
 
-================== ==========================================================================
-``log_missing``    there is no such file
-``log_not_readable`` not a file, or it may not be opened
-``log_empty``      the file has no bytes, or, where a time span was asked for, no samples
-``log_not_csv``, ``log_not_parquet``, ``log_not_mcap`` it is something else
-``log_encoding``   the text is in another encoding, or MCAP messages are not JSON
-``log_compression`` chunks of an MCAP file are compressed in a way that is not known
-``log_truncated``  the end of the file is missing
-``log_damaged``    a checksum, a length or a count contradicts what is there
-``log_column_missing`` a column, a topic or a field is not there; the message says which are
-``log_column_twice`` two columns have the name that is asked for
-``log_type``       a channel holds something else than numbers
-``log_time``       time stamps cannot be read as the source says
-``log_too_large``  more than a reader takes into memory
-================== ==========================================================================
+- ``log_missing``: there is no such file;
+- ``log_not_readable``: not a file, or it may not be opened;
+- ``log_empty``: the file has no bytes or no header, or it has no samples and a span was asked for;
+- ``log_not_csv``, ``log_not_parquet``, ``log_not_mcap``: it is something else;
+- ``log_encoding``: the text is in another encoding, or MCAP messages are not JSON;
+- ``log_compression``: chunks of an MCAP file are compressed in a way that is not known;
+- ``log_truncated``: the end of the file is missing;
+- ``log_damaged``: a checksum, a length or a count contradicts what is there;
+- ``log_column_missing``: a column, topic or field is not there; the message says which are;
+- ``log_column_twice``: two columns have the name that is asked for;
+- ``log_type``: a channel holds something else than numbers;
+- ``log_time``: time stamps cannot be read as the source says;
+- ``log_too_large``: more than a reader takes into memory.
 """
 
 from __future__ import annotations

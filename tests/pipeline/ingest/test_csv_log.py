@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -303,6 +304,11 @@ def test_seconds_with_a_decimal_comma(tmp_path: Path) -> None:
 @pytest.mark.parametrize("data", [b"\n\n\n", b"   \n", b"\xef\xbb\xbf"])
 def test_a_file_without_a_header_is_empty(tmp_path: Path, data: bytes) -> None:
     assert error(tmp_path, data).code in {"log_empty", "log_column_missing"}
+
+
+def test_a_packed_file_is_no_text(tmp_path: Path) -> None:
+    rows = f"time,dp,n\n{DAY}0Z,1,2\n".encode()
+    assert error(tmp_path, gzip.compress(rows, mtime=0)).code == "log_not_csv"
 
 
 def test_a_header_that_is_cut_is_told(tmp_path: Path) -> None:
