@@ -130,6 +130,32 @@ def explain(
 
 
 @app.command()
+def fit(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+) -> None:
+    """Fit one motor's night from its logs and say what came of it; nothing is published.
+
+    Example: motor-leakage fit configs/fleet.toml CB560-01 2026-01-03
+    """
+    from tempfile import TemporaryDirectory
+
+    from pipeline.explain import explain as explained
+    from pipeline.fleet import RunRequest, run_fleet
+
+    label = _night(night, "NIGHT")
+    assert label is not None
+    with TemporaryDirectory() as folder:
+        fleet = _load(config, Path(folder), None)
+        request = RunRequest(fleet, _known_motors([motor], fleet), since=label, until=label)
+        result = run_fleet(request)
+        for line in explained(fleet.output, motor, label):
+            typer.echo(line)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+@app.command()
 def demo(
     folder: Annotated[Path, typer.Argument(help="Folder to write; it is made.")],
     nights: Annotated[int, typer.Option(min=1, help="Nights of logs.")] = 75,

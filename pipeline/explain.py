@@ -79,8 +79,8 @@ def _headline(motor_id: str, night: dt.date, fit: Row) -> str:
     if fit["status"] == "ok":
         window = f"{fit['window_start']:%Y-%m-%d %H:%M} to {fit['window_end']:%Y-%m-%d %H:%M} UTC"
         return f"{motor_id}, night of {night}: fitted, {window}, flushing {fit['flushing_mode']}"
-    code = f" ({fit['error_code']})" if fit["error_code"] else ""
-    return f"{motor_id}, night of {night}: {fit['status']}{code}: {fit['reason']}"
+    failure = f" ({fit['error_code']})" if fit["error_code"] else ""
+    return f"{motor_id}, night of {night}: {fit['status']}{failure}: {fit['reason']}"
 
 
 def _files(rows: list[Row]) -> Iterator[str]:

@@ -334,6 +334,23 @@ def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
     assert broken.name in err
 
 
+# One night
+
+
+def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> None:
+    before = {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")}
+    code, out, err = call("fit", fleet, CSV, "2026-01-03")
+    assert (code, err) == (0, "")
+    assert out.startswith(f"{CSV}, night of 2026-01-03: fitted")
+    assert {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")} == before
+
+
+def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) -> None:
+    code, out, err = call("fit", fleet, CSV, "2020-01-03")
+    assert (code, out) == (2, "")
+    assert "2020-01-03" in err
+
+
 # Help
 
 
