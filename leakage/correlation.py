@@ -63,7 +63,8 @@ def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) 
     Returns
     -------
     float
-        0 for errors without memory; `longest_lag` where it is longer than that.
+        0 for errors without memory; infinite where it is longer than `longest_lag`, or than the
+        series can tell.
 
     Notes
     -----
@@ -77,19 +78,53 @@ def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) 
     """
     rho = autocorrelation(values, index, longest_lag)
     n = len(values)
+    # Of every second sample there is no pair at lag one: the first lag there is stands in.
+    lags = np.flatnonzero(np.isfinite(rho[1:])) + 1
     # Below the band of white noise there is no memory to measure.
-    if not rho[1] > 2.576 / math.sqrt(n):
+    if not len(lags) or not rho[lags[0]] > 2.576 / math.sqrt(n):
         return 0.0
-    below = np.flatnonzero(~(rho[1:] > rho[1] / math.e))
+    start = float(rho[lags[0]])
+    below = np.flatnonzero(rho[lags] <= start / math.e)
     if not len(below):
-        return float(longest_lag)
-    lag = int(below[0]) + 1
-    if not np.isfinite(rho[lag]):
-        return float(longest_lag)
+        return math.inf
+    before, lag = lags[below[0] - 1], lags[below[0]]
     # Linear in the logarithm between the last lag above and the first below.
-    above, under = rho[lag - 1], max(float(rho[lag]), 1e-12)
-    share = math.log(above * math.e / rho[1]) / math.log(above / under)
-    found = lag - 2 + share
+    above, under = float(rho[before]), max(float(rho[lag]), 1e-12)
+    share = math.log(above * math.e / start) / math.log(above / under)
+    found = before - lags[0] + share * (lag - before)
     # Removing the mean of n samples lowers an autoregression's coefficient by 4/n of a lag.
     rate = 1.0 / max(found, 1e-12) - 4.0 / n
-    return min(1.0 / rate, float(longest_lag)) if rate > 0 else float(longest_lag)
+    return 1.0 / rate if rate > 0 else math.inf
+
+
+def slowest_correlation_time(
+    values: Array, index: NDArray[np.int64], longest_lag: int, cell: int
+) -> float:
+    """The longer of the correlation times of a series and of its means over cells [samples].
+
+    A slow error under a larger fast one falls to 1/e with the fast one; in means over cells that
+    are long against the fast one, the slow one is left.
+
+    Parameters
+    ----------
+    values, index, longest_lag
+        As for :func:`autocorrelation`.
+    cell
+        Length of a cell [samples].
+
+    Returns
+    -------
+    float
+        As from :func:`correlation_time`.
+    """
+    fast = correlation_time(values, index, longest_lag)
+    number, first = np.unique(index // cell, return_index=True)
+    if len(number) < 4 or cell < 2:
+        return fast
+    sizes = np.diff(np.append(first, len(values)))
+    whole = sizes >= cell / 2
+    means = np.add.reduceat(values, first)[whole] / sizes[whole]
+    longest = min(longest_lag // cell, int(whole.sum()) // 4)
+    if longest < 2:
+        return fast
+    return max(fast, cell * correlation_time(means, number[whole], longest))

@@ -98,12 +98,15 @@ class Source:
         Its stated size.
     disturbed
         The window as it would be with that error.
+    sign
+        −1 where the error can only be put on downwards.
     """
 
     name: str
     tolerance: float
     unit: str
     disturbed: Callable[[Window], Window]
+    sign: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,28 +189,44 @@ def error_budget(
         If a disturbed temperature leaves the range of Walther's equation.
     """
     window = Window(motor, conditions, flow_l_per_min)
-    undisturbed = _figures(window, at)
+    undisturbed, off_bounds = _figures(window, at, None)
     effects = []
     for source in _sources(motor, tolerances):
-        disturbed = _figures(source.disturbed(window), at)
+        disturbed, _ = _figures(source.disturbed(window), at, off_bounds)
         effects.append(
             Effect(
                 source,
-                disturbed.coefficients - undisturbed.coefficients,
-                disturbed.leakages_l_per_min - undisturbed.leakages_l_per_min,
+                source.sign * (disturbed.coefficients - undisturbed.coefficients),
+                source.sign * (disturbed.leakages_l_per_min - undisturbed.leakages_l_per_min),
             )
         )
     return ErrorBudget(tuple(effects))
 
 
-def _figures(window: Window, at: Sequence[OperatingConditions]) -> Figures:
+def _figures(
+    window: Window, at: Sequence[OperatingConditions], off_bounds: NDArray[np.bool_] | None
+) -> tuple[Figures, NDArray[np.bool_]]:
+    """Figures of a window, and which coefficients are off their bounds.
+
+    A disturbed window is fitted without bounds, those that were on one held there: cut at a bound,
+    the effect on one coefficient would be moved to the others.
+    """
     motor = window.motor
     z = np.column_stack([regressors(motor, window.conditions), window.flow_l_per_min])
-    bounds = Parametrisation.of(motor).coefficient_bounds()
-    theta = certify(factor(z), *bounds).coefficients
+    r = factor(z)
+    lower, upper = Parametrisation.of(motor).coefficient_bounds()
+    certificate = certify(r, lower, upper)
+    theta = certificate.coefficients.copy()
+    if off_bounds is not None:
+        held = np.where(certificate.at_upper, upper, lower)
+        theta = np.where(off_bounds, 0.0, held)
+        columns = r[:, :-2]
+        scale = np.linalg.norm(columns[:, off_bounds], axis=0)
+        target = r[:, -1] - r[:, -2] - columns @ theta
+        theta[off_bounds] = np.linalg.lstsq(columns[:, off_bounds] / scale, target)[0] / scale
     rows = [regressors(motor, conditions)[0] for conditions in at]
     leakages = [float(row[:-2] @ theta[:-1] + row[-1]) for row in rows]
-    return Figures(theta, np.array(leakages))
+    return Figures(theta, np.array(leakages)), certificate.off_bounds
 
 
 def _sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
@@ -229,7 +248,9 @@ def _sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
         yield Source("density", tolerances.density, "1", _density(tolerances.density))
     if tolerances.film_pressure_share and motor.film_pressure.model == "thesis":
         step = tolerances.film_pressure_share
-        yield Source("film pressure share", step, "1", _film_pressure(step))
+        # A share lies within 0 and 1: at the upper end the step goes down.
+        sign = 1.0 if motor.film_pressure.share + step <= 1.0 else -1.0
+        yield Source("film pressure share", step, "1", _film_pressure(sign * step), sign)
     if tolerances.charge_pressure_bar:
         bar = tolerances.charge_pressure_bar
         yield Source("charge pressure", bar, "bar", _charge(bar))
@@ -342,9 +363,7 @@ def _density(share: float) -> Disturbance:
 def _film_pressure(step: float) -> Disturbance:
     def disturbed(window: Window) -> Window:
         film = window.motor.film_pressure
-        # A share lies within 0 and 1: at the upper end the step goes down.
-        share = film.share + step if film.share + step <= 1.0 else film.share - step
-        changed = replace(film, share=max(share, 0.0))
+        changed = replace(film, share=max(film.share + step, 0.0))
         return window._replace(motor=replace(window.motor, film_pressure=changed))
 
     return disturbed

@@ -112,10 +112,32 @@ class ClusterRobust:
         weights = self._weights(contrast)
         if weights is None:
             return None
+        if not weights.any():
+            return Interval(0.0, 0.0, float(max(self.n_blocks - 1, 1)))
         standard_error = float(np.sqrt(np.sum((self._scores @ weights) ** 2)))
         freedom = self._degrees_of_freedom(weights)
         quantile = float(stdtrit(freedom, 0.5 + level / 2))
         return Interval(quantile * standard_error, standard_error, freedom)
+
+    def largest_block_share(self, contrast: Array) -> float:
+        """Share of what the samples say of a combination that rests on one single block.
+
+        Parameters
+        ----------
+        contrast
+            As for :meth:`interval`.
+
+        Returns
+        -------
+        float
+            Between 1/b and 1; 1 where the combination does not lie in what the samples span.
+        """
+        weights = self._weights(contrast)
+        if weights is None:
+            return 1.0
+        shares = np.einsum("i,bij,j->b", weights, self._leverage, weights)
+        total = float(shares.sum())
+        return float(shares.max()) / total if total > 0 else 0.0
 
     def covariance(self) -> Array:
         """Covariance of the active coefficients, shape (k, k), in their units."""
@@ -161,7 +183,7 @@ class ClusterRobust:
 
 
 def cluster_robust(
-    factors: Array, coefficients: Array, active: NDArray[np.bool_]
+    factors: Array, coefficients: Array, active: NDArray[np.bool_], inflation: float = 1.0
 ) -> ClusterRobust | None:
     """Distribution of the estimates from the blocks of the training samples.
 
@@ -172,7 +194,10 @@ def cluster_robust(
     coefficients
         θ of the fit, shape (p + 1,).
     active
-        Coefficients that have a distribution: off their bounds and not fixed; shape (p + 1,).
+        Coefficients that have a distribution, such as those that are not fixed; shape (p + 1,).
+    inflation
+        Factor on all standard errors; that of robust weights, which are estimates themselves
+        (:func:`leakage.robust.weight_inflation`).
 
     Returns
     -------
@@ -207,7 +232,7 @@ def cluster_robust(
         _to_basis=to_basis,
         _leverage=leverage,
         _inverse_root=inverse_root,
-        _scores=np.einsum("bij,bj->bi", inverse_root, scores),
+        _scores=inflation * np.einsum("bij,bj->bi", inverse_root, scores),
     )
 
 
@@ -264,7 +289,7 @@ def block_bootstrap(
     generator
         Source of the draws.
     resamples
-        Number of draws.
+        Number of draws; 0 for none.
     level
         Coverage.
 
@@ -276,7 +301,7 @@ def block_bootstrap(
     nothing = np.full(len(coefficients), np.nan)
     filled = factors[np.sum(factors[:, :, -3] ** 2, axis=1) > 0.5]
     distribution = cluster_robust(filled, coefficients, active)
-    if distribution is None or len(distribution._basis) < int(active.sum()):
+    if not resamples or distribution is None or len(distribution._basis) < int(active.sum()):
         return Bootstrap(nothing, nothing.copy())
     to_basis = distribution._to_basis / distribution._scale
     orthonormal = filled[:, :, :-2][:, :, active] @ to_basis.T

@@ -140,7 +140,10 @@ def _leakage(fit: Row) -> Iterator[str]:
         f"{fit['own_pressure_bar']:.0f} bar, {fit['own_temperature_c']:.1f} °C, "
         f"{fit['own_speed_rpm']:.0f} rpm"
     )
-    yield f"leakage at the night's own mean ({own}): {_figure(fit, 'own_conditions_leakage')}"
+    if fit["own_conditions_leakage_l_per_min"] is None:
+        yield f"no leakage at the night's own mean ({own}): {fit['own_conditions_reason']}"
+    else:
+        yield f"leakage at the night's own mean ({own}): {_figure(fit, 'own_conditions_leakage')}"
 
 
 def _figure(fit: Row, name: str) -> str:

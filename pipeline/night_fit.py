@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Fit, LeakageError, OperatingConditions, SearchSettings, fit
-from leakage.correlation import correlation_time
+from leakage.correlation import slowest_correlation_time
 from leakage.identifiability import (
     Excitation,
     Identification,
@@ -19,7 +19,7 @@ from leakage.identifiability import (
     judge_leakage,
 )
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
-from leakage.uncertainty import Bootstrap, block_bootstrap
+from leakage.uncertainty import Bootstrap, block_bootstrap, lengthened
 from pipeline.config import MotorSpec
 from pipeline.night_statistics import NightStatistics, condition
 from pipeline.windows import TRAINING
@@ -28,6 +28,10 @@ Array = NDArray[np.float64]
 
 # Longest memory of the errors that is looked for; beyond it there are no intervals.
 LONGEST_MEMORY_S = 600.0
+# Errors below this share of the flow are rounding.
+ROUNDING = 1e-9
+# Means over this time show a slow error under a larger fast one.
+MEMORY_CELL_S = 30.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +72,12 @@ class FittedMode:
 
 
 def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
-    """Mean pressure difference [bar], temperature [°C] and speed [rpm], as magnitudes."""
-    samples = statistics.samples
+    """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the training samples."""
+    samples, rows = statistics.samples, statistics.rows_of(TRAINING)
     return (
-        float(np.abs(samples.pressure_difference_bar).mean()),
-        float(samples.oil_temperature_c.mean()),
-        float(np.abs(samples.speed_rpm).mean()),
+        float(np.abs(samples.pressure_difference_bar[rows]).mean()),
+        float(samples.oil_temperature_c[rows].mean()),
+        float(np.abs(samples.speed_rpm[rows]).mean()),
     )
 
 
@@ -119,7 +123,7 @@ def _fit_mode(
     rows = statistics.rows_of(TRAINING)
     error = statistics.z[rows] @ -np.concatenate([fitted.coefficients, (1.0, -1.0)])
     excitation = _excitation(statistics, rows, error)
-    identification = identify(fitted, training, excitation)
+    identification = identify(fitted, training, excitation, statistics.inflation)
     return FittedMode(
         name=mode,
         fit=fitted,
@@ -130,9 +134,9 @@ def _fit_mode(
         reference=judge_leakage(fitted, identification, excitation, at[0]),
         own=judge_leakage(fitted, identification, excitation, at[1]),
         bootstrap=block_bootstrap(
-            training,
+            lengthened(training, excitation.blocks_to_merge),
             fitted.coefficients,
-            fitted.certificate.off_bounds,
+            ~fitted.certificate.fixed,
             generator,
             resamples=estimation.bootstrap_resamples,
         ),
@@ -144,9 +148,12 @@ def _excitation(statistics: NightStatistics, rows: NDArray[np.bool_], error: Arr
     samples = statistics.samples
     period_s = samples.period_us / 1e6
     longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
-    memory = (
-        correlation_time(error, samples.index[rows], longest) * period_s if longest > 1 else 0.0
-    )
+    memory = 0.0
+    # Without noise the errors are rounding, and what rounding remembers is nothing.
+    noisy = float(np.abs(error).max()) > ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
+    if longest > 1 and noisy:
+        cell = round(MEMORY_CELL_S / period_s)
+        memory = slowest_correlation_time(error, samples.index[rows], longest, cell) * period_s
 
     def limits(values: Array) -> tuple[float, float]:
         return float(values.min()), float(values.max())

@@ -183,11 +183,11 @@ def _mode_columns(
     """Figures of one fit."""
     certificate, fit = mode.fit.certificate, mode.fit
     resolution = spec.file.channels["leakage_flow"].resolution
-    training = agreement(statistics.factor_of(TRAINING), fit.coefficients, resolution)
-    validation = agreement(statistics.factor_of(VALIDATION), fit.coefficients, resolution)
+    training = agreement(statistics.judged_on(TRAINING), fit.coefficients, resolution)
+    validation = agreement(statistics.judged_on(VALIDATION), fit.coefficients, resolution)
     before = None
     if previous is not None and len(previous) == len(fit.coefficients):
-        before = agreement(statistics.factor_of(), np.array(previous), resolution).fit_percent
+        before = agreement(statistics.judged_on(), np.array(previous), resolution).fit_percent
     condition = certificate.condition_number
     return {
         "training_fit_percent": training.fit_percent,
@@ -218,8 +218,10 @@ def _criteria_columns(statistics: NightStatistics, mode: FittedMode, n: int) -> 
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
     phi = lag_one_autocorrelation(mode.error, consecutive)
     effective = effective_sample_count(len(mode.error), phi)
-    figures = criteria(cost, d, n)
-    honest = criteria(cost, d, effective or 0.0)
+    # The criteria are those of a squared loss: a robust one has none of them.
+    squared = statistics.inflation == 1.0
+    figures = criteria(cost, d, n if squared else 0)
+    honest = criteria(cost, d, (effective or 0.0) if squared else 0.0)
     return {
         "n_parameters": d,
         "n_effective": effective,
@@ -239,7 +241,8 @@ def _leakage_columns(mode: FittedMode) -> Row:
     reference, own = mode.reference, mode.own
     identified = reference.verdict in ("identified", "fixed")
     systematic = mode.budget.leakages_l_per_min()
-    own_range = _limits(own.leakage_l_per_min, own.interval)
+    own_identified = own.verdict in ("identified", "fixed")
+    own_range = _limits(own.leakage_l_per_min, own.interval if own_identified else None)
     range_ = _limits(reference.leakage_l_per_min, reference.interval if identified else None)
     return {
         "reference_leakage_l_per_min": reference.leakage_l_per_min if identified else None,
@@ -251,10 +254,14 @@ def _leakage_columns(mode: FittedMode) -> Row:
         "reference_verdict": reference.verdict,
         "reference_reason": reference.reason or None,
         "outside_fitted_range": reference.verdict == "outside_fitted_range",
-        "own_conditions_leakage_l_per_min": own.leakage_l_per_min,
+        "own_conditions_leakage_l_per_min": own.leakage_l_per_min if own_identified else None,
         "own_conditions_leakage_lower": own_range[0],
         "own_conditions_leakage_upper": own_range[1],
-        "own_conditions_leakage_systematic": None if systematic is None else float(systematic[1]),
+        "own_conditions_leakage_systematic": (
+            float(systematic[1]) if own_identified and systematic is not None else None
+        ),
+        "own_conditions_verdict": own.verdict,
+        "own_conditions_reason": own.reason or None,
     }
 
 

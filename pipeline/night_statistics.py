@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, Parametrisation, regressors
 from leakage.block_statistics import factors, merge
-from leakage.robust import huber_weights
+from leakage.robust import huber_weights, weight_inflation
 from pipeline.config import MotorSpec
 from pipeline.nights import Night
 from pipeline.resample import Samples
@@ -63,7 +63,11 @@ class NightStatistics:
     blocks
         Blocks as they are stored.
     factors
-        Triangular factor of each, shape (b, c, c).
+        Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
+    plain_factors
+        The same without weights: what a fit is judged on.
+    inflation
+        Factor on standard errors that robust weights ask for; 1 without them.
     model_hash
         Hash of all that shaped them.
     """
@@ -73,17 +77,24 @@ class NightStatistics:
     z: Array
     blocks: tuple[Block, ...]
     factors: Array
+    plain_factors: Array
+    inflation: float
     model_hash: str
 
-    def factors_of(self, part: str | None = None) -> Array:
-        """Factors of the blocks of a part, or of all, as stored and in time order."""
-        chosen = [part is None or block.part == part for block in self.blocks]
+    def factors_of(self, part: str) -> Array:
+        """Factors of the blocks of a part, as stored and in time order."""
+        chosen = [block.part == part for block in self.blocks]
         found: Array = self.factors[np.array(chosen, dtype=bool)]
         return found
 
-    def factor_of(self, part: str | None = None) -> Array:
-        """Factor of all blocks of a part, or of the whole night."""
+    def factor_of(self, part: str) -> Array:
+        """Factor of all blocks of a part."""
         return merge(self.factors_of(part))
+
+    def judged_on(self, part: str | None = None) -> Array:
+        """Factor of the samples of a part as they are, or of the whole night."""
+        chosen = [part is None or block.part == part for block in self.blocks]
+        return merge(self.plain_factors[np.array(chosen, dtype=bool)])
 
     def parts(self) -> NDArray[np.str_]:
         """Part of each kept sample, shape (n,)."""
@@ -133,20 +144,25 @@ def night_statistics(
     z = smooth(z, samples.index, number, samples.period_us, settings.smoothing)
     stored = merge_neighbours(short, settings.windows.maximum_blocks)
     borders = np.array([*(block.first_row for block in stored), len(z)])
-    weighted = z
+    plain = factors(z, borders)
+    made, inflation = plain, 1.0
     if settings.estimation.loss == "huber":
         training = np.repeat(
             [block.part == TRAINING for block in stored], [block.n for block in stored]
         )
-        weighted = z.copy()
         bounds = Parametrisation.of(motor).coefficient_bounds()
-        weighted[training] *= np.sqrt(huber_weights(z[training], *bounds))[:, None]
+        weights = huber_weights(z[training], *bounds)
+        weighted = z.copy()
+        weighted[training] *= np.sqrt(weights)[:, None]
+        made, inflation = factors(weighted, borders), weight_inflation(weights)
     return NightStatistics(
         samples=samples,
         conditions=conditions,
         z=z,
         blocks=stored,
-        factors=factors(weighted, borders),
+        factors=made,
+        plain_factors=plain,
+        inflation=inflation,
         model_hash=model_hash(spec, motor, night.date),
     )
 

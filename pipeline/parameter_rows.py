@@ -12,6 +12,7 @@ from leakage import (
     AnnularGap,
     Fit,
     LeakagePath,
+    Parameter,
     Parametrisation,
     film_thickness_ratio,
     path_flows_l_per_min,
@@ -27,7 +28,7 @@ Row = dict[str, Any]
 
 MICROMETRE = 1e-6
 # A share is identified where it is known to this much of the whole, or to half of itself.
-WIDEST_SHARE = 0.05
+WIDEST_SHARE = 0.02
 
 
 def parameter_rows(spec: MotorSpec, mode: FittedMode) -> list[Row]:
@@ -84,26 +85,50 @@ def _gap_rows(
     spec: MotorSpec, path: AnnularGap, coefficient: Row, spreads: Mapping[str, float]
 ) -> list[Row]:
     """What a loss factor says of gap height, eccentricity and film thickness."""
-    low, high = path.feasible_gap_um(coefficient["value"])
-    e = path.eccentricity
-    e_low, e_high = (0.0, 0.0) if e is None else (e.lowest, e.highest)
+    h_range, e_range = _feasible(path, coefficient["value"])
     roughness = [um * MICROMETRE for um in spec.motor_type.surface_roughness_um]
     films = film_thickness_ratio(
-        np.array([low, high]) * MICROMETRE, np.array([e_high, e_low]), *roughness
+        np.array(h_range) * MICROMETRE, np.array(e_range)[::-1], *roughness
     ).tolist()
-    gap = _range_row(f"h_{path.name}", "um", low, high)
-    film = _range_row(f"film_thickness_ratio_{path.name}", "1", films[0], films[1])
+    gap = _range_row(f"h_{path.name}", "um", *h_range)
+    film = _range_row(f"film_thickness_ratio_{path.name}", "1", *films)
     rows = [gap, film]
-    if e is not None:
-        rows.insert(1, _range_row(f"e_{path.name}", "1", e_low, e_high))
+    if path.eccentricity is not None:
+        rows.insert(1, _range_row(f"e_{path.name}", "1", *e_range))
     for row in rows:
         row["spread_over_starts"] = spreads.get(row["parameter"])
         row |= _gap_verdict(path, coefficient)
-    if "lower" in coefficient and e_low == e_high:
+    e_is_known = e_range[0] == e_range[1]
+    if "lower" in coefficient and e_is_known and _is_free(path.gap):
         # Alone in its loss factor, a gap is known as well as that: h goes with its cube root.
         limits = np.maximum([coefficient["lower"], coefficient["upper"]], 0.0)
-        gap["lower"], gap["upper"] = path.gap_um_from_coefficient(limits, e_low).tolist()
+        gap["lower"], gap["upper"] = path.gap_um_from_coefficient(limits, e_range[0]).tolist()
     return rows
+
+
+def _is_free(parameter: Parameter) -> bool:
+    return parameter.lowest < parameter.highest
+
+
+def _feasible(
+    path: AnnularGap, coefficient_m3: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible."""
+    e = path.eccentricity
+    if e is None:
+        h = float(path.gap_um_from_coefficient(coefficient_m3))
+        return (h, h), (0.0, 0.0)
+    smallest, largest = path.feasible_gap_um(coefficient_m3)
+    low = min(max(smallest, path.gap.lowest), path.gap.highest)
+    high = max(min(largest, path.gap.highest), low)
+
+    def eccentricity(h: float) -> float:
+        widening = coefficient_m3 / float(path.coefficient([h, 0.0])) - 1.0
+        return float(np.clip(np.sqrt(max(widening, 0.0) / 1.5), e.lowest, e.highest))
+
+    if not _is_free(e):
+        return (low, high), (e.value, e.value)
+    return (low, high), (eccentricity(high), eccentricity(low))
 
 
 def _range_row(parameter: str, unit: str, low: float, high: float) -> Row:
@@ -115,7 +140,8 @@ def _range_row(parameter: str, unit: str, low: float, high: float) -> Row:
 
 def _gap_verdict(path: AnnularGap, coefficient: Row) -> Row:
     """A gap's verdict is its loss factor's, unless an unknown eccentricity shares that."""
-    shared = path.eccentricity is not None and not path.eccentricity.fixed
+    e = path.eccentricity
+    shared = e is not None and _is_free(e) and _is_free(path.gap)
     if not shared or coefficient["verdict"] == "fixed":
         return {"verdict": coefficient["verdict"], "reason": coefficient["reason"]}
     return {
@@ -146,7 +172,7 @@ def _share_rows(mode: FittedMode) -> list[Row]:
     reference, fit = mode.reference, mode.fit
     if reference.verdict not in ("identified", "fixed"):
         return [
-            {"parameter": f"share_{path.name}", "unit": "1"}
+            {"parameter": f"share_{path.name}", "unit": "1", "value": None}
             | {"verdict": reference.verdict, "reason": reference.reason}
             for path in fit.motor.paths
             if path is not fit.motor.constant

@@ -173,15 +173,23 @@ FITS = Table(
             "own_conditions_leakage_l_per_min",
             pl.Float64,
             "l/min",
-            "Leakage of the fitted model at the night's own mean conditions, flushing excluded",
+            "Leakage of the fitted model at the night's own mean conditions, flushing excluded; "
+            "null unless identified or fixed",
         ),
         *_interval("own_conditions_leakage", "l/min", "the leakage at own conditions"),
         Column(
             "own_conditions_leakage_systematic", pl.Float64, "l/min", "± from stated tolerances"
         ),
-        Column("own_pressure_bar", pl.Float64, "bar", "Mean pressure difference of the night"),
-        Column("own_temperature_c", pl.Float64, "°C", "Mean oil temperature of the night"),
-        Column("own_speed_rpm", pl.Float64, "rpm", "Mean speed of the night"),
+        Column("own_conditions_verdict", pl.String, "", "As reference_verdict"),
+        Column("own_conditions_reason", pl.String, "", "The verdict in words"),
+        Column(
+            "own_pressure_bar",
+            pl.Float64,
+            "bar",
+            "Mean magnitude over the training samples",
+        ),
+        Column("own_temperature_c", pl.Float64, "°C", "Mean over the training samples"),
+        Column("own_speed_rpm", pl.Float64, "rpm", "Mean magnitude over the training samples"),
         Column(
             "outside_fitted_range",
             pl.Boolean,

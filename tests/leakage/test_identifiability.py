@@ -8,7 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leakage import Fit, Motor, OperatingConditions, SearchSettings, fit
+from leakage import (
+    Fit,
+    Motor,
+    OperatingConditions,
+    SearchSettings,
+    fit,
+    leakage_l_per_min,
+)
 from leakage.annular_gap import AnnularGap
 from leakage.block_statistics import factors, merge
 from leakage.identifiability import (
@@ -168,3 +175,69 @@ def test_conditions_outside_what_was_seen_are_named() -> None:
     leakage = judge_leakage(estimate, found, seen, REFERENCE)
     assert leakage.verdict == "outside_fitted_range"
     assert "200" in leakage.reason
+
+
+def test_a_bound_is_no_knowledge() -> None:
+    """A true flushing of 0.001 l/min: a good part of the nights ends on its bound at 0.
+
+    Intervals that took the bound for the truth held the reference leakage in 67 % of nights.
+    """
+    motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=0.001)
+    conditions = duty(10.0, 300.0)
+    held, on_bound = 0, 0
+    seen = Excitation(120.0, (10.0, 300.0), (40.0, 60.0), (3.0, 110.0), 0.0, 120.0)
+    truth = judge_leakage_of(motor)
+    for seed in range(60):
+        z = made_samples(motor, seed=seed, conditions=conditions, noise_l_per_min=0.05)
+        blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
+        estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+        leakage = judge_leakage(estimate, identify(estimate, blocks, seen), seen, REFERENCE)
+        assert leakage.interval is not None
+        held += abs(leakage.leakage_l_per_min - truth) <= leakage.interval.half_width
+        on_bound += bool(estimate.certificate.at_lower[-1])
+    assert on_bound > 10
+    assert held >= 54
+
+
+def judge_leakage_of(motor: Motor) -> float:
+    return float(leakage_l_per_min(motor, REFERENCE)[0])
+
+
+def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:
+    motor = placeholder_motor("CB560")
+    bar = np.repeat(np.random.default_rng(3).uniform(230, 300, PER_BLOCK * BLOCKS // 30), 30)
+    bar[PER_BLOCK * 20 : PER_BLOCK * 20 + 100] = 40.0
+    wide = duty(230.0, 300.0)
+    conditions = OperatingConditions.from_bar(bar, wide.oil_temperature_c, wide.speed_rpm)
+    _, found, _ = judged(motor, conditions, noise=0.002)
+    assert found.coefficients[0].verdict == "not_excited"
+    assert "one short stretch" in found.coefficients[0].reason
+    assert found.coefficients[0].interval is None
+
+
+def test_a_memory_without_end_takes_the_intervals() -> None:
+    _, found, _ = judged(
+        placeholder_motor("CB560"),
+        duty(10.0, 300.0),
+        change=lambda seen: replace(seen, correlation_time_s=np.inf),
+    )
+    assert "longer than the window" in found.interval_status
+    assert found.distribution is None
+
+
+def test_leakage_of_which_only_the_flushing_is_estimated_is_fixed() -> None:
+    motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=2.0)
+    known = tuple(
+        replace(
+            path,
+            gap=replace(path.gap, fixed=True),
+            eccentricity=path.eccentricity and replace(path.eccentricity, fixed=True),
+        )
+        if isinstance(path, AnnularGap)
+        else path
+        for path in motor.paths
+    )
+    estimate, found, seen = judged(replace(motor, paths=known), duty(10.0, 300.0))
+    assert verdicts(found) == ["identified"]
+    leakage = judge_leakage(estimate, found, seen, REFERENCE)
+    assert (leakage.verdict, leakage.interval) == ("fixed", None)

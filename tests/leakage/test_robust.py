@@ -8,7 +8,7 @@ from scipy.optimize import least_squares
 
 from leakage import certify
 from leakage.block_statistics import factor
-from leakage.robust import MAD_TO_SD, TUNING, huber_weights
+from leakage.robust import MAD_TO_SD, TUNING, huber_weights, weight_inflation
 
 FREE = np.array([-99.0, -99.0]), np.array([99.0, 99.0])
 
@@ -62,3 +62,10 @@ def test_errors_without_spread_all_count() -> None:
     x = np.arange(10.0)
     z = np.column_stack([x, np.ones(10), np.zeros(10), 2 * x + 1])
     assert weighted_fit(z, huber_weights(z, *FREE)) == pytest.approx([2.0, 1.0])
+
+
+def test_standard_errors_are_inflated_by_what_theory_says_of_normal_errors() -> None:
+    """E ψ' = P(|e| < 1.345) = 0.8214; E w = that + 1.345 E(1/|e|; |e| > 1.345) = 0.9599."""
+    weights = np.concatenate([huber_weights(made(seed, 0.0), *FREE) for seed in range(20)])
+    assert weight_inflation(weights) == pytest.approx(0.9599 / 0.8214, rel=0.02)
+    assert weight_inflation(np.ones(5)) == 1.0

@@ -196,3 +196,32 @@ def test_the_bootstrap_is_seeded() -> None:
         block_bootstrap(blocks, theta, active, np.random.default_rng(3)) for _ in range(2)
     )
     assert np.array_equal(one.lower, other.lower)
+
+
+def test_no_resamples_are_no_limits() -> None:
+    z, borders, _ = made_blocks(11, (40,) * 6)
+    theta, active = least_squares(z), np.ones(4, dtype=bool)
+    blocks = factors(z, borders)
+    drawn = block_bootstrap(blocks, theta, active, np.random.default_rng(1), resamples=0)
+    assert np.isnan(drawn.lower).all()
+    assert np.isnan(drawn.upper).all()
+
+
+def test_an_inflation_widens_every_interval_and_a_share_is_a_share() -> None:
+    z, borders, _ = made_blocks(12, (40,) * 9)
+    theta, active = least_squares(z), np.ones(4, dtype=bool)
+    blocks = factors(z, borders)
+    plain = cluster_robust(blocks, theta, active)
+    wide = cluster_robust(blocks, theta, active, inflation=1.2)
+    assert plain is not None
+    assert wide is not None
+    for unit in np.eye(4):
+        one, other = plain.interval(unit), wide.interval(unit)
+        assert one is not None
+        assert other is not None
+        assert other.half_width == pytest.approx(1.2 * one.half_width)
+        assert 1 / 9 <= plain.largest_block_share(unit) < 0.5
+    z[: borders[8], 0] = 0.0
+    alone = cluster_robust(factors(z, borders), least_squares(z), active)
+    assert alone is not None
+    assert alone.largest_block_share(np.eye(4)[0]) > 0.9

@@ -189,7 +189,7 @@ def test_a_motor_at_one_pressure_has_its_own_leakage_only(
 ) -> None:
     fits = rows(fitted_output, "fits", "CB1120-02")
     assert fits["own_conditions_leakage_l_per_min"].to_list() == pytest.approx(
-        fits["mean_flow_l_per_min"].to_list(), rel=0.02
+        fits["mean_flow_l_per_min"].to_list(), rel=0.05
     )
     assert fits["outside_fitted_range"].all()
 
