@@ -63,5 +63,5 @@ bench: $(READY)  ## the benchmarks: figures to benchmarks/results/
 docs: $(READY)   ## make the config and table reference anew
 	$(BIN)/python -m pipeline.reference docs
 
-clean:           ## remove what was made, the virtual environment included
-	rm -rf $(VENV) $(DEMO) out
+clean:           ## remove the virtual environment and the demo's logs; tables in out/ stay
+	rm -rf $(VENV) $(DEMO)

@@ -68,7 +68,7 @@ class ChannelCheck:
 
 def check_channels(
     spec: MotorSpec, records: Mapping[str, FileRecord], paths: Mapping[str, Path]
-) -> tuple[ChannelCheck, ...]:
+) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...]]:
     """Look into the newest log of a motor that can be read and is not too large.
 
     Parameters
@@ -80,8 +80,9 @@ def check_channels(
 
     Returns
     -------
-    tuple of ChannelCheck
-        One a configured channel; empty where there is no such log.
+    tuple of ChannelCheck, tuple of str
+        One a configured channel, empty where there is no such log; and the fault, where the log
+        looks sound from outside and cannot be read.
     """
     readable = [
         name
@@ -89,20 +90,21 @@ def check_channels(
         if record.status == "ok" and record.nights and record.size <= LARGEST_LOG_BYTES
     ]
     if not readable:
-        return ()
+        return (), ()
     newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
     try:
         log = read_log(paths[newest], spec.file.log_source())
-    except LogError:
-        return ()
+    except LogError as error:
+        return (), (f"{error.code}: {error.message}",)
     usual = _usual(spec, max(labels_of(records[newest])), log.channels)
-    return tuple(
+    found = tuple(
         replace(
             _looked_at(spec, name, channel, log.channels[name]),
             suspicion=_suspicion(name, channel.unit, log.channels[name], usual),
         )
         for name, channel in spec.file.channels.items()
     )
+    return found, ()
 
 
 def _looked_at(spec: MotorSpec, name: str, channel: Channel, raw: RawChannel) -> ChannelCheck:

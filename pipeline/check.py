@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
+from pipeline.config.motor_types import OilFile
 from pipeline.ledger import FileRecord
 from pipeline.logs import find_logs, labels_of, look_at, spanned
 
@@ -24,9 +25,11 @@ class MotorCheck:
     faults
         Files that cannot be read, and files that are named but absent.
     placeholders
-        Whether counts, geometry or curves of the type are placeholders.
+        Paths of the type, and oils of the motor, whose values are placeholders.
     channels
         What each channel looks like in the newest log.
+    notes
+        What is no fault and yet worth a look.
     """
 
     motor_id: str
@@ -37,8 +40,9 @@ class MotorCheck:
     first: str | None
     last: str | None
     faults: tuple[str, ...]
-    placeholders: bool
+    placeholders: tuple[str, ...]
     channels: tuple[ChannelCheck, ...]
+    notes: tuple[str, ...]
 
 
 def check_motor(spec: MotorSpec) -> MotorCheck:
@@ -46,6 +50,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
     paths, absent = find_logs(spec)
     records = {name: _looked_at(name, path, spec) for name, path in paths.items()}
     nights = {label for record in records.values() for label in labels_of(record)}
+    channels, unread = check_channels(spec, records, paths)
     broken = [record for record in records.values() if record.status == "failed"]
     return MotorCheck(
         motor_id=spec.motor_id,
@@ -55,10 +60,20 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*map(_fault, broken), *map(_absent, absent)),
-        placeholders=any(path.source == "placeholder" for path in spec.motor_type.path),
-        channels=check_channels(spec, records, paths),
+        faults=(*map(_fault, broken), *map(_absent, absent), *unread),
+        placeholders=(
+            *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
+            *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
+        ),
+        channels=channels,
+        notes=() if paths or absent else (_no_match(spec),),
     )
+
+
+def _oils(spec: MotorSpec) -> list[OilFile]:
+    """The oils that the motor runs or ran on."""
+    names = [spec.file.oil, *(event.oil for event in spec.file.events if event.oil)]
+    return [spec.oils[name] for name in dict.fromkeys(names)]
 
 
 def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
@@ -68,6 +83,10 @@ def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
 
 def _fault(record: FileRecord) -> str:
     return f"{record.error_code}: {record.message}"
+
+
+def _no_match(spec: MotorSpec) -> str:
+    return f"no file matches {', '.join(spec.file.logs.files)} below {spec.log_root}"
 
 
 def _absent(name: str) -> str:

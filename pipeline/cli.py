@@ -306,13 +306,15 @@ def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
         )
         for channel in one.channels:
             typer.echo(f"  {_channel_line(channel)}")
+        for note in one.notes:
+            typer.echo(f"  {note}")
         for fault in one.faults:
             typer.echo(f"{one.motor_id}: {fault}", err=True)
-    types = sorted({one.motor_type for one in checks if one.placeholders})
-    if types:
+    placeholders = sorted({name for one in checks for name in one.placeholders})
+    if placeholders:
         typer.echo(
-            f"{', '.join(types)}: counts, geometry or curves are placeholders; "
-            "replace them with the manufacturer's values"
+            "placeholders, to be replaced with the manufacturer's values: "
+            f"{', '.join(placeholders)}"
         )
 
 
@@ -343,7 +345,7 @@ def main() -> NoReturn:
     try:
         app()
     except MotorLeakageError as error:
-        typer.echo(f"motor-leakage: {error}", err=True)
+        typer.echo(f"motor-leakage: {error.code}: {error}", err=True)
         sys.exit(_exit_code(error))
     except KeyboardInterrupt:
         sys.exit(EXIT_INTERRUPTED)

@@ -26,7 +26,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from pipeline.config import Fleet
 from pipeline.errors import LockedError, StoreError
-from pipeline.ledger import write_ledger
+from pipeline.ledger import forget_night, write_ledger
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor, settings_hash
 from pipeline.night_statistics import hash_of
@@ -248,6 +248,7 @@ def _staging(output: Path) -> Iterator[Path]:
 def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_id: str) -> int:
     """Publish all staged rows, a table and a night at a time, then what was remembered of them."""
     fresh = [outcome for outcome in outcomes if outcome.nights]
+    lost_nights: set[dt.date] = set()
     for table in NIGHT_TABLES:
         staged = {
             one.motor_id: StagedRows(staging / table.name / f"{one.motor_id}.arrow")
@@ -259,13 +260,16 @@ def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_
                 for motor_id, rows in staged.items()
                 if (found := rows.rows(night)) is not None
             }
-            publish_night(output, table, night, new, run_id)
+            if publish_night(output, table, night, new, run_id):
+                lost_nights.add(night)
     write_table(
         table_folder(output, DATA_DICTIONARY) / "data_dictionary.parquet", data_dictionary()
     )
     for outcome in outcomes:
         if outcome.ledger is not None:
             write_ledger(output, outcome.motor_id, outcome.ledger)
+    for night in sorted(lost_nights):
+        forget_night(output, night, {one.motor_id for one in fresh if night in one.nights})
     return sum(len(outcome.nights) for outcome in fresh)
 
 

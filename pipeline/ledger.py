@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -143,6 +143,37 @@ def write_ledger(output: Path, motor_id: str, ledger: Ledger) -> None:
         Path(name).write_text(text, "utf-8")
 
     replace_whole(ledger_file(output, motor_id), write)
+
+
+def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
+    """Let the next run make a night anew for all motors but some.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    night
+        Label of a night whose table was lost.
+    keep
+        Ids of motors whose rows of that night are published.
+
+    Raises
+    ------
+    StoreError
+        If a ledger cannot be written.
+    """
+    for path in (output / "ledger").glob("*.json"):
+        if path.stem in keep:
+            continue
+        try:
+            settings_hash = json.loads(path.read_text("utf-8"))["settings_hash"]
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        ledger = read_ledger(output, path.stem, settings_hash)
+        label = night.isoformat()
+        kept = {name: one for name, one in ledger.files.items() if label not in one.nights}
+        nights = {date: one for date, one in ledger.nights.items() if date != night}
+        write_ledger(output, path.stem, Ledger(settings_hash, kept, nights))
 
 
 def _digest(document: Mapping[str, Any]) -> str:

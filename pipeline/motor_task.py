@@ -20,7 +20,7 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
-from pipeline.errors import LogError
+from pipeline.errors import LogError, StoreError
 from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import FileRecord, Ledger, NightRecord, read_ledger
 from pipeline.logs import (
@@ -150,6 +150,8 @@ def run_motor(task: MotorTask) -> MotorOutcome:
     with threadpool_limits(1):
         try:
             return _Nights(task).run()
+        except StoreError as error:
+            return lost(task, error.code, error.message)
         except Exception as error:  # the edge of a motor's task: it must not take others down
             log.exception("motor %s failed", task.spec.motor_id)
             return lost(task, "internal", legible(f"{type(error).__name__}: {error}"))

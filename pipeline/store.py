@@ -168,18 +168,27 @@ class StagedRows:
 def stage(
     path: Path, table: Table, nights: Mapping[dt.date, Iterable[Mapping[str, object]]]
 ) -> None:
-    """Leave a motor's rows of one table for the run to publish; a night without rows too."""
-    path.parent.mkdir(parents=True, exist_ok=True)
+    """Leave a motor's rows of one table for the run to publish; a night without rows too.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be written, for want of space say.
+    """
     frames = [frame(table, rows, without="run_id").to_arrow() for _, rows in sorted(nights.items())]
     label = " ".join(night.isoformat() for night in sorted(nights))
     schema = frames[0].schema.with_metadata({b"nights": label.encode()})
-    with pa.ipc.new_file(str(path), schema) as staged:
-        for rows in frames:
-            # An empty table has no batch of its own, yet its night must keep its place.
-            whole = rows.combine_chunks().to_batches() or [
-                pa.RecordBatch.from_pylist([], schema=rows.schema)
-            ]
-            staged.write_batch(whole[0])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with pa.ipc.new_file(str(path), schema) as staged:
+            for rows in frames:
+                # An empty table has no batch of its own, yet its night must keep its place.
+                whole = rows.combine_chunks().to_batches() or [
+                    pa.RecordBatch.from_pylist([], schema=rows.schema)
+                ]
+                staged.write_batch(whole[0])
+    except OSError as error:
+        raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 
 
 def publish_night(
@@ -188,7 +197,7 @@ def publish_night(
     night: dt.date,
     staged: Mapping[str, pl.DataFrame],
     run_id: str,
-) -> None:
+) -> bool:
     """Put the rows of some motors into a night's file; those of the others stay.
 
     Parameters
@@ -202,14 +211,20 @@ def publish_night(
     run_id
         The run that writes them.
 
+    Returns
+    -------
+    bool
+        Whether the present file was damaged and put aside as ``.damaged``: the rows of the other
+        motors are then lost, and have to be made anew.
+
     Raises
     ------
     StoreError
-        If the new file cannot be written. A present one that is damaged is put aside as
-        ``.damaged``; the next run makes the other motors' rows of that night anew.
+        If the new file cannot be written.
     """
     path = night_file(output, table, night)
     parts = [frame(table, [])]
+    existed = path.exists()
     before = _present_rows(path, table)
     if before is not None:
         parts.append(before.filter(~pl.col("motor_id").is_in(list(staged))))
@@ -223,6 +238,7 @@ def publish_night(
     elif path.exists():
         path.unlink()
         _flush_folder(path.parent)
+    return existed and before is None
 
 
 def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import pytest
@@ -86,18 +85,20 @@ def test_names_that_are_absent_and_channels_that_are_not_there(tmp_path: Path) -
 
 def test_no_logs_at_all(tmp_path: Path) -> None:
     one = checks_of(write_configs(tmp_path, {"M1": motor_toml("M1")}))["M1"]
-    assert asdict(one) == {
-        "motor_id": "M1",
-        "motor_type": "CB560",
-        "log_format": "parquet",
-        "n_files": 0,
-        "n_nights": 0,
-        "first": None,
-        "last": None,
-        "faults": (),
-        "placeholders": True,
-        "channels": (),
-    }
+    assert (one.n_files, one.n_nights, one.first, one.last) == (0, 0, None, None)
+    assert (one.faults, one.channels) == ((), ())
+    (note,) = one.notes
+    assert note.startswith("no file matches M1/*.parquet below ")
+
+
+def test_a_newest_log_that_cannot_be_read_is_a_fault(own_fleet: OwnFleet) -> None:
+    """A column that is not there shows only where a log is read."""
+    fleet = own_fleet("CB400-02")
+    motor = fleet.parent / "motors" / "CB400-02.toml"
+    text = motor.read_text("utf-8").replace('source = "speed"', 'source = "velocity"')
+    motor.write_text(text, "utf-8")
+    one = checks_of(fleet)["CB400-02"]
+    assert any(fault.startswith("log_column_missing") for fault in one.faults)
 
 
 def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
@@ -107,6 +108,9 @@ def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
     path.write_text(text.replace('"placeholder"', '"drawing 4711"', 3), encoding="utf-8")
     assert checks_of(fleet)["M1"].placeholders
     path.write_text(text.replace('"placeholder"', '"drawing 4711"'), encoding="utf-8")
+    assert checks_of(fleet)["M1"].placeholders == ("ISO VG 68 hydraulic oil",)
+    oil = tmp_path / "configs" / "oils" / "vg68.toml"
+    oil.write_text(oil.read_text("utf-8").replace('"placeholder"', '"data sheet"'), "utf-8")
     assert not checks_of(fleet)["M1"].placeholders
 
 

@@ -110,7 +110,7 @@ def test_2_for_a_broken_config_before_anything_is_read(
     for command in ("fit-fleet", "check"):
         code, out, err = call(command, fleet)
         assert (code, out) == (2, "")
-        assert err.startswith("motor-leakage: 2 config faults\n")
+        assert err.startswith("motor-leakage: config: 2 config faults\n")
         assert 'motors/CB400-01.toml: oil: got "vg99"; expected one of vg32, vg46, vg68' in err
         assert "fleet.toml: execution.workers: got 0" in err
     assert sorted(fleet.parent.parent.rglob("*")) == before

@@ -27,8 +27,8 @@ from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
-from pipeline.schema import NIGHT_TABLES, TABLES
-from pipeline.store import publish_night
+from pipeline.schema import FITS, NIGHT_TABLES, TABLES
+from pipeline.store import night_file, publish_night, read_table
 from tests.conftest import OwnFleet
 
 FIRST = dt.date(2026, 1, 2)
@@ -650,3 +650,20 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     monkeypatch.undo()
     assert nights_of(run(fleet)) == {PARQUET: NIGHTS}
     check_same_tables(output_of(fleet), fitted_output, PARQUET)
+
+
+def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(own_fleet: OwnFleet) -> None:
+    fleet = load_fleet(own_fleet("CB400-01", "CB400-02", fitted=True))
+    night = FIRST
+    before = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")
+    night_file(fleet.output, FITS, night).write_bytes(b"junk")
+    log = min((fleet.log_root / "CB400-01").iterdir())
+    log.write_text(log.read_text("utf-8").rsplit("\n", 2)[0] + "\n", "utf-8")
+    run_fleet(RunRequest(fleet))
+    alone = read_table(night_file(fleet.output, FITS, night), FITS)
+    assert alone["motor_id"].to_list() == ["CB400-01"]
+    run_fleet(RunRequest(fleet))
+    after = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")
+    assert after["motor_id"].to_list() == ["CB400-01", "CB400-02"]
+    other = pl.col("motor_id") == "CB400-02"
+    assert after.filter(other).equals(before.filter(other))
