@@ -5,7 +5,15 @@ from __future__ import annotations
 import importlib
 import sys
 
-BENCHMARKS = ("coverage", "demo_run", "demo_truth", "model_choices", "multi_start")
+BENCHMARKS = (
+    "coverage",
+    "demo_run",
+    "demo_truth",
+    "mcap_reading",
+    "model_choices",
+    "multi_start",
+    "table_reading",
+)
 
 
 def main(names: list[str]) -> int:

@@ -100,7 +100,9 @@ def check_channels(
     found = tuple(
         replace(
             _looked_at(spec, name, channel, log.channels[name]),
-            suspicion=_suspicion(name, channel.unit, log.channels[name], usual),
+            suspicion=""
+            if channel.counts
+            else _suspicion(name, channel.unit, log.channels[name], usual),
         )
         for name, channel in spec.file.channels.items()
     )

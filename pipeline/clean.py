@@ -6,17 +6,25 @@ interpolated to 10 Hz, would spoil nineteen.
 
 from __future__ import annotations
 
-from bisect import bisect_right
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from pipeline.clocks import (
+    backward_time,
+    duplicate_time,
+    jittered,
+    stray_time,
+    typical_period_us,
+    written_late,
+)
 from pipeline.config import Channel, Cleaning
 from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
+from pipeline.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 
 Values = NDArray[np.float64]
 Times = NDArray[np.int64]
@@ -52,6 +60,10 @@ class ChannelRules:
         Silence that is a gap: in sample periods, unless stated in seconds.
     at_rest_below
         Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
+    sampling
+        What the samples are.
+    puts_in_order
+        Samples written late are put back in their place, not refused.
     """
 
     valid_range: tuple[float, float]
@@ -63,12 +75,20 @@ class ChannelRules:
     gap_sample_periods: float
     longest_gap_s: float | None
     at_rest_below: float = 0.0
+    sampling: Sampling = PERIODIC
+    puts_in_order: bool = True
 
     @classmethod
     def of(cls, name: str, channel: Channel, cleaning: Cleaning) -> ChannelRules:
         """The rules of a channel: its own keys where stated, else the fleet's."""
         is_temperature = name == "oil_temperature"
         fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
+        # A value that did not change was not sent: silence is no sign of a frozen sensor.
+        silence_s = channel.longest_silence_s or 0.0
+        fallback = max(fallback, silence_s) if channel.sampling == "on_change" else fallback
+        temperature_gap_s = max(
+            cleaning.temperature_gap_s, cleaning.gap_sample_periods * (channel.mean_of_s or 0.0)
+        )
         return cls(
             valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
             sensor_maximum=channel.sensor_maximum,
@@ -77,8 +97,10 @@ class ChannelRules:
             hampel_threshold=cleaning.hampel_threshold,
             frozen_after_s=channel.frozen_after_s or fallback,
             gap_sample_periods=cleaning.gap_sample_periods,
-            longest_gap_s=cleaning.temperature_gap_s if is_temperature else None,
+            longest_gap_s=silence_s or (temperature_gap_s if is_temperature else None),
             at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
+            sampling=Sampling.of(channel),
+            puts_in_order=cleaning.out_of_order == "sort",
         )
 
 
@@ -104,6 +126,11 @@ class CleanChannel:
         Refused samples by reason, and ``any`` for those refused at all.
     n_samples
         Samples that the rules looked at.
+    noted
+        Samples by reason that were kept although it applies: `backward_time` for those put back
+        in order, `jitter` for those that came off their period.
+    sampling
+        What the samples are.
     """
 
     time_us: Times
@@ -114,6 +141,8 @@ class CleanChannel:
     longest_gap_us: float
     counts: Mapping[str, int]
     n_samples: int
+    noted: Mapping[str, int] = field(default_factory=dict)
+    sampling: Sampling = PERIODIC
 
 
 def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
@@ -131,33 +160,47 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
     CleanChannel
         Sorted, with blank cells that are no sample left out and all others judged.
     """
-    backward = backward_time(raw.time_us)
-    duplicate = duplicate_time(raw.time_us, backward)
-    in_order = ~(backward | duplicate)
-    time, value, blank = raw.time_us[in_order], raw.value[in_order], raw.missing[in_order]
+    time, value, blank, disorder = _in_order(raw, rules)
+    sampling = rules.sampling
     period = typical_period_us(time[~blank])
     longest_gap_us = _longest_gap_us(period, rules)
-    missing = missing_sample(time, blank, period)
+    missing = blank & False if sampling.on_change else missing_sample(time, blank, period)
     sample = ~blank | missing
     time, value, missing = time[sample], value[sample], missing[sample]
-    masks = {
-        "missing": missing,
-        "not_finite": ~missing & ~np.isfinite(value),
+    noted = {"backward_time": disorder.n_put_back}
+    if not sampling.on_change:
+        noted["jitter"] = int(jittered(time, period).sum())
+    masks = {"missing": missing, "not_finite": ~missing & ~np.isfinite(value)}
+    if sampling.counts is not None:
+        counted = flow_from_counts(time, value, longest_gap_us, sampling)
+        time, value = counted.time_us, counted.flow_l_per_min
+        masks |= {"no_interval": counted.no_interval, "counter_reset": counted.counter_reset}
+    masks |= {
         "out_of_range": out_of_range(value, rules.valid_range),
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
     credible = ~np.logical_or.reduce(list(masks.values()))
-    masks["spike"] = _within(credible, spike(value[credible], rules))
+    resolution = max(rules.resolution, sampling.resolution_l_per_min(period))
+    resolution = resolution or step_of_readings(value[credible])
+    # A compressed archive holds only what differs from its neighbourhood.
+    stands_out = (
+        np.zeros(int(credible.sum()), dtype=np.bool_)
+        if sampling.on_change
+        else _spike_between_gaps(
+            time[credible],
+            value[credible],
+            longest_gap_us,
+            replace(rules, resolution=resolution),
+        )
+    )
+    masks["spike"] = _within(credible, stands_out)
     masks["frozen"] = _within(
         credible, _frozen_in_sight(time[credible], value[credible], longest_gap_us, rules)
     )
     refused = np.logical_or.reduce(list(masks.values()))
     counts = {reason: int(mask.sum()) for reason, mask in masks.items()}
-    counts |= {
-        "backward_time": int((backward & ~raw.missing).sum()),
-        "duplicate_time": int((duplicate & ~raw.missing).sum()),
-    }
-    out_of_order = counts["backward_time"] + counts["duplicate_time"]
+    counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
+    out_of_order = disorder.n_backward + disorder.n_duplicate
     return CleanChannel(
         time_us=time,
         value=value,
@@ -167,7 +210,39 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
         longest_gap_us=longest_gap_us,
         counts=counts | {"any": int(refused.sum()) + out_of_order},
         n_samples=len(time) + out_of_order,
+        noted=noted,
+        sampling=sampling,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Disorder:
+    """Samples, blank cells aside, that were out of order."""
+
+    n_put_back: int
+    n_backward: int
+    n_duplicate: int
+
+
+def _in_order(raw: RawChannel, rules: ChannelRules) -> tuple[Times, Values, Mask, _Disorder]:
+    """Cells in strict order of their corrected time, and what it took."""
+    backward = backward_time(raw.time_us)
+    late = np.zeros(len(backward), dtype=np.bool_)
+    if rules.puts_in_order:
+        late = written_late(raw.time_us, backward)
+    backward = (backward & ~late) | stray_time(raw.time_us, late)
+    rows = np.flatnonzero(~backward)
+    if late.any():
+        rows = rows[np.argsort(raw.time_us[rows], kind="stable")]
+    repeated = duplicate_time(raw.time_us[rows], np.zeros(len(rows), dtype=np.bool_))
+    disorder = _Disorder(
+        int((late & ~raw.missing).sum()),
+        int((backward & ~raw.missing).sum()),
+        int((repeated & ~raw.missing[rows]).sum()),
+    )
+    rows = rows[~repeated]
+    time = raw.time_us[rows] + rules.sampling.shift_us
+    return time, raw.value[rows], raw.missing[rows], disorder
 
 
 def _within(chosen: Mask, flags: Mask) -> Mask:
@@ -177,6 +252,15 @@ def _within(chosen: Mask, flags: Mask) -> Mask:
     return mask
 
 
+def _spike_between_gaps(
+    time_us: Times, value: Values, longest_gap_us: float, rules: ChannelRules
+) -> Mask:
+    """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
+    borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
+    parts = np.split(value, borders)
+    return np.concatenate([spike(part, rules) for part in parts])
+
+
 def _frozen_in_sight(
     time_us: Times, value: Values, longest_gap_us: float, rules: ChannelRules
 ) -> Mask:
@@ -184,7 +268,9 @@ def _frozen_in_sight(
     steps = np.diff(time_us, prepend=time_us[:1])
     seen_us = np.cumsum(np.where(steps > longest_gap_us, 0, steps))
     stuck = frozen(seen_us, value, rules.resolution, rules.frozen_after_s * SECOND_US)
-    mask: Mask = stuck & (np.abs(value) >= rules.at_rest_below)
+    # As many counts in each period are a steady flow; none for long is a counter that stopped.
+    counting = (value != 0.0) if rules.sampling.counts else np.abs(value) < rules.at_rest_below
+    mask: Mask = stuck & ~counting
     return mask
 
 
@@ -192,11 +278,6 @@ def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:
     if rules.longest_gap_s is not None:
         return rules.longest_gap_s * SECOND_US
     return rules.gap_sample_periods * (period_us or 0.0)
-
-
-def typical_period_us(time_us: Times) -> float | None:
-    """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return float(np.median(np.diff(time_us))) if len(time_us) > 1 else None
 
 
 def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask:
@@ -236,50 +317,6 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
     # Before the first sample there is nothing to count from: only a fast channel is missing there.
     due[~known] = blank[~known] & (period_us < 1.5 * row_us)
     return due
-
-
-def backward_time(time_us: Times) -> Mask:
-    """Samples whose time does not fit an increasing clock.
-
-    The fewest possible are named (all but a longest non-decreasing subsequence), so that a single
-    stamp in the future does not refuse all that follow it.
-    """
-    mask = np.zeros(len(time_us), dtype=np.bool_)
-    if len(time_us) < 2 or bool((np.diff(time_us) >= 0).all()):
-        return mask
-    latest_before = np.maximum.accumulate(time_us)
-    earliest_after = np.minimum.accumulate(time_us[::-1])[::-1]
-    # A stamp in order with all others belongs to any longest subsequence: few are left to search.
-    doubtful = np.flatnonzero((time_us < latest_before) | (time_us > earliest_after))
-    mask[doubtful] = True
-    mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
-    return mask
-
-
-def _longest_increasing(stamps: list[int]) -> list[int]:
-    """Places of a longest non-decreasing subsequence (patience sorting)."""
-    tails: list[int] = []
-    ends: list[int] = []
-    previous: list[int] = []
-    for index, stamp in enumerate(stamps):
-        pile = bisect_right(tails, stamp)
-        previous.append(ends[pile - 1] if pile else -1)
-        tails[pile : pile + 1] = [stamp]
-        ends[pile : pile + 1] = [index]
-    places: list[int] = []
-    index = ends[-1]
-    while index >= 0:
-        places.append(index)
-        index = previous[index]
-    return places[::-1]
-
-
-def duplicate_time(time_us: Times, backward: Mask) -> Mask:
-    """Samples, among those that are not backward, that repeat the time of the one before."""
-    mask = np.zeros(len(time_us), dtype=np.bool_)
-    kept = np.flatnonzero(~backward)
-    mask[kept[1:]] = np.diff(time_us[kept]) == 0
-    return mask
 
 
 def out_of_range(value: Values, valid_range: tuple[float, float]) -> Mask:

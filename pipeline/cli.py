@@ -87,15 +87,33 @@ def fit_fleet(
 
 
 @app.command()
-def check(config: ConfigFile, as_json: AsJson = False) -> None:
+def check(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="CONFIG", help="The fleet file; not with --suggest.")
+    ] = None,
+    as_json: AsJson = False,
+    suggest: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="Print the TOML that reads this log, to paste."),
+    ] = None,
+) -> None:
     """Check the config of a fleet and look at the ends of each log; nothing is fitted.
 
     Example: motor-leakage check configs/fleet.toml
+
+    Example: motor-leakage check --suggest logs/CB560-01/2026-01-03.csv
 
     Exit code 0: no fault; 1: a log cannot be read; 2: a fault in the config.
     """
     from pipeline.check import check_fleet
 
+    if suggest is not None:
+        from pipeline.ingest.suggest import suggest as suggested
+
+        typer.echo(suggested(suggest), nl=False)
+        return
+    if config is None:
+        raise UsageError("config", "name the fleet file, or a log with --suggest")
     fleet = _load(config, None, None)
     checks = check_fleet(fleet)
     if as_json:

@@ -13,6 +13,8 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from leakage import EstimationError, LeakageError
 from pipeline.clean import ChannelRules, CleanChannel, clean_channel
 from pipeline.config import MotorSpec
@@ -29,7 +31,8 @@ from pipeline.night_rows import (
 from pipeline.night_statistics import NightStatistics, night_statistics
 from pipeline.nights import Night
 from pipeline.resample import Quality, Samples, bring_together
-from pipeline.windows import TRAINING
+from pipeline.sampling import means_too_long
+from pipeline.windows import TRAINING, HandSet, left_out, too_uniform
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
 INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
@@ -63,12 +66,13 @@ class NightOutcome:
 
 
 class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
-    """The night has too little to fit; carries the outcome and the reason."""
+    """The night has too little to fit; carries the outcome, the reason and a failure's code."""
 
-    def __init__(self, status: str, reason: str) -> None:
+    def __init__(self, status: str, reason: str, *, code: str | None = None) -> None:
         super().__init__(status, reason)
         self.status = status
         self.reason = reason
+        self.code = code
 
 
 def fit_night(
@@ -102,6 +106,9 @@ def fit_night(
             samples, quality = _clean(spec, night, channels)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             _require_enough(samples, quality, spec)
+            samples, outside = _choose_parts(spec, night, samples)
+            rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
+            _require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
             motor = spec.motor(night.date, spec.file.flushing.mode)
             statistics = night_statistics(spec, motor, night, samples)
@@ -113,7 +120,13 @@ def fit_night(
             rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
     except Insufficient as outcome:
         return unfitted(
-            spec, night.date, outcome.status, outcome.reason, rows=rows, seconds=seconds
+            spec,
+            night.date,
+            outcome.status,
+            outcome.reason,
+            code=outcome.code,
+            rows=rows,
+            seconds=seconds,
         )
     except EstimationError as error:
         return unfitted(spec, night.date, INSUFFICIENT_DATA, str(error), rows=rows, seconds=seconds)
@@ -156,14 +169,23 @@ def _clean(
     spec: MotorSpec, night: Night, channels: Mapping[str, RawChannel]
 ) -> tuple[Samples, tuple[Quality, ...]]:
     cleaning = spec.settings.cleaning
+    too_long = means_too_long(spec.file.channels, cleaning)
+    if too_long is not None:
+        raise Insufficient(FAILED, too_long, code="means_too_long")
     cleaned: dict[str, CleanChannel] = {}
     for name, channel in spec.file.channels.items():
         rules = ChannelRules.of(name, channel, cleaning)
         cleaned[name] = clean_channel(channels[name], rules)
     counted = tuple(
-        Quality(name, reason, channel.n_samples, count)
+        Quality(
+            name,
+            reason,
+            channel.n_samples,
+            channel.counts.get(reason, 0),
+            channel.noted.get(reason, 0),
+        )
         for name, channel in cleaned.items()
-        for reason, count in channel.counts.items()
+        for reason in dict.fromkeys((*channel.counts, *channel.noted))
     )
     silent = [name for name, channel in cleaned.items() if not len(channel.time_us)]
     if silent:
@@ -171,7 +193,12 @@ def _clean(
     if all(channel.period_us is None for channel in cleaned.values()):
         raise Insufficient(INSUFFICIENT_DATA, "fewer than two samples in this night")
     samples, joint = bring_together(
-        cleaned, night.start_us, night.end_us, spec.settings.time_base, cleaning
+        cleaned,
+        night.start_us,
+        night.end_us,
+        spec.settings.time_base,
+        cleaning,
+        spec.settings.transport_delay,
     )
     return samples, counted + joint
 
@@ -200,6 +227,38 @@ def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorS
         )
 
 
+def _choose_parts(
+    spec: MotorSpec, night: Night, samples: Samples
+) -> tuple[Samples, tuple[Quality, ...]]:
+    """The samples in the parts of the night that are good enough, or set by hand."""
+    masks = left_out(
+        samples.time_us,
+        samples.period_us,
+        night.start_us,
+        spec.settings.windows,
+        HandSet.of(spec.file.periods, night),
+    )
+    counted = tuple(
+        Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()
+    )
+    outside = np.logical_or.reduce(list(masks.values()))
+    return (samples.only(~outside) if outside.any() else samples), counted
+
+
+def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
+    if len(samples.index):
+        return
+    causes = "; ".join(
+        f"{one.reason.replace('_', ' ')} {100 * one.n_refused / max(one.n_samples, 1):.0f} %"
+        for one in outside
+        if one.n_refused
+    )
+    raise Insufficient(
+        INSUFFICIENT_DATA,
+        f"no part of the night is good enough to fit ({causes} of the kept samples)",
+    )
+
+
 def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
     n = sum(block.n for block in statistics.blocks if block.part == TRAINING)
     minutes = n * statistics.samples.period_us / 60e6
@@ -209,3 +268,14 @@ def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
             INSUFFICIENT_DATA,
             f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
         )
+    training, samples = statistics.rows_of(TRAINING), statistics.samples
+    uniform = too_uniform(
+        {
+            "pressure": np.abs(samples.pressure_difference_bar[training]),
+            "speed": np.abs(samples.speed_rpm[training]),
+            "temperature": samples.oil_temperature_c[training],
+        },
+        spec.settings.windows,
+    )
+    if uniform is not None:
+        raise Insufficient(INSUFFICIENT_DATA, f"training: {uniform}")

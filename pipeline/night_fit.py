@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, LeakageError, OperatingConditions, SearchSettings, fit
+from leakage import Fit, LeakageError, OperatingConditions, SearchSettings, fit, regressors
 from leakage.correlation import slowest_correlation_time
 from leakage.identifiability import (
     Excitation,
@@ -22,6 +23,7 @@ from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, err
 from leakage.uncertainty import Bootstrap, block_bootstrap, lengthened
 from pipeline.config import MotorSpec
 from pipeline.night_statistics import NightStatistics, condition
+from pipeline.transport_delay import estimated_delay_s
 from pipeline.windows import TRAINING
 
 Array = NDArray[np.float64]
@@ -32,6 +34,7 @@ LONGEST_MEMORY_S = 600.0
 ROUNDING = 1e-9
 # Means over this time show a slow error under a larger fast one.
 MEMORY_CELL_S = 30.0
+PA_PER_BAR = 1e5
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,6 +145,43 @@ def _fit_mode(
         ),
         budget=_budget(spec, statistics, fitted, rows, night, at),
     )
+
+
+def transport_delays_s(
+    spec: MotorSpec, statistics: NightStatistics, mode: FittedMode
+) -> tuple[float | None, float | None]:
+    """Mean delay of the kept samples as configured, and the one estimated; None where it is off."""
+    samples = statistics.samples
+    delay = samples.delay
+    if delay is None:
+        return None, None
+    rows = samples.index - samples.first_index
+    conditions = statistics.conditions
+    theta = np.append(mode.fit.coefficients, 1.0)
+
+    def predicted(inputs: Mapping[str, Array], chosen: NDArray[np.int64]) -> Array:
+        charge = conditions.charge_over_case_pa
+        bar = inputs.get("pressure_difference", samples.pressure_difference_bar[chosen])
+        celsius = inputs.get("oil_temperature", samples.oil_temperature_c[chosen])
+        rpm = inputs.get("speed", samples.speed_rpm[chosen])
+        at = OperatingConditions.from_bar(
+            np.abs(bar),
+            celsius,
+            np.abs(rpm),
+            None if charge is None else charge[chosen] / PA_PER_BAR,
+        )
+        flow: Array = regressors(mode.fit.motor, at) @ theta
+        return flow
+
+    estimate = estimated_delay_s(
+        delay,
+        rows,
+        samples.leakage_l_per_min,
+        predicted,
+        samples.period_us / 1e6,
+        spec.settings.transport_delay.maximum_s,
+    )
+    return float(delay.delay_s[rows].mean()), estimate
 
 
 def _excitation(statistics: NightStatistics, rows: NDArray[np.bool_], error: Array) -> Excitation:

@@ -18,7 +18,7 @@ from leakage.validation import (
     lag_one_autocorrelation,
 )
 from pipeline.config import MotorSpec
-from pipeline.night_fit import FittedMode, own_conditions
+from pipeline.night_fit import FittedMode, own_conditions, transport_delays_s
 from pipeline.night_statistics import NightStatistics
 from pipeline.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.resample import Quality
@@ -65,6 +65,7 @@ def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> lis
             "reason": one.reason,
             "n_samples": one.n_samples,
             "n_refused": one.n_refused,
+            "n_noted": one.n_noted,
         }
         for one in found
     ]
@@ -189,7 +190,10 @@ def _mode_columns(
     if previous is not None and len(previous) == len(fit.coefficients):
         before = agreement(statistics.judged_on(), np.array(previous), resolution).fit_percent
     condition = certificate.condition_number
+    configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
+        "transport_delay_s": configured_delay,
+        "estimated_transport_delay_s": estimated_delay,
         "training_fit_percent": training.fit_percent,
         "validation_fit_percent": validation.fit_percent,
         "previous_model_fit_percent": before,

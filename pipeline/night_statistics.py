@@ -17,9 +17,10 @@ from leakage.block_statistics import factors, merge
 from leakage.robust import huber_weights, weight_inflation
 from pipeline.config import MotorSpec
 from pipeline.nights import Night
+from pipeline.nights import night as night_labelled
 from pipeline.resample import Samples
 from pipeline.smoothing import smooth
-from pipeline.windows import TRAINING, Block, merge_neighbours, split_into_blocks
+from pipeline.windows import TRAINING, Block, HandSet, merge_neighbours, split_into_blocks
 
 Array = NDArray[np.float64]
 
@@ -139,7 +140,8 @@ def night_statistics(
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
     z = np.column_stack([regressors(motor, conditions), samples.leakage_l_per_min])
-    short = split_into_blocks(samples.time_us, night.start_us, settings.windows)
+    by_hand = HandSet.of(spec.file.periods, night)
+    short = split_into_blocks(samples.time_us, night.start_us, settings.windows, by_hand)
     number = np.repeat(np.arange(len(short)), [block.n for block in short])
     z = smooth(z, samples.index, number, samples.period_us, settings.smoothing)
     stored = merge_neighbours(short, settings.windows.maximum_blocks)
@@ -213,9 +215,24 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         for declared in spec.motor_type.path
     ]
     settings = spec.settings.model_dump(
-        include={"nights", "time_base", "cleaning", "smoothing", "windows", "model", "estimation"},
+        include={
+            "nights",
+            "time_base",
+            "cleaning",
+            "transport_delay",
+            "smoothing",
+            "windows",
+            "model",
+            "estimation",
+        },
         exclude={
-            "windows": {"minimum_kept_share", "minimum_training_minutes"},
+            "windows": {
+                "minimum_kept_share",
+                "minimum_training_minutes",
+                "minimum_pressure_spread_bar",
+                "minimum_speed_spread_rpm",
+                "minimum_temperature_spread_c",
+            },
             "model": {"film_pressure_share_tolerance", "charge_pressure_tolerance_bar"},
             "estimation": set(type(spec.settings.estimation).model_fields) - {"loss"},
         },
@@ -231,6 +248,9 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
             for name, channel in spec.file.channels.items()
         },
     }
+    by_hand = HandSet.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+    if by_hand:
+        document["periods"] = [by_hand.training, by_hand.validation]
     return hash_of(document)
 
 

@@ -54,10 +54,12 @@ UNIT_ENDINGS: Final[Mapping[str, str]] = {
     "_bar": "bar",
     "_rpm": "rpm",
     "_hz": "Hz",
+    "_cm3": "cm³",
     "_mm": "mm",
     "_um": "µm",
     "_m3": "m³",
     "_c": "°C",
+    "_m": "m",
     "_s": "s",
 }
 LIMITS: Final[Mapping[str, str]] = {

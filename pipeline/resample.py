@@ -8,18 +8,21 @@ averaged over a cell of the grid.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 
 from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
-from pipeline.config import Cleaning, TimeBase
+from pipeline.config import Cleaning, TimeBase, TransportDelay
+from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
 AVERAGE_ABOVE = 1.5
 # Share of a cell's samples that must be kept for its average.
 CELL_SHARE = 0.5
+# A mean stands for this share of its period on either side; half, and some for jitter.
+MEAN_REACH = 0.6
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
@@ -27,12 +30,13 @@ LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How many samples a rule looked at and refused."""
+    """How many samples a rule looked at and refused, or kept although it applies."""
 
     channel: str
     reason: str
     n_samples: int
     n_refused: int
+    n_noted: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +60,10 @@ class Samples:
     n_running
         Those of them that the log covers and in which the motor ran, away from standstill and its
         guard times; where every channel is silent, nobody knows.
+    first_index
+        Place of the log's first sample on the grid.
+    delay
+        The transport delay that the samples were paired with; None where it is off.
     """
 
     index: Times
@@ -68,6 +76,23 @@ class Samples:
     period_us: int
     n_grid: int
     n_running: int
+    first_index: int = 0
+    delay: Delay | None = None
+
+    def only(self, chosen: Mask) -> Samples:
+        """These samples without those that are not chosen; the night stays as long as it was."""
+        return replace(
+            self,
+            index=self.index[chosen],
+            time_us=self.time_us[chosen],
+            pressure_difference_bar=self.pressure_difference_bar[chosen],
+            oil_temperature_c=self.oil_temperature_c[chosen],
+            speed_rpm=self.speed_rpm[chosen],
+            leakage_l_per_min=self.leakage_l_per_min[chosen],
+            low_pressures_bar={
+                name: value[chosen] for name, value in self.low_pressures_bar.items()
+            },
+        )
 
     @property
     def kept_share(self) -> float:
@@ -79,11 +104,15 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
     """Period of the time base [µs]: as stated, else of the fastest channel, within the limit.
 
     The measured rate is rounded (to whole hertz, or whole seconds below 1 Hz), so that a logger's
-    jitter does not give each night a grid of its own.
+    jitter does not give each night a grid of its own. A channel that is sent on change has no rate
+    of its own and counts only where all are; means are not taken apart.
     """
     if settings.rate_hz is not None:
         return round(SECOND_US / settings.rate_hz)
-    fastest = min(channel.period_us for channel in channels.values() if channel.period_us)
+    timed = [channel for channel in channels.values() if channel.period_us]
+    periodic = [channel for channel in timed if not channel.sampling.on_change] or timed
+    fastest = min(channel.period_us for channel in periodic if channel.period_us)
+    fastest = max(fastest, *(channel.sampling.mean_us for channel in channels.values()))
     if fastest > SECOND_US / 1.5:
         rounded = max(round(fastest / SECOND_US), 1) * SECOND_US
     else:
@@ -111,7 +140,12 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Valu
     n = len(grid_us)
     if not n or not len(channel.time_us):
         return np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_)
-    if channel.period_us and channel.period_us * AVERAGE_ABOVE < period_us:
+    if channel.sampling.hold:
+        return _held(channel, grid_us)
+    if channel.sampling.mean_us > 0:
+        return _mean_of_its_period(channel, grid_us)
+    on_change = channel.sampling.on_change
+    if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
         return _averaged(channel, grid_us, period_us)
     return _interpolated(channel, grid_us)
 
@@ -129,6 +163,27 @@ def _interpolated(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, 
     result = value[left] + share * (value[right] - value[left])
     result[~present] = np.nan
     return result, present, silent
+
+
+def _held(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
+    """The last sample, while it is not older than the longest silence; none after a refused one."""
+    last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
+    known, last = last >= 0, np.maximum(last, 0)
+    silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
+    present = ~silent & ~channel.refused[last]
+    return np.where(present, channel.value[last], np.nan), present, silent
+
+
+def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
+    """The mean in whose period a time lies: interpolated means would be averaged once more."""
+    time = channel.time_us
+    right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(grid_us - time[left] < time[right] - grid_us, left, right)
+    reach = MEAN_REACH * channel.sampling.mean_us
+    silent = np.abs(grid_us - time[nearest]) > reach
+    present = ~silent & ~channel.refused[nearest]
+    return np.where(present, channel.value[nearest], np.nan), present, silent
 
 
 def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
@@ -152,6 +207,7 @@ def bring_together(
     night_end_us: int,
     time_base: TimeBase,
     cleaning: Cleaning,
+    transport_delay: TransportDelay | None = None,
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """All channels on one time base, and the joint rules: gap, standstill, guard, transient.
 
@@ -161,8 +217,8 @@ def bring_together(
         Cleaned channels; the pressure difference by itself or as two ports.
     night_start_us, night_end_us
         The night, half open, UTC microseconds.
-    time_base, cleaning
-        Settings.
+    time_base, cleaning, transport_delay
+        Settings; None: no delay.
 
     Returns
     -------
@@ -189,8 +245,15 @@ def bring_together(
         values["pressure_difference"] = values[high] - values[low]
         present["pressure_difference"] = present[high] & present[low]
     low_pressures = [name for name in LOW_PRESSURES if name in channels]
+    unpaired: dict[str, Mask] = {}
+    delay = None
+    if transport_delay is not None and transport_delay.mode != "off":
+        values, present, late, delay = delay_inputs(
+            values, present, period / SECOND_US, transport_delay
+        )
+        unpaired["transport_delay"] = late
     complete = np.logical_and.reduce([present[name] for name in (*INPUTS, *low_pressures)])
-    masks = _joint_masks(channels, grid, period, values, present, cleaning)
+    masks = _joint_masks(channels, grid, period, values, present, cleaning) | unpaired
     refused = np.logical_or.reduce(list(masks.values())) | ~complete
     masks["incomplete"], masks["any"] = ~complete, refused
     found += [
@@ -210,6 +273,8 @@ def bring_together(
             period_us=period,
             n_grid=len(grid),
             n_running=int((logged & ~masks["standstill"] & ~masks["guard"]).sum()),
+            first_index=begin,
+            delay=delay,
         ),
         tuple(found),
     )

@@ -12,7 +12,7 @@ from typing import Any
 
 import polars as pl
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 TIMESTAMP = pl.Datetime("us", "UTC")
 NUMBERS = pl.List(pl.Float64)
@@ -204,6 +204,19 @@ FITS = Table(
         Column("oil", pl.String, "", "The night's oil"),
         Column("model_hash", pl.String, "", "Hash of all that shapes the statistics"),
         RUN_ID,
+        Column(
+            "transport_delay_s",
+            pl.Float64,
+            "s",
+            "Mean delay (14) that the samples were paired with; null where it is off",
+        ),
+        Column(
+            "estimated_transport_delay_s",
+            pl.Float64,
+            "s",
+            "The same by cross-correlation of measured and predicted flow; null where it is off, "
+            "nothing moves, or the best agreement lies at the longest delay tried",
+        ),
     ),
 )
 
@@ -320,6 +333,12 @@ QUALITY = Table(
         Column("n_samples", pl.Int64, "", "Samples that the rule looked at"),
         Column("n_refused", pl.Int64, "", "Samples that it refused"),
         RUN_ID,
+        Column(
+            "n_noted",
+            pl.Int64,
+            "",
+            "Samples that were kept although it applies: put back in order, or off their period",
+        ),
     ),
 )
 

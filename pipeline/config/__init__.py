@@ -10,6 +10,7 @@ from pipeline.config.settings import (
     Settings,
     Smoothing,
     TimeBase,
+    TransportDelay,
     Windows,
 )
 
@@ -27,6 +28,7 @@ __all__ = [
     "Settings",
     "Smoothing",
     "TimeBase",
+    "TransportDelay",
     "Windows",
     "load_fleet",
 ]

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AwareDatetime, Field, field_validator, model_validator
 
 from leakage import Constant, Parameter
 from pipeline.config.faults import Place, refuse
@@ -14,8 +15,10 @@ from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.errors import UsageError
 from pipeline.ingest import ChannelSource, LogSource
+from pipeline.ingest.contract import MISSING_TOKENS
+from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.time_stamps import require_time_format
-from pipeline.units import CHANNELS, QUANTITIES, UNITS
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
 
 MotorId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 ChannelName = Literal[
@@ -28,6 +31,9 @@ ChannelName = Literal[
     "speed",
     "leakage_flow",
 ]
+# Unit of a drain flow that is logged as counts of a volume.
+COUNT = "count"
+COUNTED = "leakage_flow"
 FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
     "pressure_difference": (-450.0, 450.0),
     "high_port_pressure": (-1.0, 450.0),
@@ -48,10 +54,15 @@ class Channel(Section):
     """
 
     source: str = Field(
-        min_length=1, description="Column of a CSV or Parquet log, topic of an MCAP"
+        min_length=1,
+        description="Column of a CSV or Parquet log (nested: its path, `a.b.c`), topic of an MCAP; "
+        "in the layout `long` the channel's name, in `file_per_channel` a glob of the file's name",
     )
     field: str = Field(
-        "value", min_length=1, description="Key in the JSON message of an MCAP topic"
+        "value",
+        min_length=1,
+        description="Field in the message of an MCAP topic: a key, or a path such as "
+        "`hydraulics.pressure.a` or `pressures[0].value`",
     )
     unit: str = Field(description="Unit in the log")
     scale: float = Field(1.0, description="Factor on the logged number, before the unit")
@@ -64,7 +75,11 @@ class Channel(Section):
         description="Highest value that the sensor gives; for the drain flow also what it gives "
         "under back-flow",
     )
-    resolution: NonNegative = Field(0.0, description="Smallest step of the sensor")
+    resolution: NonNegative = Field(
+        0.0,
+        description="Smallest step of the sensor; where none is stated, spikes are judged by the "
+        "step that the readings visibly have",
+    )
     offset_tolerance: NonNegative = Field(
         0.0, description="Stated constant error of the sensor; 0: none stated"
     )
@@ -74,6 +89,61 @@ class Channel(Section):
     frozen_after_s: Positive | None = Field(
         None, description="Overrides cleaning.frozen_after_s; temperature: 900 s unless stated"
     )
+    sampling: Literal["periodic", "on_change", "mean"] = Field(
+        "periodic",
+        description="`periodic`: a reading every so often; `on_change`: a sample where the value "
+        "changes, or what a historian's compression left (silence is no gap and no frozen sensor, "
+        "and no sample a spike); `mean`: the mean of a period",
+    )
+    longest_silence_s: Positive | None = Field(
+        None,
+        description="Longer silence than this is a gap in this channel; needed for `on_change`, "
+        "else five sample periods unless stated",
+    )
+    between: Literal["interpolate", "hold"] = Field(
+        "interpolate",
+        description="Between two samples: `interpolate` (a compressed archive), or `hold` the "
+        "first one (a value sent on change; `on_change` only)",
+    )
+    mean_of_s: Positive | None = Field(
+        None, description="Period of which a sample is the mean; needed for `mean`"
+    )
+    mean_stamp: Literal["begin", "middle", "end"] = Field(
+        "middle", description="Where in its period the time stamp of a mean stands"
+    )
+    counts: Literal["cumulative", "pulses"] | None = Field(
+        None,
+        description="Drain flow only, with the unit `count`: the log holds a running total "
+        "(`cumulative`), or the counts since the sample before (`pulses`)",
+    )
+    volume_per_count_cm3: Positive | None = Field(
+        None, description="Volume of one count; 1000 for a counter of litres"
+    )
+    counter_rolls_over_at: Positive | None = Field(
+        None,
+        description="A running total begins at 0 again after this many counts; without it every "
+        "fall of the total is a reset, and that sample is refused",
+    )
+    time_offset_s: float = Field(
+        0.0,
+        ge=-600.0,
+        le=600.0,
+        description="Added to the channel's time stamps, where its clock is known to be off",
+    )
+
+    @model_validator(mode="after")
+    def _sampled_in_one_way(self) -> Channel:
+        refuse("channel", _sampling_faults(self))
+        return self
+
+    @field_validator("field")
+    @classmethod
+    def _path(cls, field: str) -> str:
+        try:
+            field_path(field)
+        except UsageError as error:
+            raise ValueError(error.message) from error
+        return field
 
     @field_validator("scale")
     @classmethod
@@ -90,6 +160,27 @@ class Channel(Section):
         return limits
 
 
+def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
+    """Keys of a channel's sampling that do not go together."""
+    if (channel.longest_silence_s is None) and channel.sampling == "on_change":
+        yield ("longest_silence_s",), 'expected a time, as sampling = "on_change" needs it', None
+    if channel.between == "hold" and channel.sampling != "on_change":
+        yield ("between",), 'expected sampling = "on_change" beside it', channel.between
+    if (channel.mean_of_s is None) == (channel.sampling == "mean"):
+        message = 'expected together with sampling = "mean", and only then'
+        yield ("mean_of_s",), message, channel.mean_of_s
+    if (channel.counts is None) == (channel.unit == COUNT):
+        yield ("counts",), f'expected together with unit = "{COUNT}"', channel.counts
+    if (channel.counts is None) != (channel.volume_per_count_cm3 is None):
+        message = "expected together with counts, and only then"
+        yield ("volume_per_count_cm3",), message, channel.volume_per_count_cm3
+    if channel.counts is not None and channel.sampling == "mean":
+        yield ("counts",), 'expected no sampling = "mean" beside it', channel.counts
+    if channel.counter_rolls_over_at is not None and channel.counts != "cumulative":
+        message = 'expected counts = "cumulative" beside it'
+        yield ("counter_rolls_over_at",), message, channel.counter_rolls_over_at
+
+
 class Logs(Section):
     """The motor's log files and their dialect."""
 
@@ -103,15 +194,40 @@ class Logs(Section):
     )
     time_format: str = Field(
         "iso8601",
-        description="`iso8601`, `epoch_s`, `epoch_ms`, `epoch_us`, `epoch_ns` or a strptime format",
+        description="`iso8601`, `epoch_s`, `epoch_ms`, `epoch_us`, `epoch_ns`, `excel_days` or a "
+        "strptime format",
     )
     time_zone: str = Field("UTC", description="Zone of time stamps that state none")
+    date_column: str = Field(
+        "", description="Column of the date, where the time has one of its own; read as `date time`"
+    )
+    layout: Literal["wide", "long", "file_per_channel"] = Field(
+        "wide",
+        description="CSV, Parquet: a column a channel, a row a sample with the channel's name in "
+        "it, or a file a channel",
+    )
+    channel_column: str = Field("channel", description="Layout `long`: column of channels' names")
+    value_column: str = Field(
+        "value", description="Layouts `long` and `file_per_channel`: column of the values"
+    )
     separator: str = Field(",", min_length=1, max_length=1, description="CSV: between cells")
     decimal: Literal[".", ","] = Field(".", description="CSV: decimal mark")
+    thousands: str = Field("", description="CSV: mark between groups of three digits")
     encoding: str = Field("utf-8", description="CSV: text encoding")
     skip_rows: int = Field(0, ge=0, description="CSV: lines before the header")
+    unit_rows: int = Field(0, ge=0, description="CSV: lines after the header that hold no samples")
     missing_tokens: tuple[str, ...] = Field(
-        ("", "NA", "null"), description="CSV: what a cell without a value holds"
+        MISSING_TOKENS, description="CSV: what a cell without a value holds"
+    )
+    stamp: str = Field(
+        "",
+        description="MCAP: path of a time stamp within the message, such as `header.stamp`, to use "
+        "instead of its log time; a number or text there is in `time_format`",
+    )
+    salvage: bool = Field(
+        False,
+        description="MCAP: read what stands before the damage of a truncated or damaged file, "
+        "instead of refusing the file; what is lost is noted",
     )
 
     @field_validator("files")
@@ -188,6 +304,29 @@ class Event(Section):
     note: str = Field("", description="In words")
 
 
+class Periods(Section):
+    """Times to fit and to validate on, chosen by hand.
+
+    A night that one of them touches uses only these; all others are split by the rules.
+    """
+
+    training: tuple[tuple[AwareDatetime, AwareDatetime], ...] = Field(
+        (), description="Periods to fit, each [from, to), with their offset from UTC"
+    )
+    validation: tuple[tuple[AwareDatetime, AwareDatetime], ...] = Field(
+        (), description="Periods to validate on, each [from, to), with their offset from UTC"
+    )
+
+    @model_validator(mode="after")
+    def _apart(self) -> Periods:
+        periods = sorted((*self.training, *self.validation))
+        if any(begin >= end for begin, end in periods):
+            raise ValueError("expected each period as [from, to], the later time second")
+        if any(one[1] > other[0] for one, other in pairwise(periods)):
+            raise ValueError("expected periods that do not overlap")
+        return self
+
+
 class FlushingTable(Section):
     """How the motor is flushed: the flow that is added on the way to the sensor."""
 
@@ -240,6 +379,9 @@ class MotorFile(Section):
     flushing: FlushingTable = Field(
         default_factory=lambda: FlushingTable(), description="Flow added before the sensor"
     )
+    periods: Periods = Field(
+        default_factory=lambda: Periods(), description="Training and validation set by hand"
+    )
     events: tuple[Event, ...] = Field((), description="Dated events; they start a new baseline")
     override: dict[str, Any] = Field(
         default_factory=dict, description="Any section of the fleet file, for this motor alone"
@@ -261,7 +403,10 @@ class MotorFile(Section):
             ChannelSource(
                 channel=name,
                 source=self.channels[name].source,
-                unit=self.channels[name].unit,
+                # Counts are read as they are; cleaning makes a flow of them.
+                unit=canonical_unit(name)
+                if self.channels[name].counts
+                else self.channels[name].unit,
                 field=self.channels[name].field,
                 scale=self.channels[name].scale,
                 offset=self.channels[name].offset,
@@ -292,5 +437,7 @@ def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, ob
         yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
     for name, unit in units.items():
         known = UNITS[QUANTITIES[name]] if name in QUANTITIES else {}
+        if name == COUNTED and unit == COUNT:
+            continue
         if known and isinstance(unit, str) and unit not in known:
             yield ("channels", name, "unit"), f"expected one of {', '.join(known)}", unit

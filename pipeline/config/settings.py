@@ -98,6 +98,16 @@ class Cleaning(Section):
     temperature_gap_s: Positive = Field(
         5.0, description="Longer silence than this is a gap in the oil temperature"
     )
+    maximum_mean_s: Positive = Field(
+        10.0,
+        description="A channel logged as means of a longer period than this makes the night fail "
+        "with `means_too_long`",
+    )
+    out_of_order: Literal["sort", "refuse"] = Field(
+        "sort",
+        description="Samples behind the log's own time: `sort` puts those back whose place is "
+        "free, within five sample periods of others, and refuses the rest; `refuse`: all of them",
+    )
     refuse_transients: bool = Field(False, description="Refuse fast changes of speed or pressure")
     transient_speed_rpm_per_s: Positive = Field(
         5.0, description="Speed changes faster than this are transients"
@@ -112,6 +122,55 @@ class Cleaning(Section):
         if samples % 2 == 0:
             raise ValueError("expected an odd number of samples")
         return samples
+
+
+InputName = Literal["pressure_difference", "oil_temperature", "speed"]
+
+
+class TransportDelay(Section):
+    """Time between the motor and the sensors of its drain line, equation (14)."""
+
+    mode: Literal["off", "fixed", "flow"] = Field(
+        "off",
+        description="`fixed`: always the same; `flow`: the line's volume over the drain flow. "
+        "Either reports an estimate beside it; with `fixed` and 0 s it changes nothing else",
+    )
+    fixed_s: NonNegative = Field(0.0, description="`fixed`: the delay")
+    line_length_m: Positive | None = Field(
+        None, description="`flow`: length of the drain line from the motor to the sensor"
+    )
+    line_inner_diameter_mm: Positive | None = Field(
+        None, description="`flow`: inner diameter of the drain line"
+    )
+    flow_average_s: NonNegative = Field(
+        10.0, description="`flow`: the drain flow that tells the delay is averaged over this time"
+    )
+    maximum_s: Positive = Field(
+        60.0, description="A sample with a longer delay is refused; longest delay estimated"
+    )
+    leading: tuple[InputName, ...] = Field(
+        (),
+        description="Inputs that the drain flow follows late: it is paired with them at t − τ "
+        "(the thesis; a line that is not full)",
+    )
+    lagging: tuple[InputName, ...] = Field(
+        (),
+        description="Inputs measured in the drain line, at the flow sensor: the flow is paired "
+        "with them at t + τ (oil temperature in a full line)",
+    )
+
+    @model_validator(mode="after")
+    def _complete(self) -> TransportDelay:
+        named = (*self.leading, *self.lagging)
+        if len(set(named)) < len(named):
+            raise ValueError("expected each input once among leading and lagging")
+        if self.mode != "off" and not named:
+            raise ValueError("expected an input in leading or in lagging")
+        if self.mode == "flow" and None in (self.line_length_m, self.line_inner_diameter_mm):
+            raise ValueError("expected line_length_m and line_inner_diameter_mm beside mode")
+        if self.mode == "fixed" and self.fixed_s > self.maximum_s:
+            raise ValueError("expected fixed_s no longer than maximum_s")
+        return self
 
 
 class Smoothing(Section):
@@ -140,6 +199,26 @@ class Windows(Section):
     training_share: Share = Field(0.8, lt=1, description="Share of the kept samples that trains")
     guard_blocks: int = Field(
         1, ge=0, description="Blocks left out at each border between training and validation"
+    )
+    minimum_block_share: NonNegative = Field(
+        0.0, le=1, description="A block that kept a smaller share of its samples is left out"
+    )
+    longest_gap_s: Positive | None = Field(
+        None,
+        description="Longer gaps between kept samples cut the night into stretches; without it "
+        "the night is one",
+    )
+    minimum_stretch_minutes: NonNegative = Field(
+        0.0, description="A stretch with fewer kept samples, as time, is left out"
+    )
+    minimum_pressure_spread_bar: NonNegative = Field(
+        0.0,
+        description="Spread of |pressure difference| over the training samples, 5th to 95th "
+        "percentile, that a fit needs",
+    )
+    minimum_speed_spread_rpm: NonNegative = Field(0.0, description="The same of |speed|")
+    minimum_temperature_spread_c: NonNegative = Field(
+        0.0, description="The same of the oil temperature"
     )
     minimum_kept_share: Share = Field(
         0.6, description="Share of the running motor's samples that must be kept for a fit"
@@ -230,6 +309,7 @@ class Settings(Section):
     nights: Nights = Field(default_factory=lambda: Nights())
     time_base: TimeBase = Field(default_factory=lambda: TimeBase())
     cleaning: Cleaning = Field(default_factory=lambda: Cleaning())
+    transport_delay: TransportDelay = Field(default_factory=lambda: TransportDelay())
     smoothing: Smoothing = Field(default_factory=lambda: Smoothing())
     windows: Windows = Field(default_factory=lambda: Windows())
     model: Model = Field(default_factory=lambda: Model())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -16,6 +17,8 @@ from pipeline.ingest.time_stamps import TimeStamps
 from pipeline.units import to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
+
+_DAY_US = 86_400_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +53,8 @@ class Readings:
         examples = (part.example for part in parts if part.example is not None)
         return Readings(
             np.concatenate([np.empty(0), *(part.raw for part in parts)]),
-            np.concatenate([np.empty(0, np.bool_), *(part.missing for part in parts)]),
-            np.concatenate([np.empty(0, np.bool_), *(part.unparsed for part in parts)]),
+            _joined_marks([part.missing for part in parts]),
+            _joined_marks([part.unparsed for part in parts]),
             next(examples, None),
         )
 
@@ -66,6 +69,22 @@ def raw_channel(
     LogError
         ``log_type``: the channel holds something, but not one number.
     """
+    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings))
+
+
+def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
+    """Readings of a channel after scale, offset and unit."""
+    # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        plain = source.scale == 1.0 and source.offset == 0.0
+        scaled = readings.raw if plain else readings.raw * source.scale + source.offset
+        return replace(readings, raw=to_canonical(source.channel, scaled, source.unit))
+
+
+def canonical_channel(
+    path: Path, source: ChannelSource, time_us: NDArray[np.int64], readings: Readings
+) -> RawChannel:
+    """Channel whose readings are in its canonical unit already; errors as of `raw_channel`."""
     unparsed = int(np.count_nonzero(readings.unparsed))
     if unparsed and readings.missing.all():
         raise LogError(
@@ -75,48 +94,7 @@ def raw_channel(
             f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             source.source,
         )
-    # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
-    with np.errstate(over="ignore", invalid="ignore"):
-        scaled = readings.raw * source.scale + source.offset
-        value = to_canonical(source.channel, scaled, source.unit)
-    return RawChannel(_frozen(time_us), _frozen(value), _frozen(readings.missing), unparsed)
-
-
-def wide_log(
-    path: Path,
-    source: LogSource,
-    stamps: TimeStamps,
-    columns: Mapping[str, Readings],
-    refused: Mapping[str, int],
-) -> RawLog:
-    """Log whose channels share one column of time stamps.
-
-    Parameters
-    ----------
-    path, source
-        The log.
-    stamps
-        Time of each row.
-    columns
-        Readings by canonical channel name.
-    refused
-        Rows left out so far, by reason.
-
-    Raises
-    ------
-    LogError
-        ``log_type``; ``log_time`` where more than half of the rows have no time.
-    """
-    without_time = require_time(path, stamps, time_name(source))
-    refused = {**refused, "rows without a readable time": without_time}
-    time_us = stamps.time_us[stamps.readable]
-    channels = {
-        channel.channel: raw_channel(
-            path, channel, time_us, columns[channel.channel].rows(stamps.readable)
-        )
-        for channel in source.channels
-    }
-    return raw_log(channels, time_us.size, refused)
+    return RawChannel(_frozen(time_us), _frozen(readings.raw), _frozen(readings.missing), unparsed)
 
 
 def time_name(source: LogSource) -> str:
@@ -134,6 +112,14 @@ def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
     """
     rows = stamps.readable.size
     unreadable = rows - int(np.count_nonzero(stamps.readable))
+    if 2 * stamps.skipped > rows:
+        raise LogError(
+            "log_time",
+            path,
+            f"{stamps.skipped} of {rows} time stamps, read as {name}, lie in an hour that does not "
+            "exist in the zone, as its clocks go forward: where the logger's clock does not, set "
+            "time_zone to a fixed one such as Etc/GMT-1",
+        )
     if 2 * unreadable > rows:
         raise LogError(
             "log_time",
@@ -144,7 +130,43 @@ def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
     return unreadable
 
 
-def raw_log(channels: Mapping[str, RawChannel], rows: int, refused: Mapping[str, int]) -> RawLog:
+def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[str, int]]:
+    """Stamps without those in the future, and how many rows have no good time, by reason.
+
+    Parameters
+    ----------
+    name
+        What the stamps are called and how they were read.
+
+    Raises
+    ------
+    LogError
+        ``log_time``: more than half of the rows have no good time.
+    """
+    future = stamps.readable & (stamps.time_us > time.time_ns() // 1000 + _DAY_US)
+    ahead = int(np.count_nonzero(future))
+    if 2 * ahead > stamps.readable.size:
+        raise LogError(
+            "log_time",
+            path,
+            f"{ahead} of {stamps.readable.size} time stamps, read as {name}, lie more than a day "
+            "in the future: have the logger's clock set, or give the right time format",
+        )
+    past = stamps if not ahead else replace(stamps, readable=stamps.readable & ~future)
+    unreadable = require_time(path, past, name)
+    return past, {
+        "rows without a readable time": unreadable - stamps.skipped - ahead,
+        "rows at a local time that the zone's clock change leaves out": stamps.skipped,
+        "rows with a time more than a day in the future": ahead,
+    }
+
+
+def raw_log(
+    channels: Mapping[str, RawChannel],
+    rows: int,
+    refused: Mapping[str, int],
+    remarks: Sequence[str] = (),
+) -> RawLog:
     """Log from its channels, with a note for each reason for which something was left out."""
     times = [channel.time_us for channel in channels.values() if channel.time_us.size]
     return RawLog(
@@ -152,7 +174,8 @@ def raw_log(channels: Mapping[str, RawChannel], rows: int, refused: Mapping[str,
         rows=rows,
         first_us=min((int(time_us.min()) for time_us in times), default=None),
         last_us=max((int(time_us.max()) for time_us in times), default=None),
-        notes=tuple(f"{count} {reason}" for reason, count in refused.items() if count),
+        notes=tuple(f"{count} {reason}" for reason, count in refused.items() if count)
+        + tuple(remarks),
         refused_rows=sum(refused.values()),
     )
 
@@ -163,6 +186,13 @@ def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     if not times:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
     return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
+
+
+def _joined_marks(parts: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
+    # Zeros that are never written take no memory.
+    if not any(part.any() for part in parts):
+        return np.zeros(sum(part.size for part in parts), dtype=np.bool_)
+    return np.concatenate(parts)
 
 
 def _frozen(values: NDArray[_T]) -> NDArray[_T]:

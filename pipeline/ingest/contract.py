@@ -10,14 +10,15 @@ Codes of the `LogError` that readers raise:
 - ``log_not_readable``: not a file, or it may not be opened;
 - ``log_empty``: the file has no bytes or no header, or it has no samples and a span was asked for;
 - ``log_not_csv``, ``log_not_parquet``, ``log_not_mcap``: it is something else;
-- ``log_encoding``: the text is in another encoding, or MCAP messages are not JSON;
+- ``log_encoding``: the text is in another encoding, or MCAP messages are in one that is not read;
+- ``log_extra_missing``: a package that these messages need is not installed;
 - ``log_compression``: chunks of an MCAP file are compressed in a way that is not known;
 - ``log_truncated``: the end of the file is missing;
 - ``log_damaged``: a checksum, a length or a count contradicts what is there;
 - ``log_column_missing``: a column, topic or field is not there; the message says which are;
 - ``log_column_twice``: two columns have the name that is asked for;
 - ``log_type``: a channel holds something else than numbers;
-- ``log_time``: time stamps cannot be read as the source says;
+- ``log_time``: time stamps cannot be read as the source says, or lie in the future;
 - ``log_too_large``: more than a reader takes into memory.
 """
 
@@ -33,13 +34,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UsageError
+from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.time_stamps import require_time_format
 from pipeline.units import conversion
 
 LogFormat = Literal["csv", "parquet", "mcap"]
+LogLayout = Literal["wide", "long", "file_per_channel"]
 
-MISSING_TOKENS = ("", "null", "NULL", "NA", "N/A")
+MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
 """Cells of a CSV that mean "no sample". ``NaN`` does not: it is a reading that is not finite."""
+
+THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
+"""Marks that may stand between groups of three digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,11 +57,14 @@ class ChannelSource:
     channel
         Canonical name, one of `pipeline.units.CHANNELS`.
     source
-        Name of the column (CSV, Parquet) or topic (MCAP).
+        Name of the column (CSV, Parquet; a path such as ``hydraulics.pressure.a`` where columns of
+        Parquet are nested) or topic (MCAP). In the layout "long" what the column of names holds, in
+        "file_per_channel" a pattern of the file's name such as ``*_dp_*.csv``.
     unit
         Unit of ``raw * scale + offset``, one of `pipeline.units.UNITS` of the channel's quantity.
     field
-        Key in the JSON message (MCAP only).
+        Key in the message, or path of keys and array positions such as ``pressure.a`` or
+        ``pressures[0].value`` (MCAP only; `pipeline.ingest.mcap_paths.field_path`).
     scale, offset
         For sensors logged in counts, volts or milliamperes.
     """
@@ -69,6 +78,7 @@ class ChannelSource:
 
     def __post_init__(self) -> None:
         conversion(self.channel, self.unit)
+        field_path(self.field, self.source)
         if not (np.isfinite(self.scale) and np.isfinite(self.offset) and self.scale != 0):
             raise UsageError(
                 "channel_source",
@@ -90,12 +100,25 @@ class LogSource:
         Column of the time stamps (CSV, Parquet); "log_time" or "publish_time" (MCAP, where any
         other name means "log_time").
     time_format
-        "iso8601", "epoch_s", "epoch_ms", "epoch_us", "epoch_ns" or a format of `time.strptime`.
-        Parquet columns of type timestamp and MCAP say it themselves.
+        "iso8601", "epoch_s", "epoch_ms", "epoch_us", "epoch_ns", "excel_days" or a format of
+        `time.strptime`. Parquet columns of type timestamp and MCAP say it themselves.
     time_zone
         Zone of time stamps that do not carry one.
-    separator, decimal, encoding, skip_rows, missing_tokens
-        The dialect of a CSV; `skip_rows` lines stand before the header.
+    layout
+        "wide": a column a channel; "long": a row a sample, with the channel's name in it;
+        "file_per_channel": a file a channel (CSV and Parquet).
+    channel_column, value_column
+        Columns of the name ("long") and of the value ("long", "file_per_channel").
+    date_column
+        Column of the date where the time has one of its own (CSV); both are read as
+        ``date time`` in `time_format`.
+    separator, decimal, thousands, encoding, skip_rows, unit_rows, missing_tokens
+        The dialect of a CSV; `skip_rows` lines stand before the header, `unit_rows` after it.
+    stamp
+        Path of the time stamp within each message, instead of its log time (MCAP): seconds and
+        nanoseconds, or a number or text in `time_format`. Empty: none.
+    salvage
+        Whether a truncated or damaged file gives what stands before the damage (MCAP).
     """
 
     format: LogFormat
@@ -103,11 +126,19 @@ class LogSource:
     time_source: str = "time"
     time_format: str = "iso8601"
     time_zone: str = "UTC"
+    layout: LogLayout = "wide"
+    channel_column: str = "channel"
+    value_column: str = "value"
+    date_column: str = ""
     separator: str = ","
     decimal: str = "."
+    thousands: str = ""
     encoding: str = "utf-8"
     skip_rows: int = 0
+    unit_rows: int = 0
     missing_tokens: tuple[str, ...] = MISSING_TOKENS
+    stamp: str = ""
+    salvage: bool = False
 
     def __post_init__(self) -> None:
         if self.format not in get_args(LogFormat):
@@ -118,6 +149,8 @@ class LogSource:
         if not names or len(names) != len(set(names)):
             raise UsageError("log_source", "a log has at least one channel, and each channel once")
         require_time_format(self.time_format)
+        if self.stamp:
+            field_path(self.stamp)
         _require_dialect(self)
 
 
@@ -180,8 +213,18 @@ def _require_dialect(source: LogSource) -> None:
             "log_source",
             f"decimal {source.decimal!r} is neither '.' nor ',', or it is the separator",
         )
-    if source.skip_rows < 0:
-        raise UsageError("log_source", "skip_rows is not negative")
+    if source.thousands and (
+        source.thousands not in THOUSANDS or source.thousands in (source.decimal, source.separator)
+    ):
+        raise UsageError(
+            "log_source",
+            f"thousands {source.thousands!r} is none of {', '.join(map(repr, THOUSANDS))}, or it "
+            "is the decimal mark or the separator",
+        )
+    if source.skip_rows < 0 or source.unit_rows < 0:
+        raise UsageError("log_source", "skip_rows and unit_rows are not negative")
+    if source.layout not in get_args(LogLayout):
+        raise UsageError("log_source", f"layout {source.layout!r} is not known")
     try:
         codecs.getincrementaldecoder(source.encoding)()
         " ".encode(source.encoding)

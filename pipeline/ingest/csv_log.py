@@ -1,51 +1,25 @@
-"""Logs as delimited text.
+"""Logs as delimited text, read in pieces, so that memory holds the readings and not the text.
 
-All wanted columns are taken as text and converted column by column, so that a bad cell costs its
-own column some speed and nothing else, and is counted. A row with too many or too few cells, and a
-last row without a line end, are left out and counted: half a figure looks like a figure.
+A row with too many or too few cells, and a last row without a line end, are left out and counted:
+half a figure looks like a figure. Where a header comes again in the middle, it holds from there on.
 """
 
 from __future__ import annotations
 
-import codecs
-import csv
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
-from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings, require_time, span, time_name, wide_log
+from pipeline.ingest import csv_cells
 from pipeline.ingest.contract import LogSource, RawLog
-from pipeline.ingest.time_stamps import TimeStampError, TimeStamps, from_text
+from pipeline.ingest.csv_header import Header, Section, rows_begin, sections
+from pipeline.ingest.csv_text import Lines, is_packed, is_utf8, read_lines, repaired
+from pipeline.ingest.table import Columns, Table, wanted_columns
 
-LARGEST_FILE = 4 * 2**30
-"""Bytes; a CSV is held in memory while it is read."""
-
-_HEAD = 2**20
 _SPAN_PIECE = 2**16
-_NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
-
-
-@dataclass(frozen=True, slots=True)
-class _Text:
-    """A CSV taken apart: UTF-8, whole lines only."""
-
-    names: tuple[str, ...]
-    body: memoryview
-    torn_rows: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Table:
-    columns: dict[str, pa.ChunkedArray]
-    ragged_rows: int
 
 
 def read_csv_log(path: Path, source: LogSource) -> RawLog:
@@ -54,7 +28,7 @@ def read_csv_log(path: Path, source: LogSource) -> RawLog:
     Parameters
     ----------
     path
-        An existing file.
+        An existing file, plain or packed with gzip or Zstandard.
     source
         Its dialect and channels.
 
@@ -63,18 +37,10 @@ def read_csv_log(path: Path, source: LogSource) -> RawLog:
     LogError
         As listed in `pipeline.ingest.contract`.
     """
-    text = _split(path, _utf8(path, _bytes(path), source.encoding), source)
-    wanted = dict.fromkeys([source.time_source, *(c.source for c in source.channels)])
-    table = _table(path, source, text, tuple(wanted))
-    columns = {
-        channel.channel: _readings(path, source, channel.source, table.columns[channel.source])
-        for channel in source.channels
-    }
-    refused = {
-        "last row without a line end (it may be cut)": text.torn_rows,
-        "rows with too many or too few cells": table.ragged_rows,
-    }
-    return wide_log(path, source, _stamps(path, source, table), columns, refused)
+    reader = _Reader(path, source, wanted_columns(path, source))
+    for lines in read_lines(path, source.encoding):
+        reader.read(lines)
+    return reader.log()
 
 
 def csv_time_span(path: Path, source: LogSource) -> tuple[int, int]:
@@ -85,152 +51,172 @@ def csv_time_span(path: Path, source: LogSource) -> tuple[int, int]:
     LogError
         As `read_csv_log`; ``log_empty`` where there is no row.
     """
-    if _is_utf8(source.encoding) and path.stat().st_size > 4 * _SPAN_PIECE:
+    times = Columns(wanted_columns(path, source).time, None, ())
+    if is_utf8(source.encoding) and path.stat().st_size > 4 * _SPAN_PIECE and not is_packed(path):
         try:
-            return _span_of_ends(path, source)
+            return _span_of_ends(path, source, times)
         except LogError:
             # Say what is wrong, or find the span, from the whole file.
             pass
-    text = _split(path, _utf8(path, _bytes(path), source.encoding), source)
-    return _span(path, source, [text])
+    reader = _Reader(path, source, times)
+    for lines in read_lines(path, source.encoding):
+        reader.read(lines)
+    reader.require_rows_of_one_width()
+    return reader.table.span()
 
 
-def _span_of_ends(path: Path, source: LogSource) -> tuple[int, int]:
+def _span_of_ends(path: Path, source: LogSource, times: Columns) -> tuple[int, int]:
     with path.open("rb") as file:
-        head = file.read(_SPAN_PIECE)
         file.seek(-_SPAN_PIECE, 2)
         tail = file.read()
-    first = _split(path, _utf8(path, head, source.encoding), source)
-    start = tail.find(b"\n") + 1
-    whole_lines = _repaired(tail[start : _end_of_lines(tail)])
-    last = _Text(first.names, memoryview(whole_lines), 0)
-    return _span(path, source, [first, last])
+    begin, end = tail.find(b"\n") + 1, max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
+    reader = _Reader(path, source, times)
+    reader.read(next(read_lines(path, source.encoding, _SPAN_PIECE)))
+    first = reader.table.span()
+    reader.table = Table(path, source)
+    reader.read(Lines(repaired(tail[begin:end])))
+    last = reader.table.span()
+    return min(first[0], last[0]), max(first[1], last[1])
 
 
-def _span(path: Path, source: LogSource, texts: Sequence[_Text]) -> tuple[int, int]:
-    parts: list[NDArray[np.int64]] = []
-    for text in texts:
-        stamps = _stamps(path, source, _table(path, source, text, (source.time_source,)))
-        require_time(path, stamps, time_name(source))
-        parts.append(stamps.time_us[stamps.readable])
-    return span(path, parts)
+class _Reader:
+    """Takes the pieces of a file one after the other, and gives the log."""
 
+    def __init__(self, path: Path, source: LogSource, columns: Columns) -> None:
+        self.path = path
+        self.source = source
+        self.columns = columns
+        self.table = Table(path, source)
+        self.header = Header(path, source, columns.all)
+        self.torn = 0
+        self.rows = 0
+        self.ragged = 0
+        self.ragged_cells = 0
+        numbers: tuple[pa.DataType, ...] = () if source.thousands else (pa.float64(),)
+        # What each column may be parsed as at once; what fails is not tried again.
+        self.types: dict[str, tuple[pa.DataType, ...]] = dict.fromkeys(columns.numbers, numbers)
+        self.types |= dict.fromkeys(columns.time, csv_cells.time_types(source))
 
-def _bytes(path: Path) -> bytes:
-    size = path.stat().st_size
-    if size > LARGEST_FILE:
-        raise LogError(
-            "log_too_large",
-            path,
-            f"{size} bytes are more than the {LARGEST_FILE} that a CSV may have: split it, or use "
-            "Parquet",
-        )
-    return path.read_bytes()
+    def read(self, lines: Lines) -> None:
+        """Take a piece."""
+        self.torn += bool(lines.torn)
+        if lines.torn or not lines.data:
+            self.header.require(torn=lines.torn)
+            return
+        start = rows_begin(self.header, lines.data)
+        if self._read_at_once(lines.data, start):
+            return
+        for section in sections(self.header, lines.data, start):
+            self._read_section(section)
 
-
-def _is_utf8(encoding: str) -> bool:
-    return codecs.lookup(encoding).name in {"utf-8", "utf-8-sig", "ascii"}
-
-
-def _utf8(path: Path, data: bytes, encoding: str) -> bytes:
-    """The file's text as UTF-8 without a byte order mark."""
-    if not _is_utf8(encoding):
+    def _read_at_once(self, data: bytes, start: int) -> bool:
+        """Read a piece all of whose cells are numbers and stamps, so that no header is in it."""
+        keys = {name: str(at) for name, at in self.header.position.items()}
+        if start == len(data) or not all(self.types.get(name) for name in keys):
+            return False
+        whole = Section(memoryview(data)[start:], len(self.header.names), self.header.position, 0)
         try:
-            # An incremental decoder leaves half a character at the end to the last, cut row.
-            data = codecs.getincrementaldecoder(encoding)().decode(data).encode()
-        except (UnicodeError, ValueError) as error:
+            types = {key: self.types[name][0] for name, key in keys.items()}
+            table, ragged = _parse(self.source, whole, types)
+        except pa.ArrowInvalid:
+            return False
+        if ragged:
+            return False
+        self.rows += table.num_rows
+        self._add({name: table.column(key) for name, key in keys.items()})
+        return True
+
+    def log(self) -> RawLog:
+        """What was read."""
+        self.require_rows_of_one_width()
+        return self.table.log(
+            {
+                "last row without a line end (it may be cut)": self.torn,
+                "rows with too many or too few cells": self.ragged,
+                "lines that repeat the header": self.header.repeated,
+            }
+        )
+
+    def require_rows_of_one_width(self) -> None:
+        """Refuse a file most of whose rows do not have the header's number of cells."""
+        if self.ragged > self.rows:
             raise LogError(
-                "log_encoding", path, f"the text is not in encoding {encoding}: {error}"
+                "log_not_csv",
+                self.path,
+                f"{self.ragged} of {self.ragged + self.rows} rows have not the header's "
+                f"{len(self.header.names)} cells, the first has {self.ragged_cells}: check "
+                "separator and skip_rows",
+            )
+
+    def _read_section(self, section: Section) -> None:
+        keys = {
+            name: str(section.position[name])
+            for name in self.columns.all
+            if name in section.position
+        }
+        try:
+            table, ragged = self._parsed(section, keys)
+        except pa.ArrowInvalid as error:
+            raise LogError(
+                "log_damaged",
+                self.path,
+                f"the rows cannot be told apart: {error}",
+                f"after line {section.line}",
             ) from error
-    _refuse_binary(path, data[:4096])
-    return _repaired(data).removeprefix(codecs.BOM_UTF8)
-
-
-def _repaired(data: bytes) -> bytes:
-    """What is not UTF-8 gets a mark in its place, and a cell with a mark is no number."""
-    return data if data.isascii() else data.decode(errors="replace").encode()
-
-
-def _refuse_binary(path: Path, head: bytes) -> None:
-    nul = head.count(0)
-    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or 5 * nul > 2 * len(head):
-        raise LogError(
-            "log_encoding", path, 'the text looks like UTF-16: set encoding = "utf-16" for this log'
-        )
-    if nul:
-        raise LogError(
-            "log_not_csv", path, "the file is not text: set the format it has, or unpack it first"
-        )
-
-
-def _end_of_lines(data: bytes) -> int:
-    return max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
-
-
-def _split(path: Path, data: bytes, source: LogSource) -> _Text:
-    """Names of the columns, and the rows below them up to the last line end."""
-    lines = data[:_HEAD].splitlines(keepends=True)
-    header = source.skip_rows
-    while header < len(lines) and not lines[header].strip():
-        header += 1
-    if header >= len(lines):
-        raise LogError("log_empty", path, f"no header after {source.skip_rows} skipped lines")
-    if not lines[header].endswith((b"\n", b"\r")):
-        code = "log_truncated" if len(data) < _HEAD else "log_not_csv"
-        raise LogError(code, path, "the header has no line end", f"line {header + 1}")
-    try:
-        cells = next(csv.reader([lines[header].decode()], delimiter=source.separator))
-    except csv.Error as error:
-        raise LogError("log_not_csv", path, f"the header cannot be read: {error}") from error
-    start = sum(map(len, lines[: header + 1]))
-    end = max(_end_of_lines(data), start)
-    torn = int(bool(data[end : end + _HEAD].strip()))
-    return _Text(tuple(cell.strip() for cell in cells), memoryview(data)[start:end], torn)
-
-
-def _positions(
-    path: Path, source: LogSource, names: Sequence[str], wanted: Sequence[str]
-) -> list[int]:
-    for name in wanted:
-        count = names.count(name)
-        if count > 1:
+        if any("\n" in row.text.rstrip("\r\n") for row in ragged):
             raise LogError(
-                "log_column_twice", path, f"{count} columns are called {name!r}: rename one"
+                "log_damaged",
+                self.path,
+                "a quotation mark is opened and not closed in its row",
+                f"after line {section.line}",
             )
-        if not count:
-            there = ", ".join(repr(known[:40]) for known in names[:40])
-            hint = ", not in encoding utf-8: set the right one" if "\ufffd" in there else ""
-            raise LogError(
-                "log_column_missing",
-                path,
-                f"no column {name!r}; separated by {source.separator!r} there are {there}{hint}",
-            )
-    return [names.index(name) for name in wanted]
+        if ragged and not self.ragged:
+            self.ragged_cells = ragged[0].actual_columns
+        self.ragged += len(ragged)
+        self.rows += table.num_rows
+        self._add({name: table.column(key) for name, key in keys.items()})
 
+    def _parsed(self, section: Section, keys: dict[str, str]) -> tuple[pa.Table, list[Any]]:
+        """The columns parsed at once, or as text where that cannot be."""
+        types = {key: self.types.get(name) or () for name, key in keys.items()}
+        while any(types.values()):
+            first = {key: kinds[0] if kinds else pa.string() for key, kinds in types.items()}
+            try:
+                return _parse(self.source, section, first)
+            except pa.ArrowInvalid:
+                failed = self._next_types(section, keys)
+                if not failed:
+                    break
+                types = {key: self.types.get(name) or () for name, key in keys.items()}
+        return _parse(self.source, section, dict.fromkeys(keys.values(), pa.string()))
 
-def _table(path: Path, source: LogSource, text: _Text, wanted: tuple[str, ...]) -> _Table:
-    """The wanted columns as text, rows of the wrong width left out."""
-    keys = [str(i) for i in _positions(path, source, text.names, wanted)]
-    if not len(text.body):
-        return _Table({name: pa.chunked_array([], pa.string()) for name in wanted}, 0)
-    try:
-        table, ragged = _parse(source, text, keys)
-    except pa.ArrowInvalid as error:
-        raise LogError("log_damaged", path, f"the rows cannot be told apart: {error}") from error
-    if any("\n" in row.text.rstrip("\r\n") for row in ragged):
-        raise LogError("log_damaged", path, "a quotation mark is opened and not closed in its row")
-    if len(ragged) > table.num_rows:
-        raise LogError(
-            "log_not_csv",
-            path,
-            f"{len(ragged)} of {len(ragged) + table.num_rows} rows have not the header's "
-            f"{len(text.names)} cells, the first has {ragged[0].actual_columns}: check separator "
-            "and skip_rows",
+    def _next_types(self, section: Section, keys: dict[str, str]) -> bool:
+        """Which of a section's columns are not what they were taken for; False: none."""
+        failed = False
+        for name, key in keys.items():
+            while kinds := self.types.get(name, ()):
+                try:
+                    _parse(self.source, section, {key: kinds[0]})
+                    break
+                except pa.ArrowInvalid:
+                    self.types[name] = kinds[1:]
+                    failed = True
+        return failed
+
+    def _add(self, cells: dict[str, pa.ChunkedArray]) -> None:
+        self.table.add(
+            csv_cells.stamps(self.source, [cells[name] for name in self.columns.time]),
+            {
+                name: csv_cells.readings(self.path, self.source, name, cells[name])
+                for name in self.columns.numbers
+            },
+            None if self.columns.name is None else cells[self.columns.name],
         )
-    return _Table(dict(zip(wanted, map(table.column, keys), strict=True)), len(ragged))
 
 
-def _parse(source: LogSource, text: _Text, keys: list[str]) -> tuple[pa.Table, list[Any]]:
+def _parse(
+    source: LogSource, section: Section, types: dict[str, pa.DataType]
+) -> tuple[pa.Table, list[Any]]:
     ragged: list[Any] = []
 
     def leave_out(row: Any) -> str:
@@ -239,66 +225,17 @@ def _parse(source: LogSource, text: _Text, keys: list[str]) -> tuple[pa.Table, l
 
     # Columns go by position: names may repeat, or be those of no column that is wanted.
     table = arrow_csv.read_csv(
-        pa.BufferReader(pa.py_buffer(text.body)),
-        read_options=arrow_csv.ReadOptions(column_names=[str(i) for i in range(len(text.names))]),
+        pa.BufferReader(pa.py_buffer(section.body)),
+        read_options=arrow_csv.ReadOptions(column_names=list(map(str, range(section.width)))),
         parse_options=arrow_csv.ParseOptions(
             delimiter=source.separator, invalid_row_handler=leave_out
         ),
         convert_options=arrow_csv.ConvertOptions(
-            include_columns=keys,
-            column_types=dict.fromkeys(keys, pa.string()),
+            include_columns=list(types),
+            column_types=types,
             null_values=list(source.missing_tokens),
             strings_can_be_null=True,
+            decimal_point=source.decimal,
         ),
     )
     return table, ragged
-
-
-def _stamps(path: Path, source: LogSource, table: _Table) -> TimeStamps:
-    texts = table.columns[source.time_source]
-    if source.decimal == "," and source.time_format.startswith("epoch_"):
-        texts = pc.replace_substring(texts, ",", ".")
-    try:
-        return from_text(texts, source.time_format, source.time_zone)
-    except TimeStampError as error:
-        raise LogError("log_time", path, str(error), source.time_source) from error
-
-
-def _readings(path: Path, source: LogSource, name: str, texts: pa.ChunkedArray) -> Readings:
-    """Numbers of a column of text."""
-    dotted = texts
-    if source.decimal == ",":
-        # A dot is then no decimal sign: 1.234 may be a thousand and more.
-        dotted = pc.replace_substring(pc.replace_substring(texts, ".", "_"), ",", ".")
-    try:
-        numbers = dotted.cast(pa.float64())
-    except pa.ArrowInvalid:
-        return _readings_cell_by_cell(path, source, name, texts, dotted)
-    missing = texts.is_null().to_numpy()
-    return Readings(_floats(numbers), missing, np.zeros(missing.size, dtype=np.bool_))
-
-
-def _readings_cell_by_cell(
-    path: Path, source: LogSource, name: str, texts: pa.ChunkedArray, dotted: pa.ChunkedArray
-) -> Readings:
-    """Slower, for a column in which some cell is no bare number."""
-    if pc.any(pc.match_substring_regex(texts, r"[\r\n]")).as_py():
-        raise LogError(
-            "log_damaged", path, "a quotation mark is opened and not closed in its row", name
-        )
-    trimmed = pc.utf8_trim_whitespace(dotted)
-    is_number = pc.match_substring_regex(trimmed, _NUMBER)
-    # The grammar lets through one sign at most; the cast below knows no plus.
-    unsigned = pc.utf8_ltrim(pc.if_else(is_number, trimmed, None), "+")
-    blank = pc.is_in(
-        pc.utf8_trim_whitespace(texts), value_set=pa.array(source.missing_tokens, pa.string())
-    )
-    missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
-    unparsed = missing & texts.is_valid().to_numpy() & np.logical_not(blank.to_numpy())
-    example = texts[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
-    return Readings(_floats(unsigned.cast(pa.float64())), missing, unparsed, example)
-
-
-def _floats(numbers: pa.ChunkedArray) -> NDArray[np.float64]:
-    floats: NDArray[np.float64] = pc.fill_null(numbers, np.nan).to_numpy()
-    return floats

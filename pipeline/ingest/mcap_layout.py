@@ -16,7 +16,11 @@ from typing import BinaryIO, NamedTuple
 from pipeline.errors import LogError
 
 MAGIC = b"\x89MCAP0\r\n"
-FOOTER, CHANNEL, MESSAGE, CHUNK, STATISTICS, DATA_END = 0x02, 0x04, 0x05, 0x06, 0x0B, 0x0F
+FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
+MESSAGE_INDEX, STATISTICS, DATA_END = 0x07, 0x0B, 0x0F
+IN_DATA_SECTION = (0x01, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX, 0x09, 0x0C, DATA_END)
+"""Opcodes of the records that a data section has, private ones apart."""
+
 PREFIX = struct.Struct("<BQ")
 """Opcode and length of the content."""
 
@@ -26,6 +30,7 @@ LARGEST_CHUNK = 256 * 2**20
 LONGEST_RECORD = LARGEST_CHUNK + 2**20
 
 _CHANNEL_HEAD = struct.Struct("<HH")
+_SCHEMA_HEAD = struct.Struct("<H")
 _STATISTICS = struct.Struct("<QHIIIIQQI")
 _CHANNEL_COUNT = struct.Struct("<HQ")
 _FOOTER = struct.Struct("<BQQQI")
@@ -33,10 +38,19 @@ _CHECKSUM_BYTES = 4
 
 
 class Channel(NamedTuple):
-    """A channel record: what the messages of an id are."""
+    """A channel record: what the messages of an id are; schema 0 is none."""
 
     topic: str
     encoding: str
+    schema_id: int
+
+
+class Schema(NamedTuple):
+    """A schema record: how messages are laid out."""
+
+    name: str
+    encoding: str
+    data: bytes
 
 
 class Statistics(NamedTuple):
@@ -55,7 +69,7 @@ class Summary(NamedTuple):
     ----------
     start
         Where the data section ends, in bytes.
-    channels
+    channels, schemas
         By id; a writer may leave them out.
     statistics
         None where the writer left them out.
@@ -63,6 +77,7 @@ class Summary(NamedTuple):
 
     start: int
     channels: Mapping[int, Channel]
+    schemas: Mapping[int, Schema]
     statistics: Statistics | None
 
 
@@ -97,12 +112,30 @@ def read_channel(path: Path, content: bytes) -> tuple[int, Channel]:
         ``log_damaged``.
     """
     try:
-        channel_id, _ = _CHANNEL_HEAD.unpack_from(content)
+        channel_id, schema_id = _CHANNEL_HEAD.unpack_from(content)
         topic, at = _text(content, _CHANNEL_HEAD.size)
         encoding, _ = _text(content, at)
     except (struct.error, UnicodeDecodeError) as error:
         raise LogError("log_damaged", path, f"a channel record cannot be read: {error}") from error
-    return channel_id, Channel(topic, encoding)
+    return channel_id, Channel(topic, encoding, schema_id)
+
+
+def read_schema(path: Path, content: bytes) -> tuple[int, Schema]:
+    """Id and content of a schema record.
+
+    Raises
+    ------
+    LogError
+        ``log_damaged``.
+    """
+    try:
+        (schema_id,) = _SCHEMA_HEAD.unpack_from(content)
+        name, at = _text(content, _SCHEMA_HEAD.size)
+        encoding, at = _text(content, at)
+        data, _ = _bytes(content, at)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise LogError("log_damaged", path, f"a schema record cannot be read: {error}") from error
+    return schema_id, Schema(name, encoding, data)
 
 
 def read_summary(path: Path, file: BinaryIO) -> Summary:
@@ -136,20 +169,26 @@ def read_summary(path: Path, file: BinaryIO) -> Summary:
     return Summary(start, *_summary_records(path, section))
 
 
-def _summary_records(path: Path, section: bytes) -> tuple[Mapping[int, Channel], Statistics | None]:
+def _summary_records(
+    path: Path, section: bytes
+) -> tuple[Mapping[int, Channel], Mapping[int, Schema], Statistics | None]:
     offsets, end = record_offsets(memoryview(section))
     if end != len(section):
         raise LogError("log_damaged", path, "the records of the summary do not fill it")
     channels: dict[int, Channel] = {}
+    schemas: dict[int, Schema] = {}
     statistics = None
     for start, stop in pairwise([*offsets, end]):
         content = section[start + PREFIX.size : stop]
         if section[start] == CHANNEL:
             channel_id, channel = read_channel(path, content)
             channels[channel_id] = channel
+        elif section[start] == SCHEMA:
+            schema_id, schema = read_schema(path, content)
+            schemas[schema_id] = schema
         elif section[start] == STATISTICS:
             statistics = _statistics(path, content)
-    return channels, statistics
+    return channels, schemas, statistics
 
 
 def _statistics(path: Path, content: bytes) -> Statistics:
@@ -163,8 +202,14 @@ def _statistics(path: Path, content: bytes) -> Statistics:
 
 def _text(content: bytes, at: int) -> tuple[str, int]:
     """A text that has its length before it, and where it ends."""
+    text, end = _bytes(content, at)
+    return text.decode(), end
+
+
+def _bytes(content: bytes, at: int) -> tuple[bytes, int]:
+    """Bytes that have their number before them, and where they end."""
     (size,) = struct.unpack_from("<I", content, at)
     end = at + 4 + size
     if end > len(content):
         raise struct.error(f"a text of {size} bytes goes beyond its record")
-    return content[at + 4 : end].decode(), end
+    return content[at + 4 : end], end

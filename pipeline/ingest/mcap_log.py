@@ -1,53 +1,71 @@
-"""Logs as MCAP with JSON messages: a topic a channel, a key of the message its reading.
+"""Logs as MCAP: a topic a channel, a field of its messages the reading.
 
-The payloads of many messages are laid out as lines and parsed at once. Where a piece does not come
-out as one object a line, it is parsed message by message, so that what is no number is found and
-counted.
+Messages are taken from the file in pieces of some megabytes, and each piece is decoded at once; of
+a piece only the readings and time stamps are kept.
 """
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.json as arrow_json
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings, raw_channel, raw_log, require_time, span
-from pipeline.ingest.contract import ChannelSource, LogSource, RawLog
-from pipeline.ingest.mcap_layout import Channel, read_summary
+from pipeline.ingest.assembly import Readings, judged, raw_channel, raw_log, span
+from pipeline.ingest.contract import LogSource, RawChannel, RawLog
+from pipeline.ingest.mcap_cdr import cdr_decoder
+from pipeline.ingest.mcap_json import json_decoder, require_json_field
+from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
-from pipeline.ingest.time_stamps import from_epoch
+from pipeline.ingest.mcap_paths import FieldPath, field_path
+from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
+from pipeline.ingest.mcap_protobuf import protobuf_decoder
+from pipeline.ingest.time_stamps import (
+    TimeStamps,
+    WrittenStamps,
+    from_epoch,
+    placed,
+    written_as_numbers,
+)
 
 _PIECE = 8 * 2**20
-_NEWLINE = 10
+_NO_SCHEMA = Schema("", "", b"")
+
+_Wanted = Mapping[str, tuple[FieldPath, ...]]
+"""Fields by topic."""
+
+_Key = tuple[str, Schema, tuple[FieldPath, ...]]
+"""Encoding, schema and fields: what messages have to share to be decoded together."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Lines:
-    """Payloads of the wanted topics, one a line, in the order of the file."""
+class _Parts:
+    """What the pieces hold of one topic, in the order of the file."""
 
-    text: NDArray[np.uint8]
-    length: NDArray[np.int64]
-    topic: NDArray[np.int16]
-    time_ns: NDArray[np.uint64]
+    stamps: list[WrittenStamps]
+    fields: dict[FieldPath, list[Readings]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Parsed:
-    """Readings of each wanted field in the messages of all wanted topics."""
+@dataclass(slots=True)
+class _Decoders:
+    """Which topic and which decoder a channel id has; -1 for what is not wanted."""
 
     topic: NDArray[np.int16]
-    time_ns: NDArray[np.uint64]
-    fields: Mapping[str, Readings]
+    number: NDArray[np.int16]
+    by_key: dict[_Key, Decoder] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class _Content:
+    """What a file holds: parts by topic, and what was lost."""
+
+    parts: dict[str, _Parts]
+    topics: tuple[str, ...] = ()
+    loss: str = ""
 
 
 def read_mcap_log(path: Path, source: LogSource) -> RawLog:
@@ -65,45 +83,75 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
     LogError
         As listed in `pipeline.ingest.contract`.
     """
-    topics = tuple(dict.fromkeys(channel.source for channel in source.channels))
-    fields = tuple(dict.fromkeys(channel.field for channel in source.channels))
-    pieces = _pieces(_wanted_lines(path, topics, source.time_source))
-    whole = _joined([_parse(piece, fields) for piece in pieces], fields)
-    stamps = from_epoch(whole.time_ns, "epoch_ns")
-    without_time = require_time(path, stamps, _time_name(source))
-    channels = {}
-    for channel in source.channels:
-        chosen = (whole.topic == topics.index(channel.source)) & stamps.readable
-        readings = whole.fields[channel.field].rows(chosen)
-        if chosen.any() and readings.missing.all() and not readings.unparsed.any():
-            _require_field(path, channel)
-        channels[channel.channel] = raw_channel(path, channel, stamps.time_us[chosen], readings)
-    refused = {"messages without a readable time": without_time}
-    return raw_log(channels, stamps.readable.size - without_time, refused)
+    wanted = _wanted(source)
+    content = _content(path, source, wanted)
+    _require_topics(path, wanted, content)
+    stamps, slices = _all_stamps(content.parts, source.time_zone)
+    judged_stamps, refused = judged(path, stamps, _time_name(source))
+    channels: dict[str, RawChannel] = {}
+    for topic, fields in wanted.items():
+        readable = judged_stamps.readable[slices[topic]]
+        time_us = judged_stamps.time_us[slices[topic]]
+        time_us = time_us if readable.all() else time_us[readable]
+        for one in fields:
+            # The parts are given up, so that a long log is not held twice.
+            readings = Readings.joined(content.parts[topic].fields.pop(one)).rows(readable)
+            if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
+                _require_field(path, source, topic, one)
+            channels |= {
+                channel.channel: raw_channel(path, channel, time_us, readings)
+                for channel in source.channels
+                if channel.source == topic and field_path(channel.field, topic) == one
+            }
+    in_order = {channel.channel: channels[channel.channel] for channel in source.channels}
+    rows = int(np.count_nonzero(judged_stamps.readable))
+    refused = {reason.replace("rows", "messages", 1): n for reason, n in refused.items()}
+    return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
 
 
 def mcap_time_span(path: Path, source: LogSource) -> tuple[int, int]:
     """First and last time stamp of all messages, from the summary or else from the messages.
+
+    Where the stamps stand within the messages, only those of the wanted topics are looked at, and
+    the file is read.
 
     Raises
     ------
     LogError
         As `read_mcap_log`; ``log_empty`` where there is no message.
     """
-    with path.open("rb") as file:
-        statistics = read_summary(path, file).statistics
-    if statistics and statistics.message_count and _time_name(source) == "log_time":
-        log_times = [statistics.first_log_time, statistics.last_log_time]
-        stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
-        if stamps.readable.all():
-            return span(path, [stamps.time_us])
-    times = [_times(messages, source.time_source) for messages in read_messages(path)]
-    stamps = from_epoch(np.concatenate(times), "epoch_ns")
-    require_time(path, stamps, _time_name(source))
+    if source.stamp:
+        log = read_mcap_log(path, source)
+        ends = [log.first_us, log.last_us] if log.first_us is not None else []
+        return span(path, [np.array(ends, dtype=np.int64)])
+    summary_span = None if source.time_source == "publish_time" else _summary_span(path, source)
+    if summary_span is not None:
+        return summary_span
+    pieces = read_messages(path, salvage=source.salvage)
+    times = np.concatenate([_times(messages, source.time_source) for messages in pieces])
+    stamps, _ = judged(path, from_epoch(times, "epoch_ns"), _time_name(source))
     return span(path, [stamps.time_us[stamps.readable]])
 
 
+def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
+    """Span that the summary states, if it does."""
+    try:
+        with path.open("rb") as file:
+            statistics = read_summary(path, file).statistics
+    except LogError as error:
+        if source.salvage and error.code in ("log_truncated", "log_damaged"):
+            return None
+        raise
+    if statistics is None or not statistics.message_count:
+        return None
+    log_times = [statistics.first_log_time, statistics.last_log_time]
+    stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
+    return span(path, [stamps.time_us]) if stamps.readable.all() else None
+
+
 def _time_name(source: LogSource) -> str:
+    if source.stamp:
+        return f"{source.stamp!r} in format {source.time_format}"
     return "publish_time" if source.time_source == "publish_time" else "log_time"
 
 
@@ -111,198 +159,168 @@ def _times(messages: Messages, time_source: str) -> NDArray[np.uint64]:
     return messages.publish_time if time_source == "publish_time" else messages.log_time
 
 
-def _wanted_lines(path: Path, topics: Sequence[str], time_source: str) -> Iterator[_Lines]:
-    channels: Mapping[int, Channel] = {}
-    topic_by_channel_id = np.empty(0, np.int16)
+def _wanted(source: LogSource) -> _Wanted:
+    wanted: dict[str, dict[FieldPath, None]] = {}
+    for channel in source.channels:
+        path = field_path(channel.field, channel.source)
+        wanted.setdefault(channel.source, {})[path] = None
+    return {topic: tuple(fields) for topic, fields in wanted.items()}
+
+
+def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
+    names = tuple(wanted)
+    content = _Content(
+        {name: _Parts([], {one: [] for one in fields}) for name, fields in wanted.items()}
+    )
+    decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1
-    for messages in read_messages(path):
-        channels = messages.channels
-        if len(channels) != known:
-            topic_by_channel_id = _topic_by_channel_id(path, channels, topics)
-            known = len(channels)
-        topic = topic_by_channel_id[messages.channel_id]
-        wanted = topic >= 0
-        if wanted.any():
-            starts, ends = messages.payload_start[wanted], messages.payload_end[wanted]
-            yield _Lines(
-                text=_as_lines(messages.buffer, starts, ends),
-                length=ends - starts,
-                topic=topic[wanted],
-                time_ns=_times(messages, time_source)[wanted],
-            )
-    there = sorted({channel.topic for channel in channels.values()})
-    for name in topics:
-        if name not in there:
+    held: dict[int, list[Payloads]] = {}
+    for messages in read_messages(path, salvage=source.salvage):
+        if len(messages.channels) != known:
+            _add_decoders(path, source, wanted, messages, decoders)
+            known = len(messages.channels)
+        in_turn = _is_shared(decoders)
+        for number, chosen in _runs(decoders.number[messages.channel_id], in_turn=in_turn):
+            # Messages of one topic keep their order, whatever decodes them.
+            for other in [other for other in held if in_turn and other != number]:
+                _decode(decoders, other, held.pop(other), names, content)
+            topic = decoders.topic[messages.channel_id]
+            times = _times(messages, source.time_source)
+            stretches = held.setdefault(number, [])
+            stretches.append(payloads_of(messages, chosen, topic, times))
+            if sum(stretch.text.size for stretch in stretches) >= _PIECE:
+                _decode(decoders, number, held.pop(number), names, content)
+        content.topics = tuple(sorted({one.topic for one in messages.channels.values()}))
+        content.loss = messages.loss
+    for number, stretches in held.items():
+        _decode(decoders, number, stretches, names, content)
+    return content
+
+
+def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+    """Messages of each decoder; `in_turn`, each stretch of them by itself."""
+    if in_turn:
+        edges = np.flatnonzero(np.diff(numbers)) + 1
+        for stretch in np.split(np.arange(numbers.size), edges):
+            if stretch.size and numbers[stretch[0]] >= 0:
+                yield int(numbers[stretch[0]]), np.isin(np.arange(numbers.size), stretch)
+        return
+    for number in np.unique(numbers[numbers >= 0]).tolist():
+        yield number, numbers == number
+
+
+def _is_shared(decoders: _Decoders) -> bool:
+    """Whether some topic has messages of more than one decoder."""
+    pairs = set(zip(decoders.topic.tolist(), decoders.number.tolist(), strict=True))
+    return len(pairs) > len({topic for topic, _ in pairs})
+
+
+def _decode(
+    decoders: _Decoders,
+    number: int,
+    stretches: Sequence[Payloads],
+    names: Sequence[str],
+    content: _Content,
+) -> None:
+    payloads = stacked(stretches)
+    decoded = list(decoders.by_key.values())[number](payloads)
+    stamps = decoded.stamps
+    if stamps is None:
+        stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
+    for topic in np.unique(payloads.topic).tolist():
+        rows = payloads.topic == topic
+        parts = content.parts[names[topic]]
+        parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows]))
+        for one, readings in decoded.fields.items():
+            parts.fields[one].append(_compact(readings.rows(rows)))
+
+
+def _compact(readings: Readings) -> Readings:
+    """The same readings without the room that a parser has left, or marks that mark nothing."""
+    marks = [
+        mark if mark.any() else np.broadcast_to(np.False_, mark.shape)
+        for mark in (readings.missing, readings.unparsed)
+    ]
+    raw = readings.raw if readings.raw.flags.owndata else readings.raw.copy()
+    return Readings(raw, marks[0], marks[1], readings.example)
+
+
+def _add_decoders(
+    path: Path, source: LogSource, wanted: _Wanted, messages: Messages, decoders: _Decoders
+) -> None:
+    """Know the channels that a file has declared so far."""
+    names = list(wanted)
+    size = max(messages.channels, default=0) + 1
+    decoders.topic = np.full(size, -1, np.int16)
+    decoders.number = np.full(size, -1, np.int16)
+    for channel_id, channel in messages.channels.items():
+        fields = wanted.get(channel.topic)
+        if fields is None:
+            continue
+        key = _key(path, channel, messages.schemas, fields)
+        if key not in decoders.by_key:
+            decoders.by_key[key] = _decoder(path, source, channel.topic, key)
+        decoders.topic[channel_id] = names.index(channel.topic)
+        decoders.number[channel_id] = list(decoders.by_key).index(key)
+
+
+def _key(
+    path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: tuple[FieldPath, ...]
+) -> _Key:
+    if channel.encoding == "json":
+        return channel.encoding, _NO_SCHEMA, fields
+    schema = schemas.get(channel.schema_id, _NO_SCHEMA)
+    if (channel.encoding, schema.encoding) not in {("cdr", "ros2msg"), ("protobuf", "protobuf")}:
+        raise LogError(
+            "log_encoding",
+            path,
+            f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r} with a "
+            f"schema in {schema.encoding!r}; read are 'json', 'protobuf' with descriptors, and "
+            "'cdr' with 'ros2msg'",
+            channel.topic,
+        )
+    return channel.encoding, schema, fields
+
+
+def _decoder(path: Path, source: LogSource, topic: str, key: _Key) -> Decoder:
+    encoding, schema, fields = key
+    stamp = field_path(source.stamp) if source.stamp else None
+    if encoding == "json":
+        return json_decoder(fields, stamp, source.time_format)
+    made = cdr_decoder if encoding == "cdr" else protobuf_decoder
+    return made(path, topic, schema, fields, stamp, source.time_format)
+
+
+def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:
+    for name in wanted:
+        if name not in content.topics:
             raise LogError(
                 "log_column_missing",
                 path,
-                f"no topic {name!r}; there are " + ", ".join(map(repr, there[:40])),
+                f"no topic {name!r}; there are " + ", ".join(map(repr, content.topics[:40])),
             )
 
 
-def _topic_by_channel_id(
-    path: Path, channels: Mapping[int, Channel], topics: Sequence[str]
-) -> NDArray[np.int16]:
-    """Position in `topics` by channel id, -1 for what is not wanted."""
-    table = np.full(max(channels, default=0) + 1, -1, dtype=np.int16)
-    for channel_id, channel in channels.items():
-        if channel.topic not in topics:
-            continue
-        if channel.encoding != "json":
-            raise LogError(
-                "log_encoding",
-                path,
-                f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r}, and "
-                "only 'json' is read",
-                channel.topic,
-            )
-        table[channel_id] = topics.index(channel.topic)
-    return table
+def _require_field(path: Path, source: LogSource, topic: str, one: FieldPath) -> None:
+    """Refuse a field that no JSON message has; other encodings have said so from the schema."""
+    for messages in read_messages(path, salvage=source.salvage):
+        channels = [c for c in messages.channels.values() if c.topic == topic]
+    if all(channel.encoding == "json" for channel in channels):
+        require_json_field(path, topic, one, salvage=source.salvage)
 
 
-def _as_lines(
-    buffer: memoryview, starts: NDArray[np.int64], ends: NDArray[np.int64]
-) -> NDArray[np.uint8]:
-    """The payloads from `starts` to `ends`, each with a newline behind it."""
-    text = np.empty(len(buffer) + 1, dtype=np.uint8)
-    text[:-1] = np.frombuffer(buffer, np.uint8)
-    # Behind a payload is the head of the next record, or the end: room for the newline.
-    text[ends] = _NEWLINE
-    edges = np.empty(2 * starts.size + 2, dtype=np.int64)
-    edges[0], edges[1:-1:2], edges[2:-1:2], edges[-1] = 0, starts, ends + 1, text.size
-    inside = np.zeros(edges.size - 1, dtype=np.bool_)
-    inside[1::2] = True
-    return text[np.repeat(inside, np.diff(edges))]
-
-
-def _pieces(lines: Iterator[_Lines]) -> Iterator[_Lines]:
-    """Fewer and longer stretches: a call of the parser has its cost, and so has memory."""
-    held: list[_Lines] = []
-    size = 0
-    for stretch in lines:
-        held.append(stretch)
-        size += stretch.text.size
-        if size >= _PIECE:
-            yield _stacked(held)
-            held, size = [], 0
-    if held:
-        yield _stacked(held)
-
-
-def _stacked(parts: Sequence[_Lines]) -> _Lines:
-    return _Lines(
-        text=np.concatenate([part.text for part in parts]),
-        length=np.concatenate([part.length for part in parts]),
-        topic=np.concatenate([part.topic for part in parts]),
-        time_ns=np.concatenate([part.time_ns for part in parts]),
-    )
-
-
-def _parse(lines: _Lines, fields: Sequence[str]) -> _Parsed:
-    starts = np.cumsum(lines.length + 1) - (lines.length + 1)
-    readings = _parse_at_once(lines, starts, fields)
-    if readings is None:
-        readings = _parse_one_by_one(lines, starts, fields)
-    return _Parsed(lines.topic, lines.time_ns, readings)
-
-
-def _parse_at_once(
-    lines: _Lines, starts: NDArray[np.int64], fields: Sequence[str]
-) -> dict[str, Readings] | None:
-    """Readings, where every line is one object and every wanted value a number or null; else
-    None."""
-    # The parser takes objects, not lines: without this, an object begun in one message and ended in
-    # the next would go through.
-    first, last = lines.text[starts], lines.text[starts + lines.length - 1]
-    if not ((first == ord("{")).all() and (last == ord("}")).all()):
-        return None
-    try:
-        table = arrow_json.read_json(
-            pa.BufferReader(pa.py_buffer(lines.text)),
-            read_options=arrow_json.ReadOptions(block_size=max(2**20, 2 * int(lines.length.max()))),
-            parse_options=arrow_json.ParseOptions(
-                explicit_schema=pa.schema([(field, pa.float64()) for field in fields]),
-                unexpected_field_behavior="ignore",
-            ),
-        )
-    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
-        return None
-    if table.num_rows != starts.size:
-        return None
-    return {field: _readings(table.column(field)) for field in fields}
-
-
-def _readings(column: pa.ChunkedArray) -> Readings:
-    missing = column.is_null().to_numpy()
-    raw: NDArray[np.float64] = pc.fill_null(column, np.nan).to_numpy()
-    return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
-
-
-def _parse_one_by_one(
-    lines: _Lines, starts: NDArray[np.int64], fields: Sequence[str]
-) -> dict[str, Readings]:
-    raw = {field: np.full(starts.size, np.nan) for field in fields}
-    missing = {field: np.ones(starts.size, dtype=np.bool_) for field in fields}
-    unparsed = {field: np.zeros(starts.size, dtype=np.bool_) for field in fields}
-    examples: dict[str, str] = {}
-    text = lines.text.tobytes()
-    for i, (start, length) in enumerate(zip(starts.tolist(), lines.length.tolist(), strict=True)):
-        payload = text[start : start + length]
-        message = _object(payload)
-        for field in fields:
-            value = None if message is None else message.get(field)
-            number = _number(value)
-            if number is not None:
-                raw[field][i], missing[field][i] = number, False
-            elif message is None or value is not None:
-                unparsed[field][i] = True
-                examples.setdefault(field, repr(payload if message is None else value)[:60])
-    return {
-        field: Readings(raw[field], missing[field], unparsed[field], examples.get(field))
-        for field in fields
-    }
-
-
-def _object(payload: bytes) -> dict[str, Any] | None:
-    try:
-        message = json.loads(payload)
-    except (ValueError, RecursionError):
-        return None
-    return message if isinstance(message, dict) else None
-
-
-def _number(value: object) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return None
-    try:
-        return float(value)
-    except OverflowError:  # An integer of more than 308 digits is a number, but not finite.
-        return math.inf if value > 0 else -math.inf
-
-
-def _joined(parts: Sequence[_Parsed], fields: Sequence[str]) -> _Parsed:
-    return _Parsed(
-        topic=np.concatenate([np.empty(0, np.int16), *(part.topic for part in parts)]),
-        time_ns=np.concatenate([np.empty(0, np.uint64), *(part.time_ns for part in parts)]),
-        fields={field: Readings.joined([part.fields[field] for part in parts]) for field in fields},
-    )
-
-
-def _require_field(path: Path, source: ChannelSource) -> None:
-    """Refuse a topic without the field in any message; a field that is null is a missing sample."""
-    keys: set[str] = set()
-    for messages in read_messages(path):
-        topic = _topic_by_channel_id(path, messages.channels, [source.source])[messages.channel_id]
-        for i in np.flatnonzero(topic == 0).tolist():
-            payload = messages.buffer[messages.payload_start[i] : messages.payload_end[i]]
-            message = _object(bytes(payload)) or {}
-            if source.field in message:
-                return
-            keys.update(list(message)[:40])
-    raise LogError(
-        "log_column_missing",
-        path,
-        f"no message of topic {source.source!r} has a field {source.field!r}; there are "
-        + ", ".join(map(repr, sorted(keys)[:40])),
-        source.source,
-    )
+def _all_stamps(parts: Mapping[str, _Parts], zone: str) -> tuple[TimeStamps, dict[str, slice]]:
+    """Stamps of all topics one after the other, and where each topic's are; the parts give theirs
+    up."""
+    by_topic: list[TimeStamps] = []
+    for of_topic in parts.values():
+        by_topic.append(placed(of_topic.stamps, zone))
+        of_topic.stamps.clear()
+    ends = np.cumsum([0, *(stamps.readable.size for stamps in by_topic)]).tolist()
+    slices = [slice(start, end) for start, end in pairwise(ends)]
+    skipped = sum(stamps.skipped for stamps in by_topic)
+    readable = np.concatenate([stamps.readable for stamps in by_topic])
+    times = [stamps.time_us for stamps in by_topic]
+    del by_topic
+    time_us = times[0] if len(times) == 1 else np.concatenate(times)
+    return TimeStamps(time_us, readable, skipped), dict(zip(parts, slices, strict=True))

@@ -9,28 +9,33 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
+from pipeline.ingest.mcap_chunks import unpacked_chunk
 from pipeline.ingest.mcap_layout import (
     CHANNEL,
     CHUNK,
     DATA_END,
-    LARGEST_CHUNK,
+    IN_DATA_SECTION,
     LONGEST_RECORD,
     MAGIC,
     MESSAGE,
+    MESSAGE_INDEX,
     PREFIX,
+    SCHEMA,
     Channel,
+    Schema,
     Statistics,
+    Summary,
     read_channel,
+    read_schema,
     read_summary,
     record_offsets,
 )
@@ -38,9 +43,10 @@ from pipeline.ingest.mcap_layout import (
 _MESSAGE_HEAD = 31
 """Bytes before a payload: opcode, length, channel id, sequence, log time, publish time."""
 
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_COMPRESSIONS = {"": None, "lz4": "lz4", "zstd": "zstd"}
+_INDEX_HEAD = struct.Struct("<BQHI")
 _BLOCK = 8 * 2**20
+_ANYWHERE = "data section"
+"""Place of a damage that may lie before any message: nothing can be salvaged then."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,30 +57,46 @@ class Messages:
     ----------
     buffer
         Records, of which these messages are some.
-    channels
-        Channels declared so far, by id.
+    channels, schemas
+        Declared so far, by id.
     channel_id : (n,) uint16
     log_time, publish_time : (n,) uint64
         [ns]
     payload_start, payload_end : (n,) int64
         Positions in the buffer.
+    read_to
+        Position in the file up to which it has been read.
+    loss
+        What was lost to damage, in words; in the last piece only.
     """
 
     buffer: memoryview
     channels: Mapping[int, Channel]
+    schemas: Mapping[int, Schema]
     channel_id: NDArray[np.uint16]
     log_time: NDArray[np.uint64]
     publish_time: NDArray[np.uint64]
     payload_start: NDArray[np.int64]
     payload_end: NDArray[np.int64]
+    read_to: int
+    loss: str = ""
 
 
-def read_messages(path: Path) -> Iterator[Messages]:
+def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     """All messages of a file, piece by piece in the order of the file.
 
     The last piece is empty and knows all channels, also those without a message. Checksums of
     chunks, data section and summary are checked where they are not zero, and the number of messages
     against what the summary says.
+
+    Parameters
+    ----------
+    path
+        An existing file.
+    salvage
+        Whether a truncated or damaged file gives the messages before the damage, as far as that has
+        a place: a wrong checksum of the whole data section, or a wrong number of messages, has
+        none. Damaged chunks are lost whole.
 
     Raises
     ------
@@ -83,18 +105,54 @@ def read_messages(path: Path) -> Iterator[Messages]:
         ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
-    channels: Mapping[int, Channel] = {}
+    channels: dict[int, Channel] = {}
+    schemas: dict[int, Schema] = {}
+    read_to = len(MAGIC)
     with path.open("rb") as file:
-        summary = read_summary(path, file)
-        for messages in _data_section(path, file, summary.start):
-            channels = messages.channels
-            present, times = np.unique(messages.channel_id, return_counts=True)
-            counts[present] += times
-            yield messages
-    if summary.statistics is not None:
+        summary, damage = _summary(path, file, salvage=salvage)
+        pieces = _data_section(path, file, summary.start, channels, schemas, damage is None)
+        try:
+            for messages in pieces:
+                present, times = np.unique(messages.channel_id, return_counts=True)
+                counts[present] += times
+                read_to = messages.read_to
+                yield messages
+        except LogError as error:
+            if not salvage or not _has_place(error):
+                raise
+            damage = error
+    if summary.statistics is not None and damage is None:
         _require_counts(path, summary.statistics, counts)
-    nothing = np.empty(0, np.int64)
-    yield _messages(path, memoryview(b""), nothing, {**summary.channels, **channels})
+    yield replace(
+        _messages(path, memoryview(b""), np.empty(0, np.int64), channels, schemas, read_to),
+        channels={**summary.channels, **channels},
+        schemas={**summary.schemas, **schemas},
+        loss="" if damage is None else _loss(path, damage, read_to, summary, int(counts.sum())),
+    )
+
+
+def _has_place(error: LogError) -> bool:
+    return error.code in ("log_damaged", "log_truncated") and error.place != _ANYWHERE
+
+
+def _summary(path: Path, file: BinaryIO, *, salvage: bool) -> tuple[Summary, LogError | None]:
+    """The summary; where it cannot be read, and may be missing, an empty one and why."""
+    try:
+        return read_summary(path, file), None
+    except LogError as error:
+        if not salvage or not _has_place(error):
+            raise
+        return Summary(file.seek(0, 2), {}, {}, None), error
+
+
+def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:
+    size = path.stat().st_size
+    stated = summary.statistics
+    of_all = "" if stated is None else f" of {stated.message_count}"
+    return (
+        f"salvaged: {count}{of_all} messages stand before the damage, the file's last "
+        f"{size - read_to} of {size} bytes are not read ({damage.message})"
+    )
 
 
 def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64]) -> None:
@@ -108,27 +166,60 @@ def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64
         )
 
 
-def _data_section(path: Path, file: BinaryIO, end: int) -> Iterator[Messages]:
+def _data_section(
+    path: Path,
+    file: BinaryIO,
+    end: int,
+    channels: dict[int, Channel],
+    schemas: dict[int, Schema],
+    end_is_known: bool,
+) -> Iterator[Messages]:
     """Messages of the data section, the last record of which has to be its end record."""
-    channels: dict[int, Channel] = {}
     checksum = zlib.crc32(MAGIC)
-    place, last_opcode = len(MAGIC), 0
+    place, last_opcode, is_chunked = len(MAGIC), 0, False
     for block, offsets in _blocks(path, file, end):
-        last = offsets[-1]
-        last_opcode = block[last]
+        kept = len(offsets) if end_is_known else _sound_records(block, offsets, is_chunked)
+        stop = offsets[kept] if kept < len(offsets) else len(block)
+        last = offsets[kept - 1] if kept else 0
+        last_opcode = block[last] if kept else 0
         if last_opcode == DATA_END:
-            _require_checksum(path, block[last:], zlib.crc32(block[:last], checksum))
-        checksum = zlib.crc32(block, checksum)
-        yield from _messages_of_block(path, block, np.array(offsets, np.int64), channels, place)
-        place += len(block)
+            _require_checksum(path, block[last:stop], zlib.crc32(block[:last], checksum))
+        checksum = zlib.crc32(block[:stop], checksum)
+        wanted = np.array(offsets[:kept], np.int64)
+        yield from _messages_of_block(path, block[:stop], wanted, channels, schemas, place)
+        place += stop
+        is_chunked |= bool((np.frombuffer(block, np.uint8)[offsets] == CHUNK).any())
+        if stop < len(block) or (last_opcode == DATA_END and not end_is_known):
+            break
     if last_opcode != DATA_END:
-        raise LogError("log_damaged", path, "the data section does not end in its end record")
+        where = None if end_is_known else f"byte {place}"
+        message = "the data section does not end in its end record"
+        raise LogError("log_damaged", path, message, where)
+
+
+def _sound_records(block: memoryview, offsets: list[int], is_chunked: bool) -> int:
+    """How many records go up to the end of the data section, or to what is no record of it.
+
+    Without a summary nothing else tells a chunk whose opcode is damaged from a private record, or
+    its index from a message that stands bare behind it.
+    """
+    opcodes = np.frombuffer(block, np.uint8)[offsets]
+    strange = ~np.isin(opcodes, IN_DATA_SECTION)
+    for i in np.flatnonzero(opcodes == MESSAGE_INDEX).tolist():
+        head = bytes(block[offsets[i] :][: _INDEX_HEAD.size]).ljust(_INDEX_HEAD.size)
+        _, length, _, size = _INDEX_HEAD.unpack(head)
+        strange[i] = length != size + 6
+    strange |= (opcodes == MESSAGE) & (is_chunked | np.logical_or.accumulate(opcodes == CHUNK))
+    ends = np.flatnonzero(strange | (opcodes == DATA_END))
+    if not ends.size:
+        return len(offsets)
+    return int(ends[0]) + (0 if strange[ends[0]] else 1)
 
 
 def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None:
     stated = int.from_bytes(end_record[PREFIX.size : PREFIX.size + 4], "little")
     if stated not in (0, checksum):
-        raise LogError("log_damaged", path, "the checksum of the data section is wrong")
+        raise LogError("log_damaged", path, "its checksum is wrong", _ANYWHERE)
 
 
 def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:
@@ -165,95 +256,81 @@ def _messages_of_block(
     block: memoryview,
     offsets: NDArray[np.int64],
     channels: dict[int, Channel],
+    schemas: dict[int, Schema],
     place: int,
 ) -> Iterator[Messages]:
     """Messages that stand bare, and those of chunks, in the order of the file."""
     chunks = np.flatnonzero(np.frombuffer(block, np.uint8)[offsets] == CHUNK)
     stops = [*offsets[1:].tolist(), len(block)]
     for before, chunk in pairwise([-1, *chunks.tolist(), len(offsets)]):
-        yield _messages(path, block, offsets[before + 1 : chunk], channels)
+        stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
+        kept = offsets[before + 1 : chunk]
+        yield _messages(path, block, kept, channels, schemas, place + stop)
         if chunk == len(offsets):
             return
         where = f"chunk at byte {place + offsets[chunk]}"
-        records = _unpack_chunk(path, block[offsets[chunk] + PREFIX.size : stops[chunk]], where)
+        records = unpacked_chunk(path, block[offsets[chunk] + PREFIX.size : stops[chunk]], where)
         inside, end = record_offsets(records)
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
-        yield _messages(path, records, np.array(inside, np.int64), channels)
-
-
-def _unpack_chunk(path: Path, content: memoryview, where: str) -> memoryview:
-    """The records of a chunk."""
-    try:
-        _, _, size, checksum, name_length = _CHUNK_HEAD.unpack_from(content)
-        data_start = _CHUNK_HEAD.size + name_length + 8
-        name = bytes(content[_CHUNK_HEAD.size : data_start - 8]).decode()
-        (packed_size,) = struct.unpack_from("<Q", content, data_start - 8)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise LogError("log_damaged", path, f"its head cannot be read: {error}", where) from error
-    packed = content[data_start:][:packed_size]
-    if len(packed) != packed_size:
-        raise LogError("log_damaged", path, f"it claims {packed_size} bytes, not there", where)
-    if size > LARGEST_CHUNK:
-        raise LogError("log_too_large", path, f"it claims to unfold to {size} bytes", where)
-    records = _decompress(path, name, packed, size, where)
-    if checksum and zlib.crc32(records) != checksum:
-        raise LogError("log_damaged", path, "its checksum is wrong", where)
-    return records
-
-
-def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str) -> memoryview:
-    if name not in _COMPRESSIONS:
-        raise LogError(
-            "log_compression", path, f"compression {name!r} is none of lz4, zstd, none", where
-        )
-    codec = _COMPRESSIONS[name]
-    try:
-        # As a stream: it unfolds no further than is asked for, and says how far it came.
-        records = packed if codec is None else _first_bytes(packed, codec, size + 1)
-    except (OSError, pa.ArrowException) as error:
-        raise LogError("log_damaged", path, f"it does not unfold: {error}", where) from error
-    if len(records) != size:
-        raise LogError("log_damaged", path, f"it does not unfold to {size} bytes", where)
-    return records
-
-
-def _first_bytes(packed: memoryview, codec: str, count: int) -> memoryview:
-    with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
-        return memoryview(stream.read_buffer(count))
+        kept = np.array(inside, np.int64)
+        yield _messages(path, records, kept, channels, schemas, place + stops[chunk])
 
 
 def _messages(
-    path: Path, buffer: memoryview, offsets: NDArray[np.int64], channels: dict[int, Channel]
+    path: Path,
+    buffer: memoryview,
+    offsets: NDArray[np.int64],
+    channels: dict[int, Channel],
+    schemas: dict[int, Schema],
+    read_to: int,
 ) -> Messages:
     """The messages among records, whose channels are added to those known so far."""
     opcodes = np.frombuffer(buffer, np.uint8)[offsets]
-    for start in offsets[opcodes == CHANNEL].tolist():
-        _, length = PREFIX.unpack_from(buffer, start)
-        content = bytes(buffer[start + PREFIX.size :][:length])
-        channel_id, channel = read_channel(path, content)
-        if channels.setdefault(channel_id, channel) != channel:
-            raise LogError("log_damaged", path, f"channel {channel_id} is declared twice over")
+    _declare(path, buffer, offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)], channels, schemas)
     starts = offsets[opcodes == MESSAGE]
-    ends = starts + PREFIX.size + _fields(buffer, starts + 1, "<u8").astype(np.int64)
+    ends = starts + PREFIX.size + fields_at(buffer, starts + 1, "<u8").astype(np.int64)
     if (ends - starts < _MESSAGE_HEAD).any():
         raise LogError("log_damaged", path, "a message is shorter than its own head")
-    channel_id_of_each = _fields(buffer, starts + 9, "<u2")
+    channel_id_of_each = fields_at(buffer, starts + 9, "<u2")
     unknown = set(np.unique(channel_id_of_each).tolist()) - channels.keys()
     if unknown:
         raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
     return Messages(
         buffer=buffer,
         channels=channels,
+        schemas=schemas,
         channel_id=channel_id_of_each,
-        log_time=_fields(buffer, starts + 15, "<u8"),
-        publish_time=_fields(buffer, starts + 23, "<u8"),
+        log_time=fields_at(buffer, starts + 15, "<u8"),
+        publish_time=fields_at(buffer, starts + 23, "<u8"),
         payload_start=starts + _MESSAGE_HEAD,
         payload_end=ends,
+        read_to=read_to,
     )
 
 
-def _fields(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[Any]:
+def _declare(
+    path: Path,
+    buffer: memoryview,
+    starts: NDArray[np.int64],
+    channels: dict[int, Channel],
+    schemas: dict[int, Schema],
+) -> None:
+    """Add channels and schemas, which may be repeated but not changed."""
+    for start in starts.tolist():
+        opcode, length = PREFIX.unpack_from(buffer, start)
+        content = bytes(buffer[start + PREFIX.size :][:length])
+        if opcode == CHANNEL:
+            channel_id, channel = read_channel(path, content)
+            if channels.setdefault(channel_id, channel) != channel:
+                raise LogError("log_damaged", path, f"channel {channel_id} is declared twice over")
+        else:
+            schema_id, schema = read_schema(path, content)
+            if schemas.setdefault(schema_id, schema) != schema:
+                raise LogError("log_damaged", path, f"schema {schema_id} is declared twice over")
+
+
+def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[Any]:
     """Numbers of one type at any positions, aligned or not."""
     kind = np.dtype(dtype)
     if not at.size:

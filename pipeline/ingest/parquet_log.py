@@ -7,7 +7,7 @@ word. Checksums of pages are verified where the writer left them.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -18,22 +18,26 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings, require_time, span, time_name, wide_log
+from pipeline.ingest.assembly import Readings
 from pipeline.ingest.contract import LogSource, RawLog
+from pipeline.ingest.table import Columns, Table, wanted_columns
 from pipeline.ingest.time_stamps import (
     EPOCH_UNITS,
-    TimeStampError,
-    TimeStamps,
-    from_arrow_timestamps,
-    from_epoch,
-    from_text,
+    EXCEL_DAYS,
+    WrittenStamps,
+    written_as_numbers,
+    written_as_text,
+    written_as_timestamps,
 )
 
 MOST_ROWS = 2**27
 """Two weeks at 100 Hz. A file of a few kilobytes may claim, and decode to, any number of rows."""
 
 _MAGIC = b"PAR1"
-_BATCH_ROWS = 2**20
+_BATCH_ROWS = 2**18
+
+_Place = tuple[str, ...]
+"""Names of a column and of the fields within it."""
 
 
 def read_parquet_log(path: Path, source: LogSource) -> RawLog:
@@ -51,13 +55,9 @@ def read_parquet_log(path: Path, source: LogSource) -> RawLog:
     LogError
         As listed in `pipeline.ingest.contract`.
     """
-    with _opened(path) as file:
-        _require_numeric(path, file.schema_arrow, source)
-        wanted = dict.fromkeys([source.time_source, *(c.source for c in source.channels)])
-        table = _read(path, file, tuple(wanted))
-        stamps = _stamps(path, source, table.column(source.time_source))
-        columns = {c.channel: _readings(table.column(c.source)) for c in source.channels}
-    return wide_log(path, source, stamps, columns, {})
+    table = Table(path, source)
+    _gather(path, source, wanted_columns(path, source), table)
+    return table.log({})
 
 
 def parquet_time_span(path: Path, source: LogSource) -> tuple[int, int]:
@@ -70,12 +70,23 @@ def parquet_time_span(path: Path, source: LogSource) -> tuple[int, int]:
     """
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
+    table = Table(path, source)
+    _gather(path, source, Columns(wanted_columns(path, source).time, None, ()), table)
+    return table.span()
+
+
+def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> None:
+    """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
     with _opened(path) as file:
-        _require_columns(path, file.schema_arrow, [source.time_source])
-        table = _read(path, file, (source.time_source,))
-        stamps = _stamps(path, source, table.column(source.time_source))
-    require_time(path, stamps, time_name(source))
-    return span(path, [stamps.time_us[stamps.readable]])
+        places = {name: _place(path, file.schema_arrow, name) for name in columns.all}
+        _require_types(path, source, columns, file.schema_arrow, places)
+        for batch in _batches(path, file, places):
+            found = {name: _within(batch, place) for name, place in places.items()}
+            table.add(
+                _stamps(path, source, [found[name] for name in columns.time]),
+                {name: _readings(found[name]) for name in columns.numbers},
+                None if columns.name is None else found[columns.name].cast(pa.string()),
+            )
 
 
 @contextmanager
@@ -110,84 +121,148 @@ def _require_magic(path: Path) -> None:
         )
 
 
-def _require_columns(path: Path, schema: pa.Schema, wanted: Sequence[str]) -> None:
-    for name in wanted:
-        count = schema.names.count(name)
-        if count > 1:
-            raise LogError(
-                "log_column_twice", path, f"{count} columns are called {name!r}: rename one"
-            )
-        if not count:
-            raise LogError(
-                "log_column_missing",
-                path,
-                f"no column {name!r}; there are " + ", ".join(map(repr, schema.names[:40])),
-            )
+def _place(path: Path, schema: pa.Schema, name: str) -> _Place:
+    """Where a column is: at the top by its very name, or within others by its path."""
+    count = schema.names.count(name)
+    if count > 1:
+        raise LogError("log_column_twice", path, f"{count} columns are called {name!r}: rename one")
+    if count:
+        return (name,)
+    for top in schema.names:
+        if name.startswith(top + ".") and schema.names.count(top) == 1:
+            within = _place_within(schema.field(top).type, name[len(top) + 1 :])
+            if within is not None:
+                return (top, *within)
+    raise LogError(
+        "log_column_missing",
+        path,
+        f"no column {name!r}; there are " + ", ".join(map(repr, _paths(schema)[:40])),
+    )
 
 
-def _require_numeric(path: Path, schema: pa.Schema, source: LogSource) -> None:
-    _require_columns(path, schema, [source.time_source, *(c.source for c in source.channels)])
-    for channel in source.channels:
-        kind = schema.field(channel.source).type
+def _place_within(kind: pa.DataType, rest: str) -> _Place | None:
+    if not pa.types.is_struct(kind):
+        return None
+    for field in kind:
+        if rest == field.name:
+            return (field.name,)
+        if rest.startswith(field.name + "."):
+            within = _place_within(field.type, rest[len(field.name) + 1 :])
+            if within is not None:
+                return (field.name, *within)
+    return None
+
+
+def _paths(fields: Iterable[pa.Field], above: str = "") -> list[str]:
+    """All columns by their paths, for a message."""
+    found: list[str] = []
+    for field in fields:
+        nested = pa.types.is_struct(field.type)
+        found += _paths(field.type, f"{above}{field.name}.") if nested else [above + field.name]
+    return found
+
+
+def _kind(schema: pa.Schema, place: _Place) -> pa.DataType:
+    """Type of a column, that of its values where it is a dictionary."""
+    kind = schema.field(place[0]).type
+    for name in place[1:]:
+        kind = kind.field(name).type
+    return kind.value_type if pa.types.is_dictionary(kind) else kind
+
+
+def _require_types(
+    path: Path,
+    source: LogSource,
+    columns: Columns,
+    schema: pa.Schema,
+    places: Mapping[str, _Place],
+) -> None:
+    for name in columns.numbers:
+        kind = _kind(schema, places[name])
         if not (
             pa.types.is_integer(kind)
             or pa.types.is_floating(kind)
             or pa.types.is_decimal(kind)
             or pa.types.is_null(kind)
         ):
+            channels = ", ".join(
+                c.channel for c in source.channels if source.layout != "wide" or c.source == name
+            )
             raise LogError(
                 "log_type",
                 path,
-                f"column {channel.source!r} (channel {channel.channel}) is of type {kind}, which "
-                "is no number",
-                channel.source,
+                f"column {name!r} (channel {channels}) is of type {kind}, which is no number",
+                name,
             )
+    if columns.name is not None and not _is_text(_kind(schema, places[columns.name])):
+        raise LogError(
+            "log_type", path, f"column {columns.name!r} holds no names of channels", columns.name
+        )
 
 
-def _read(path: Path, file: pq.ParquetFile, wanted: Sequence[str]) -> pa.Table:
+def _is_text(kind: pa.DataType) -> bool:
+    return bool(
+        pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
+    )
+
+
+def _batches(
+    path: Path, file: pq.ParquetFile, places: Mapping[str, _Place]
+) -> Iterator[pa.RecordBatch]:
     """The wanted columns, piece by piece: how many rows there are shows while they unfold."""
-    batches: list[pa.RecordBatch] = []
     rows = 0
-    for batch in file.iter_batches(batch_size=_BATCH_ROWS, columns=list(wanted)):
+    tops = sorted({place[0] for place in places.values()})
+    wanted = list(dict.fromkeys(".".join(place) for place in places.values()))
+    for batch in file.iter_batches(batch_size=_BATCH_ROWS, columns=wanted):
         rows += batch.num_rows
         if rows > MOST_ROWS:
             raise LogError("log_too_large", path, f"there are more than {MOST_ROWS} rows: split it")
-        batches.append(batch)
+        batch.validate(full=True)
+        # A part b of a nested column a comes along with a column of the name "a.b".
+        if sorted(batch.schema.names) != tops:
+            there = ", ".join(batch.schema.names)
+            raise LogError("log_column_twice", path, f"columns {there} go by the names asked for")
+        yield batch
     if rows != file.metadata.num_rows:
         claimed = file.metadata.num_rows
         raise LogError("log_damaged", path, f"it claims {claimed} rows and holds {rows}")
-    empty = pa.schema([file.schema_arrow.field(name) for name in wanted])
-    table = pa.Table.from_batches(batches, batches[0].schema if batches else empty)
-    table.validate(full=True)
-    # A part b of a nested column a comes along with a column of the name "a.b".
-    if sorted(table.column_names) != sorted(wanted):
-        there = ", ".join(table.column_names)
-        raise LogError("log_column_twice", path, f"columns {there} go by the names asked for")
-    return table
 
 
-def _stamps(path: Path, source: LogSource, column: pa.ChunkedArray) -> TimeStamps:
+def _within(batch: pa.RecordBatch, place: _Place) -> pa.ChunkedArray:
+    column = batch.column(place[0])
+    if len(place) > 1:
+        # Null where one of those around it is.
+        column = pc.struct_field(column, list(place[1:]))
+    if pa.types.is_dictionary(column.type):
+        column = column.dictionary_decode()
+    return pa.chunked_array([column])
+
+
+def _stamps(path: Path, source: LogSource, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
+    column = columns[-1]
+    if len(columns) > 1:
+        if not all(_is_text(part.type) for part in columns):
+            raise LogError("log_time", path, "date and time in columns of their own are to be text")
+        date, clock = (pc.utf8_trim_whitespace(part.cast(pa.string())) for part in columns)
+        column = pc.binary_join_element_wise(date, clock, " ")
     kind = column.type
-    try:
-        if pa.types.is_timestamp(kind):
-            return from_arrow_timestamps(column, source.time_zone)
-        if pa.types.is_string(kind) or pa.types.is_large_string(kind):
-            return from_text(column.cast(pa.string()), source.time_format, source.time_zone)
-    except TimeStampError as error:
-        raise LogError("log_time", path, str(error), source.time_source) from error
+    if pa.types.is_timestamp(kind):
+        return written_as_timestamps(column)
+    if _is_text(kind):
+        return written_as_text(column.cast(pa.string()), source.time_format)
     numeric = pa.types.is_integer(kind) or pa.types.is_float64(kind)
-    if not numeric or source.time_format not in EPOCH_UNITS:
+    if not numeric or source.time_format not in (*EPOCH_UNITS, EXCEL_DAYS):
         # A float32 of seconds since 1970 moves in steps of 128 s.
         raise LogError(
             "log_time",
             path,
             f"a time column of type {kind} cannot be read as {source.time_format!r}: wanted are "
             "timestamps, text, or integers or float64 with time_format one of "
-            + ", ".join(EPOCH_UNITS),
+            + ", ".join((*EPOCH_UNITS, EXCEL_DAYS)),
             source.time_source,
         )
     blank = np.nan if pa.types.is_floating(kind) else 0
-    return from_epoch(pc.fill_null(column, blank).to_numpy(), source.time_format)
+    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), source.time_format)
 
 
 def _readings(column: pa.ChunkedArray) -> Readings:

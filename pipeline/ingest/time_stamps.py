@@ -7,10 +7,10 @@ number are rounded.
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta
 from typing import Any
-from zoneinfo import ZoneInfo
 
 import numpy as np
 import polars as pl
@@ -19,39 +19,61 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.errors import UsageError
+from pipeline.ingest.wall_clock import (
+    EARLIEST_US,
+    EPOCH,
+    LATEST_US,
+    MICROSECOND,
+    TimeStamps,
+    from_naive,
+)
+
+__all__ = [
+    "EPOCH_UNITS",
+    "EXCEL_DAYS",
+    "TimeStamps",
+    "WrittenStamps",
+    "from_epoch",
+    "from_naive",
+    "from_text",
+    "placed",
+    "require_time_format",
+    "written_as_numbers",
+    "written_as_text",
+    "written_as_timestamps",
+]
 
 EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns": 1}
 """Microseconds in a unit of each epoch format (`epoch_ns` is divided by 1000 instead)."""
 
-EARLIEST_US = int(datetime(1990, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
-LATEST_US = int(datetime(2200, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
-"""Outside is no stamp: a clock never set, seconds for milliseconds, time since the log's start."""
+EXCEL_DAYS = "excel_days"
+"""Days since 30 December 1899, a local time; kept to the millisecond, as spreadsheets keep it."""
 
-_EPOCH = datetime(1970, 1, 1)
-_MICROSECOND = timedelta(microseconds=1)
-_MINUTE_US = 60 * 1_000_000
-_STEP_BACK_US = 30 * 60 * 1_000_000
 _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
 
-class TimeStampError(ValueError):
-    """Time stamps cannot be read as their source says; the readers add file and column."""
+_EXCEL_ZERO_MS = (datetime(1899, 12, 30) - EPOCH) // timedelta(milliseconds=1)
+_DAY_MS = 86_400_000
+_NONE, _LOCAL, _WITH_ZONE = 0, 1, 2
 
 
 @dataclass(frozen=True, slots=True)
-class TimeStamps:
-    """Time stamps of a column.
+class WrittenStamps:
+    """Time stamps as they are written, before local ones are placed in their zone.
+
+    Where an hour comes twice only the stamps before it tell which pass it is, so that a log which
+    is read in pieces is placed as a whole.
 
     Attributes
     ----------
     time_us : (n,) int64
-        UTC, microseconds since 1970; 0 where not readable.
-    readable : (n,) bool
-        False where the cell was blank, no time, or before 1990 or after 2200.
+        Microseconds since 1970, on the wall clock or in UTC.
+    kind : (n,) int8
+        0 no stamp, 1 on the wall clock, 2 in UTC.
     """
 
     time_us: NDArray[np.int64]
-    readable: NDArray[np.bool_]
+    kind: NDArray[np.int8]
 
 
 def require_time_format(time_format: str) -> None:
@@ -66,14 +88,14 @@ def require_time_format(time_format: str) -> None:
     --------
     >>> require_time_format("%d.%m.%Y %H:%M:%S,%f")
     """
-    if time_format == "iso8601" or time_format in EPOCH_UNITS:
+    if time_format in ("iso8601", EXCEL_DAYS) or time_format in EPOCH_UNITS:
         return
     directives = re.findall(r"%(.?)", time_format)
     if not set(directives) <= _DIRECTIVES:
         raise UsageError(
             "time_format",
-            f"time format {time_format!r}: iso8601, {', '.join(EPOCH_UNITS)}, or "
-            f"directives of {' '.join('%' + d for d in sorted(_DIRECTIVES))}",
+            f"time format {time_format!r}: iso8601, {', '.join(EPOCH_UNITS)}, "
+            f"{EXCEL_DAYS}, or directives of {' '.join('%' + d for d in sorted(_DIRECTIVES))}",
         )
     has = set(directives).intersection
     day = has("Yy") and (has("j") or (has("mbB") and has("d")))
@@ -103,11 +125,6 @@ def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps
     zone
         Zone of stamps that carry none.
 
-    Raises
-    ------
-    TimeStampError
-        A local time does not exist in the zone.
-
     Examples
     --------
     >>> texts = pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]])
@@ -115,11 +132,76 @@ def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps
     >>> stamps.time_us.tolist(), stamps.readable.tolist()
     ([1740805200500000, 0], [True, False])
     """
+    return placed([written_as_text(texts, time_format)], zone)
+
+
+def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
+    """Time stamps of a column of text, as they are written.
+
+    Parameters
+    ----------
+    texts, time_format
+        As for `from_text`.
+    """
     if time_format == "iso8601":
-        return _from_iso8601(texts, zone)
+        return _from_iso8601(texts)
     if time_format in EPOCH_UNITS:
         return _from_epoch_text(texts, time_format)
-    return _from_strptime(texts, time_format, zone)
+    if time_format == EXCEL_DAYS:
+        days = pl.Series("time", texts).str.strip_chars().cast(pl.Float64, strict=False)
+        return written_as_numbers(days.fill_null(np.nan).to_numpy(), time_format)
+    return _from_strptime(texts, time_format)
+
+
+def written_as_numbers(
+    numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
+) -> WrittenStamps:
+    """Time stamps of a column of numbers, as they are written.
+
+    Parameters
+    ----------
+    numbers : (n,) integer or float64
+        nan where the cell is blank.
+    time_format
+        One of `EPOCH_UNITS`, or `EXCEL_DAYS`.
+
+    Examples
+    --------
+    >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
+    [1740808800000000]
+    """
+    if time_format in EPOCH_UNITS:
+        stamps = from_epoch(numbers, time_format)
+        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
+    since_1970_ms = np.asarray(numbers, dtype=np.float64) * _DAY_MS + _EXCEL_ZERO_MS
+    fits = np.abs(since_1970_ms) < LATEST_US / 1000
+    local_ms = np.rint(np.where(fits, since_1970_ms, 0.0)).astype(np.int64)
+    return WrittenStamps(local_ms * 1000, _kinds(fits, _LOCAL))
+
+
+def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
+    """Stamps of all pieces of a log in UTC, local ones from the wall clock of a zone.
+
+    Parameters
+    ----------
+    parts
+        In the order of the file.
+    zone
+        Zone of stamps that carry none.
+    """
+    time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
+    kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
+    local = kind == _LOCAL
+    if not local.any():
+        return from_naive(time_us, kind == _WITH_ZONE, "UTC")
+    stamps = from_naive(time_us, local, zone)
+    if not (kind == _WITH_ZONE).any():
+        return stamps
+    return _either(stamps, from_naive(time_us, kind == _WITH_ZONE, "UTC"))
+
+
+def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
+    return np.where(readable, kind, _NONE).astype(np.int8)
 
 
 def from_epoch(
@@ -152,80 +234,15 @@ def from_epoch(
     return TimeStamps(time_us.astype(np.int64), readable)
 
 
-def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: str) -> TimeStamps:
-    """Local wall-clock time of a zone to UTC.
-
-    Where a clock change gives an hour twice, stamps belong to its first pass until they step back
-    by half an hour or more, then to the second.
-
-    Parameters
-    ----------
-    local_us : (n,)
-        Wall-clock time as microseconds since 1970.
-    readable : (n,)
-        Which of them are stamps.
-
-    Raises
-    ------
-    TimeStampError
-        A local time does not exist in the zone: the logger's clock does not follow it.
-
-    Examples
-    --------
-    >>> noon = np.array([1740830400000000])
-    >>> from_naive(noon, np.array([True]), "Europe/Stockholm").time_us.tolist()
-    [1740826800000000]
-    """
-    plausible = readable & (local_us >= EARLIEST_US) & (local_us < LATEST_US)
-    if zone == "UTC" or not plausible.any():
-        return TimeStamps(np.where(plausible, local_us, 0), plausible)
-    local = local_us[plausible]
-    first_us, second_us = _offsets_us(local, zone)
-    offset_us = np.where(_on_second_pass(local, first_us != second_us), second_us, first_us)
-    time_us = np.zeros_like(local_us)
-    time_us[plausible] = local - offset_us
-    return TimeStamps(time_us, plausible)
-
-
-def _offsets_us(local: NDArray[np.int64], zone: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Offset from UTC on the first and on the second pass of each local time."""
-    # Since 1990 all zones have changed their offset at a whole minute, St. John's at 00:01.
-    minutes, which = np.unique(local // _MINUTE_US, return_inverse=True)
-    tz = ZoneInfo(zone)
-    offsets = np.empty((2, minutes.size), dtype=np.int64)
-    for i, minute in enumerate(minutes.tolist()):
-        wall = _EPOCH + timedelta(microseconds=minute * _MINUTE_US)
-        for fold in (0, 1):
-            offset = tz.utcoffset(wall.replace(fold=fold))
-            offsets[fold, i] = 0 if offset is None else offset // _MICROSECOND
-    if (offsets[1] > offsets[0]).any():
-        minute = int(minutes[np.argmax(offsets[1] > offsets[0])])
-        wall = _EPOCH + timedelta(microseconds=minute * _MINUTE_US)
-        raise TimeStampError(
-            f"local time {wall:%Y-%m-%d %H:%M} does not exist in zone {zone}: where the logger's "
-            "clock does not change over, set time_zone to a fixed one such as Etc/GMT-1"
-        )
-    return offsets[0, which], offsets[1, which]
-
-
-def _on_second_pass(local: NDArray[np.int64], ambiguous: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """True where an hour that comes twice has stepped back since it began."""
-    if not ambiguous.any():
-        return ambiguous
-    steps_back = np.cumsum((np.diff(local, prepend=local[0]) < -_STEP_BACK_US) & ambiguous)
-    before_run = np.maximum.accumulate(np.where(ambiguous, 0, steps_back))
-    return np.asarray(ambiguous & (steps_back > before_run))
-
-
-def _from_iso8601(texts: pa.ChunkedArray, zone: str) -> TimeStamps:
+def _from_iso8601(texts: pa.ChunkedArray) -> WrittenStamps:
     for unit in ("us", "ns"):
         for tz in ("UTC", None):
             try:
                 stamps = texts.cast(pa.timestamp(unit, tz))
             except pa.ArrowInvalid:
                 continue
-            return from_arrow_timestamps(stamps, zone)
-    return _from_iso8601_cell_by_cell(texts.to_pylist(), zone)
+            return written_as_timestamps(stamps)
+    return _from_iso8601_cell_by_cell(texts.to_pylist())
 
 
 def from_arrow_timestamps(stamps: pa.ChunkedArray, zone: str) -> TimeStamps:
@@ -239,43 +256,52 @@ def from_arrow_timestamps(stamps: pa.ChunkedArray, zone: str) -> TimeStamps:
     zone
         Zone of a column without one.
     """
+    return placed([written_as_timestamps(stamps)], zone)
+
+
+def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
+    """Time stamps of an Arrow timestamp column, as they are written.
+
+    Parameters
+    ----------
+    stamps
+        As for `from_arrow_timestamps`.
+    """
+    kind = _WITH_ZONE if stamps.type.tz else _LOCAL
     readable = stamps.is_valid().to_numpy().astype(bool)
     counts = pc.fill_null(stamps.cast(pa.int64()), 0).to_numpy()
     unit = stamps.type.unit
     if unit == "ns":
-        time_us = counts // 1000
-    else:
-        per_unit = EPOCH_UNITS[f"epoch_{unit}"]
-        fits = np.abs(counts.astype(np.float64)) < LATEST_US / per_unit
-        time_us = np.where(fits, counts, 0) * per_unit
-    return from_naive(time_us, readable, "UTC" if stamps.type.tz else zone)
+        return WrittenStamps(counts // 1000, _kinds(readable, kind))
+    per_unit = EPOCH_UNITS[f"epoch_{unit}"]
+    fits = np.abs(counts.astype(np.float64)) < LATEST_US / per_unit
+    return WrittenStamps(np.where(fits, counts, 0) * per_unit, _kinds(readable & fits, kind))
 
 
-def _from_iso8601_cell_by_cell(texts: list[str | None], zone: str) -> TimeStamps:
+def _from_iso8601_cell_by_cell(texts: list[str | None]) -> WrittenStamps:
     """Slower, for a column in which some cell is no stamp, or written with and without zone."""
     time_us = np.zeros(len(texts), dtype=np.int64)
-    kind = np.zeros(len(texts), dtype=np.int8)  # 0 no stamp, 1 local, 2 with its own zone
+    kind = np.zeros(len(texts), dtype=np.int8)
     for i, text in enumerate(texts):
         try:
             stamp = datetime.fromisoformat((text or "").strip())
         except ValueError:
             continue
         offset = stamp.utcoffset()
-        kind[i] = 1 if offset is None else 2
-        time_us[i] = (stamp.replace(tzinfo=None) - _EPOCH - (offset or timedelta())) // _MICROSECOND
-    local = from_naive(time_us, kind == 1, zone)
-    return _either(local, from_naive(time_us, kind == 2, "UTC"))
+        kind[i] = _LOCAL if offset is None else _WITH_ZONE
+        time_us[i] = (stamp.replace(tzinfo=None) - EPOCH - (offset or timedelta())) // MICROSECOND
+    return WrittenStamps(time_us, kind)
 
 
-def _from_epoch_text(texts: pa.ChunkedArray, time_format: str) -> TimeStamps:
+def _from_epoch_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     try:
         whole = texts.cast(pa.int64())
     except pa.ArrowInvalid:
         return _from_epoch_cell_by_cell(texts, time_format)
-    return from_epoch(pc.fill_null(whole, 0).to_numpy(), time_format)
+    return written_as_numbers(pc.fill_null(whole, 0).to_numpy(), time_format)
 
 
-def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> TimeStamps:
+def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     """Slower, for a column with fractions, or in which some cell is no number."""
     cells = pl.Series("time", texts).str.strip_chars()
     whole = cells.cast(pl.Int64, strict=False)
@@ -283,21 +309,22 @@ def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> TimeSt
     as_whole = from_epoch(whole.fill_null(0).to_numpy(), time_format)
     parsed = cells.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
     as_float = from_epoch(np.where(whole.is_null().to_numpy(), parsed, np.nan), time_format)
-    return _either(as_whole, as_float)
+    stamps = _either(as_whole, as_float)
+    return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
 
 
 def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
     """Stamps of two readings of one column, where each cell is readable in one of them at most."""
-    return TimeStamps(one.time_us + other.time_us, one.readable | other.readable)
+    return TimeStamps(one.time_us + other.time_us, one.readable | other.readable, one.skipped)
 
 
-def _from_strptime(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
+def _from_strptime(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if ",%f" in time_format:
         texts = pc.replace_substring(texts, ",", ".")
     stamps = _strptime(pl.Series("time", texts), time_format)
+    kind = _WITH_ZONE if "%z" in time_format else _LOCAL
     readable = stamps.is_not_null().to_numpy()
-    time_us = stamps.to_physical().fill_null(0).to_numpy()
-    return from_naive(time_us, readable, "UTC" if "%z" in time_format else zone)
+    return WrittenStamps(stamps.to_physical().fill_null(0).to_numpy(), _kinds(readable, kind))
 
 
 def _strptime(texts: pl.Series, time_format: str) -> pl.Series:

@@ -319,6 +319,27 @@ class TestHampel:
         np.testing.assert_array_equal(spike(value, RULES), spike(value * scale + offset, scaled))
 
 
+class TestAcrossAGap:
+    """What came before a gap changes nothing after it."""
+
+    @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
+    def test_samples_before_a_gap_do_not_judge_those_after_it(
+        self, seed: int, level: float
+    ) -> None:
+        after = 50.0 + np.random.default_rng(seed).standard_t(2, 60)
+        time = np.append(stamps(60), stamps(60) + 60 * SECOND)
+        alone = clean_channel(raw(time[60:], after), RULES)
+        both = clean_channel(raw(time, np.append(lively(60) + level, after)), RULES)
+        np.testing.assert_array_equal(both.refused[60:], alone.refused)
+
+    def test_a_spike_beside_a_gap_is_found(self) -> None:
+        time = np.append(stamps(60), stamps(60) + 60 * SECOND)
+        value = lively(120)
+        value[[59, 60]] += 40.0
+        found = clean_channel(raw(time, value), RULES)
+        assert np.flatnonzero(found.refused).tolist() == [59, 60]
+
+
 class TestFrozen:
     """60 s without a change beyond the resolution; temperature 900 s."""
 

@@ -488,7 +488,10 @@ def test_model_hash_covers_what_shapes_the_columns(
         ("time_base", {"rate_hz": 2.0}, "other"),
         ("model", {"film_pressure": "slot"}, "other"),
         ("model", {"film_pressure_share": 0.5}, "other"),
+        ("windows", {"minimum_block_share": 0.5}, "other"),
+        ("transport_delay", {"fixed_s": 1.0}, "other"),
         ("windows", {"minimum_kept_share": 0.5}, "same"),
+        ("windows", {"minimum_pressure_spread_bar": 5.0}, "same"),
         ("windows", {"minimum_training_minutes": 20.0}, "same"),
         ("estimation", {"seed": 7, "starting_points": 50}, "same"),
         ("reference", {"pressure_bar": 210.0}, "same"),
@@ -509,6 +512,8 @@ def test_model_hash_and_the_settings(
         ({"resolution": 0.1}, "other"),
         ({"valid_range": (0.0, 100.0)}, "other"),
         ({"scale": 2.0}, "other"),
+        ({"time_offset_s": 1.0}, "other"),
+        ({"sampling": "on_change", "longest_silence_s": 60.0}, "other"),
         ({"offset_tolerance": 1.0}, "same"),
         ({"gain_tolerance_percent": 1.0}, "same"),
     ],
@@ -587,3 +592,32 @@ def test_the_same_night_in_other_units_is_the_same_fit(
         for one in fits
     ]
     assert counted[0] == counted[1]
+
+
+def test_what_came_before_a_gap_changes_nothing_after_it(spec: MotorSpec) -> None:
+    """Half an hour of anything, a gap, then a smoothed night: its samples and columns are alike."""
+    smoothing = spec.settings.smoothing.model_copy(update={"window_s": 5.0})
+    smoothed = replace(spec, settings=spec.settings.model_copy(update={"smoothing": smoothing}))
+    operation = operate(minutes=70.0)
+    values = simulate(spec, operation)
+    seen = np.delete(np.arange(4200), np.arange(1800, 1860))
+    other = {name: value.copy() for name, value in values.items()}
+    rng = np.random.default_rng(3)
+    other["leakage_flow"][:1800] += rng.standard_t(2, 1800)
+    other["pressure_difference"][:1800] *= 0.7
+    found = [
+        fit_night(
+            smoothed,
+            night_of(),
+            raw(operation.time_us[seen], {name: value[seen] for name, value in one.items()}),
+            {},
+        ).rows["block_statistics"]
+        for one in (values, other)
+    ]
+    border = dt.datetime.fromtimestamp(operation.time_us[1860] / 1e6, dt.UTC)
+    after = [
+        [(row["n"], row["statistics"]) for row in rows if row["block_start"] >= border]
+        for rows in found
+    ]
+    assert len(after[0]) >= 18
+    assert after[0] == after[1]

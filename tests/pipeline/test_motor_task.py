@@ -503,7 +503,7 @@ def test_a_fault_of_ours_in_one_night_costs_that_night(
         workshop.log(NIGHT + day * DAY)
     monkeypatch.setattr(pipeline.motor_task, "fit_night", faulty)
     outcome = workshop.run()
-    assert (outcome.status, outcome.error_code) == ("failed", "internal")
+    assert (outcome.status, outcome.error_code) == ("failed", "store_write")
     assert f"night {NIGHT + DAY}: ZeroDivisionError: not foreseen" in (outcome.message or "")
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
 
@@ -513,7 +513,7 @@ def test_a_task_that_cannot_stage_is_lost_as_a_whole(workshop: Workshop) -> None
     task = workshop.task()
     task.staging.write_text("in the way")
     outcome = run_motor(task)
-    assert (outcome.status, outcome.error_code) == ("failed", "internal")
+    assert (outcome.status, outcome.error_code) == ("failed", "store_write")
     assert (outcome.nights, outcome.ledger) == ((), None)
 
 

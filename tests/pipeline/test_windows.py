@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import itertools
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -11,15 +13,24 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.config import Windows
+from pipeline.config import ConfigError, Nights, Windows
+from pipeline.config.motors import Periods
+from pipeline.motor_night import INSUFFICIENT_DATA, NightOutcome, fit_night
+from pipeline.night_statistics import model_hash
+from pipeline.nights import night
 from pipeline.windows import (
     GUARD,
+    NONE_SET,
     TRAINING,
     VALIDATION,
     Block,
+    HandSet,
+    left_out,
     merge_neighbours,
     split_into_blocks,
+    too_uniform,
 )
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 SECOND = 1_000_000
 MINUTE = 60 * SECOND
@@ -208,3 +219,170 @@ class TestMerge:
         for part in (TRAINING, VALIDATION, GUARD):
             count = [sum(one.n for one in some if one.part == part) for some in (short, stored)]
             assert count[0] == count[1]
+
+
+# Parts that are good enough
+
+
+def reasons(time_us: NDArray[np.int64], by_hand: HandSet = NONE_SET, **keys: Any) -> dict[str, Any]:
+    return left_out(time_us, SECOND, START, Windows(**keys), by_hand)
+
+
+def test_by_default_nothing_is_left_out() -> None:
+    time = np.concatenate([minutes(0, 3), minutes(200, 201), minutes(900, 901, step_s=50)])
+    assert not any(mask.any() for mask in reasons(time).values())
+
+
+def test_a_block_that_kept_too_little_is_left_out() -> None:
+    """Blocks of two minutes: 120, 24 and 120 samples."""
+    time = np.concatenate([minutes(0, 2), minutes(2, 4, step_s=5), minutes(4, 6)])
+    found = reasons(time, minimum_block_share=0.5)
+    assert np.flatnonzero(found["thin_block"]).tolist() == list(range(120, 144))
+    assert not found["short_stretch"].any()
+    assert not reasons(time, minimum_block_share=0.2)["thin_block"].any()
+
+
+def test_stretches_between_long_gaps_must_be_long_enough() -> None:
+    time = np.concatenate([minutes(0, 30), minutes(40, 44), minutes(60, 100)])
+    keys: dict[str, Any] = {"longest_gap_s": 300.0, "minimum_stretch_minutes": 10.0}
+    found = reasons(time, **keys)["short_stretch"]
+    assert np.flatnonzero(found).tolist() == list(range(1800, 2040))
+    assert not reasons(time, **(keys | {"longest_gap_s": 1200.0}))["short_stretch"].any()
+    assert reasons(time, **(keys | {"minimum_stretch_minutes": 50.0}))["short_stretch"].all()
+
+
+def test_a_thin_block_cuts_no_stretch_that_its_samples_had_held_together() -> None:
+    """What is left out cannot bridge: the stretch is judged by the samples that remain."""
+    time = np.concatenate([minutes(0, 8), minutes(8, 10, step_s=20), minutes(10, 18)])
+    found = reasons(time, minimum_block_share=0.5, longest_gap_s=60.0, minimum_stretch_minutes=10.0)
+    assert (found["thin_block"] | found["short_stretch"]).all()
+
+
+@given(NIGHT_TIMES, st.floats(0, 1), st.floats(1, 4000), st.floats(0, 30))
+def test_rules_name_each_sample_at_most_once(
+    seconds: list[int], share: float, gap: float, shortest: float
+) -> None:
+    time = START + np.array(sorted(seconds), np.int64) * SECOND
+    found = reasons(
+        time, minimum_block_share=share, longest_gap_s=gap, minimum_stretch_minutes=shortest
+    )
+    assert sum(mask.astype(int) for mask in found.values()).max(initial=0) <= 1
+
+
+def test_a_spread_that_is_too_small_is_named() -> None:
+    uniform = {
+        "pressure": np.full(100, 180.0),
+        "speed": np.linspace(10, 50, 101),
+        "temperature": np.linspace(50, 51, 101),
+    }
+    assert too_uniform(uniform, Windows()) is None
+    found = too_uniform(
+        uniform,
+        Windows(
+            minimum_pressure_spread_bar=20.0,
+            minimum_speed_spread_rpm=36.0,
+            minimum_temperature_spread_c=2.0,
+        ),
+    )
+    assert found == ("pressure spans 0 bar, 20 are needed; temperature spans 0.9 °C, 2 are needed")
+
+
+# Periods set by hand
+
+BY_HAND = HandSet(
+    training=((START + 10 * MINUTE, START + 31 * MINUTE),),
+    validation=((START + 31 * MINUTE, START + 50 * MINUTE),),
+)
+
+
+def test_periods_set_by_hand_decide_alone() -> None:
+    time = minutes(0, 60)
+    outside = reasons(time, BY_HAND, minimum_block_share=1.0)
+    assert list(outside) == ["outside_periods"]
+    kept = time[~outside["outside_periods"]]
+    assert (kept[0], kept[-1]) == (START + 10 * MINUTE, START + 50 * MINUTE - SECOND)
+    blocks = split_into_blocks(kept, START, Windows(), BY_HAND)
+    # The block from 30 to 32 min holds samples of both.
+    assert runs(parts(blocks)) == [("t", 10), ("g", 1), ("v", 9)]
+
+
+def test_periods_of_other_nights_do_not_touch_this_one() -> None:
+    periods = Periods(
+        training=(
+            (dt.datetime(2026, 3, 2, 1, tzinfo=dt.UTC), dt.datetime(2026, 3, 2, 2, tzinfo=dt.UTC)),
+        )
+    )
+    nights = Nights()
+    assert HandSet.of(periods, night(dt.date(2026, 3, 2), nights)).training
+    assert not HandSet.of(periods, night(dt.date(2026, 3, 3), nights))
+
+
+def night_with(folder: Path, more: str) -> NightOutcome:
+    spec = load_motor(folder, motor_toml("M1", more=more))
+    operation = operate(minutes=60.0)
+    values = operation.channels(operation.flow(spec.motor(NIGHT, "none")))
+    return fit_night(spec, night_of(), raw(operation.time_us, values), {})
+
+
+def test_a_night_is_fitted_on_the_periods_in_the_motor_s_file(tmp_path: Path) -> None:
+    outcome = night_with(
+        tmp_path,
+        "[periods]\ntraining = [[2026-03-01T22:10:00Z, 2026-03-01T23:40:00+01:00]]\n"
+        "validation = [[2026-03-01T22:42:00Z, 2026-03-01T22:50:00Z]]\n",
+    )
+    (row,) = outcome.rows["fits"]
+    assert (row["status"], row["n_training"], row["n_validation"]) == ("ok", 1800, 480)
+    counted = {one["reason"]: one["n_refused"] for one in outcome.rows["quality"]}
+    assert counted["outside_periods"] == 3600 - 1800 - 480
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (
+            "[override.windows]\nlongest_gap_s = 60.0\nminimum_stretch_minutes = 90.0\n",
+            "no part of the night is good enough to fit (short stretch 100 %",
+        ),
+        (
+            "[override.windows]\nminimum_pressure_spread_bar = 400.0\n",
+            "training: pressure spans",
+        ),
+        (
+            "[periods]\ntraining = [[2026-03-02T05:00:00Z, 2026-03-02T05:30:00Z]]\n",
+            "no part of the night is good enough to fit (outside periods 100 %",
+        ),
+        (
+            "[periods]\nvalidation = [[2026-03-01T22:00:00Z, 2026-03-01T23:00:00Z]]\n",
+            "0.0 minutes of kept samples for training",
+        ),
+    ],
+)
+def test_a_night_without_a_window_says_why(tmp_path: Path, more: str, reason: str) -> None:
+    outcome = night_with(tmp_path, more)
+    assert outcome.status == INSUFFICIENT_DATA
+    assert (outcome.reason or "").startswith(reason)
+
+
+@pytest.mark.parametrize(
+    "period",
+    [
+        "training = [[2026-03-01T22:00:00Z, 2026-03-01T21:00:00Z]]",
+        "training = [[2026-03-01T22:00:00, 2026-03-01T23:00:00]]",
+        "training = [[2026-03-01T22:00:00Z, 2026-03-01T23:00:00Z]]\n"
+        "validation = [[2026-03-01T22:59:00Z, 2026-03-01T23:30:00Z]]",
+    ],
+)
+def test_periods_that_make_no_sense_are_faults(tmp_path: Path, period: str) -> None:
+    with pytest.raises(ConfigError, match="periods"):
+        load_motor(tmp_path, motor_toml("M1", more=f"[periods]\n{period}\n"))
+
+
+def test_only_nights_that_a_period_touches_have_another_hash(tmp_path: Path) -> None:
+    period = "[periods]\ntraining = [[2026-03-01T22:00:00Z, 2026-03-01T23:00:00Z]]\n"
+    plain, by_hand = (
+        load_motor(tmp_path / name, motor_toml("M1", more=more))
+        for name, more in (("plain", ""), ("hand", period))
+    )
+    for label, same in ((NIGHT, False), (NIGHT + dt.timedelta(days=1), True)):
+        hashes = {model_hash(one, one.motor(label, "none"), label) for one in (plain, by_hand)}
+        assert (len(hashes) == 1) == same

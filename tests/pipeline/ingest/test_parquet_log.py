@@ -189,6 +189,105 @@ def test_a_name_with_a_dot_is_a_name(tmp_path: Path) -> None:
     assert error(path, source).code == "log_column_twice"
 
 
+NESTED = (
+    ChannelSource("pressure_difference", "hydraulics.pressure.a", "bar"),
+    ChannelSource("oil_temperature", "hydraulics.oil.T.in", "degC"),
+)
+
+
+def test_nested_columns_by_their_paths(tmp_path: Path) -> None:
+    # Null within, null around it, and a name that has a dot itself.
+    rows = [
+        {"pressure": {"a": 1.0, "b": 9.0}, "oil.T": {"in": 50}, "x": [1]},
+        {"pressure": {"a": None, "b": 9.0}, "oil.T": None, "x": None},
+        None,
+    ]
+    path = written(tmp_path, {"time": TIMES, "hydraulics": pa.array(rows)})
+    log = read_log(path, replace(SOURCE, channels=NESTED))
+    for name, value in (("pressure_difference", 1.0), ("oil_temperature", 50.0)):
+        assert log.channels[name].missing.tolist() == [False, True, True]
+        assert log.channels[name].value[0] == value
+    absent = replace(NESTED[0], source="hydraulics.pressure.c")
+    wrong = error(path, replace(SOURCE, channels=(absent,)))
+    assert wrong.code == "log_column_missing"
+    assert "'hydraulics.pressure.a'" in wrong.message
+    for name in ("hydraulics.pressure", "hydraulics.x"):
+        not_a_number = replace(NESTED[0], source=name)
+        assert error(path, replace(SOURCE, channels=(not_a_number,))).code == "log_type"
+
+
+def test_a_nested_time(tmp_path: Path) -> None:
+    head = pa.StructArray.from_arrays([TIMES], names=["stamp"])
+    path = written(tmp_path, {"head": head, "dp": [1.0, 2.0, 3.0]})
+    source = replace(SOURCE, time_source="head.stamp")
+    assert read_log(path, source).first_us == T0_US
+    assert time_span(path, source) == (T0_US, T0_US + 2)
+
+
+def test_dictionary_columns(tmp_path: Path) -> None:
+    stamps = pa.array(["2025-03-01T06:00:00Z"] * 3).dictionary_encode()
+    cells = pa.array([1.5, None, 1.5]).dictionary_encode()
+    log = read(tmp_path, cells, stamps)
+    channel = log.channels["pressure_difference"]
+    np.testing.assert_array_equal(channel.value, [1.5, np.nan, 1.5])
+    assert channel.time_us.tolist() == [T0_US] * 3
+
+
+LONG = replace(SOURCE, layout="long", channel_column="tag", value_column="v")
+
+
+@pytest.mark.parametrize("dictionary", [False, True])
+def test_long_tables_of_many_row_groups(tmp_path: Path, dictionary: bool) -> None:
+    tags = pa.array(["dp", "n", None, "other", "dp"] * 40)
+    columns = {
+        "time": pa.array([T0_US + i for i in range(200)], pa.timestamp("us", "UTC")),
+        "tag": tags.dictionary_encode() if dictionary else tags,
+        "v": pa.array([float(i) for i in range(200)]),
+    }
+    speed = ChannelSource("speed", "n", "rpm")
+    source = replace(LONG, channels=(*LONG.channels, speed))
+    path = written(tmp_path, columns, row_group_size=7)
+    log = read_log(path, source)
+    values = log.channels["pressure_difference"].value.tolist()
+    assert values == [float(i) for i in range(200) if i % 5 in (0, 4)]
+    times = (log.channels["speed"].time_us - T0_US).tolist()
+    assert times == list(range(1, 200, 5))
+    assert time_span(path, source) == (T0_US, T0_US + 199)
+
+
+def test_a_long_table_whose_names_are_numbers(tmp_path: Path) -> None:
+    path = written(tmp_path, {"time": TIMES, "tag": [1, 2, 3], "v": [1.0, 2.0, 3.0]})
+    assert error(path, LONG).code == "log_type"
+
+
+def test_a_file_a_channel(tmp_path: Path) -> None:
+    channels = (replace(SOURCE.channels[0], source="lo*"), ChannelSource("speed", "n_*", "rpm"))
+    source = replace(SOURCE, layout="file_per_channel", channels=channels)
+    path = written(tmp_path, {"time": TIMES, "value": [1.0, 2.0, 3.0]})
+    log = read_log(path, source)
+    assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 3.0]
+    assert log.channels["speed"].time_us.size == 0
+
+
+def test_integers_with_a_scale(tmp_path: Path) -> None:
+    scaled = replace(SOURCE.channels[0], scale=0.1, offset=-5.0)
+    log = read(tmp_path, pa.array([2050, None, 50], pa.int16()), channels=(scaled,))
+    np.testing.assert_allclose(log.channels["pressure_difference"].value, [200.0, np.nan, 0.0])
+
+
+def test_days_of_a_spreadsheet(tmp_path: Path) -> None:
+    log = read(tmp_path, pa.array([1.0]), pa.array([45717.25]), time_format="excel_days")
+    assert log.first_us == T0_US
+
+
+def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
+    # The year 2150.
+    times = pa.array([T0_US, T0_US + 1, 5_680_281_600_000_000], pa.timestamp("us", "UTC"))
+    log = read(tmp_path, pa.array([1.0, 2.0, 3.0]), times)
+    assert log.rows == 2
+    assert log.notes == ("1 rows with a time more than a day in the future",)
+
+
 def test_pandas_index_columns_and_other_company_do_not_matter(tmp_path: Path) -> None:
     company = {"__index_level_0__": [0, 1, 2], "note": ["a", "b", "c"], "x": [[1], [2], []]}
     path = written(tmp_path, {**company, "dp": [1.0, 2.0, 3.0], "time": TIMES})

@@ -12,12 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.ingest.time_stamps import (
-    TimeStampError,
     TimeStamps,
     from_arrow_timestamps,
     from_epoch,
     from_naive,
     from_text,
+    placed,
+    written_as_text,
 )
 
 from .writers import T0_US, iso
@@ -264,9 +265,43 @@ def test_an_hour_that_comes_twice_in_each_of_two_years() -> None:
     assert local(*walls, zone="Europe/Stockholm") == wanted
 
 
-def test_an_hour_that_does_not_exist_is_an_error() -> None:
-    with pytest.raises(TimeStampError, match=r"2025-03-30 02:30.*Europe/Stockholm"):
-        local("2025-03-30T01:59:59", "2025-03-30T02:30:00", zone="Europe/Stockholm")
+def test_an_hour_that_does_not_exist_is_refused_and_counted() -> None:
+    texts = ["2025-03-30T01:59:59", "2025-03-30T02:00:00", "2025-03-30T02:59:59"]
+    stamps = read([*texts, "2025-03-30T03:00:00"], zone="Europe/Stockholm")
+    assert stamps.readable.tolist() == [True, False, False, True]
+    assert stamps.skipped == 2
+    # 01:59:59 at +01:00 and 03:00:00 at +02:00 are a second apart.
+    assert stamps.time_us[3] - stamps.time_us[0] == 1_000_000
+    assert stamps.time_us[1:3].tolist() == [0, 0]
+
+
+def test_a_log_in_pieces_is_placed_as_a_whole() -> None:
+    texts = ["2025-10-26T01:30:00", "2025-10-26T02:31:00", "2025-10-26T02:00:00"]
+    texts += ["2025-10-26T02:45:00", "2025-10-26T03:15:00"]
+    parts = [written_as_text(pa.chunked_array([[text]]), "iso8601") for text in texts]
+    whole = read(list(texts), zone="Europe/Stockholm")
+    assert placed(parts, "Europe/Stockholm").time_us.tolist() == whole.time_us.tolist()
+    offsets = ["+02:00", "+02:00", "+01:00", "+01:00", "+01:00"]
+    wanted = [us(datetime.fromisoformat(t + o)) for t, o in zip(texts, offsets, strict=True)]
+    assert whole.time_us.tolist() == wanted
+
+
+@pytest.mark.parametrize(
+    ("days", "moment"),
+    [
+        # 1 January 2008 is day 39448 in Microsoft's documentation of DATEVALUE.
+        ("39448", datetime(2008, 1, 1, tzinfo=UTC)),
+        ("45717.25", datetime(2025, 3, 1, 6, tzinfo=UTC)),
+        ("45717.2500115741", datetime(2025, 3, 1, 6, 0, 1, tzinfo=UTC)),
+    ],
+)
+def test_days_of_a_spreadsheet(days: str, moment: datetime) -> None:
+    stamps = read([days, f" {days} ", "?", None], "excel_days")
+    assert stamps.time_us.tolist() == [us(moment), us(moment), 0, 0]
+    in_tokyo = read([days], "excel_days", "Asia/Tokyo").time_us.tolist()
+    assert in_tokyo == [us(moment) - 9 * 3600 * 1_000_000]
+    for number in (-1.0, 0.0, 1e300, np.inf, np.nan):
+        assert not read([repr(number)], "excel_days").readable.any()
 
 
 @given(st.lists(st.text(max_size=30) | st.none(), max_size=10))

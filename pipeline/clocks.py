@@ -1,0 +1,166 @@
+"""Clocks of channels: offsets, jitter, and samples that were written out of their order.
+
+A sample written late has the right stamp in the wrong row; a clock that was set back has the wrong
+stamp. The two are told apart by whether the stamp falls into a free place among the others.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+import numpy as np
+from numpy.typing import NDArray
+
+Times = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+# A place is free where no other sample lies nearer than this share of a period, and belongs to the
+# log where one lies within this many periods.
+FREE_SHARE = 0.75
+NEAR_PERIODS = 5.0
+# A step further than this share of a period from a whole number of periods is jitter.
+JITTER_SHARE = 0.25
+
+
+def typical_period_us(time_us: Times) -> float | None:
+    """Median distance of consecutive samples [µs]; None for fewer than two."""
+    return float(np.median(np.diff(time_us))) if len(time_us) > 1 else None
+
+
+def backward_time(time_us: Times) -> Mask:
+    """Samples whose time does not fit an increasing clock.
+
+    The fewest possible are named (all but a longest non-decreasing subsequence), so that a single
+    stamp in the future does not refuse all that follow it.
+    """
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    if len(time_us) < 2 or bool((np.diff(time_us) >= 0).all()):
+        return mask
+    latest_before = np.maximum.accumulate(time_us)
+    earliest_after = np.minimum.accumulate(time_us[::-1])[::-1]
+    # A stamp in order with all others belongs to any longest subsequence: few are left to search.
+    doubtful = np.flatnonzero((time_us < latest_before) | (time_us > earliest_after))
+    mask[doubtful] = True
+    mask[doubtful[_longest_increasing(time_us[doubtful].tolist())]] = False
+    return mask
+
+
+def _longest_increasing(stamps: list[int]) -> list[int]:
+    """Places of a longest non-decreasing subsequence (patience sorting)."""
+    tails: list[int] = []
+    ends: list[int] = []
+    previous: list[int] = []
+    for index, stamp in enumerate(stamps):
+        pile = bisect_right(tails, stamp)
+        previous.append(ends[pile - 1] if pile else -1)
+        tails[pile : pile + 1] = [stamp]
+        ends[pile : pile + 1] = [index]
+    places: list[int] = []
+    index = ends[-1]
+    while index >= 0:
+        places.append(index)
+        index = previous[index]
+    return places[::-1]
+
+
+def duplicate_time(time_us: Times, backward: Mask) -> Mask:
+    """Samples, among those that are not backward, that repeat the time of the one before."""
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    kept = np.flatnonzero(~backward)
+    mask[kept[1:]] = np.diff(time_us[kept]) == 0
+    return mask
+
+
+def written_late(time_us: Times, backward: Mask) -> Mask:
+    """Backward samples whose place among the others is free: they can be put back in order.
+
+    Such are rows that a logger flushed late, and files whose names do not sort as their times do.
+    A clock that was set back runs over times that are taken, and a row of samples of which one
+    does so is no late one; a lone wrong stamp lies near nothing. Neither is restored.
+
+    Parameters
+    ----------
+    time_us
+        Times in the order of the log, shape (n,).
+    backward
+        Those that `backward_time` names, shape (n,).
+
+    Returns
+    -------
+    ndarray of bool
+        Shape (n,), a subset of `backward`.
+
+    Examples
+    --------
+    >>> time = np.array([0, 10, 20, 40, 50, 30])
+    >>> written_late(time, backward_time(time)).tolist()
+    [False, False, False, False, False, True]
+    """
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    period = typical_period_us(time_us[~backward])
+    if period is None or not backward.any():
+        return mask
+    nearest = _distance_of_nearest(time_us)
+    mask = backward & (nearest >= FREE_SHARE * period) & (nearest <= NEAR_PERIODS * period)
+    begins = np.flatnonzero(backward & ~np.append(False, backward[:-1]))
+    ends = np.flatnonzero(backward & ~np.append(backward[1:], False)) + 1
+    for begin, end in zip(begins, ends, strict=True):
+        mask[begin:end] = mask[begin:end].all()
+    return mask
+
+
+def stray_time(time_us: Times, late: Mask) -> Mask:
+    """Rows that only seemed in order: beside one that goes back in its place, far from all others.
+
+    Of two rows that contradict each other either may be named backward; where the other one goes
+    back in order and this one lies near nothing, this one has the wrong stamp.
+
+    Parameters
+    ----------
+    time_us
+        Times in the order of the log, shape (n,).
+    late
+        Those that `written_late` names, shape (n,).
+
+    Returns
+    -------
+    ndarray of bool
+        Shape (n,).
+    """
+    period = typical_period_us(time_us[~late])
+    if period is None or not late.any():
+        return np.zeros(len(time_us), dtype=np.bool_)
+    beside = np.append(late[1:], False) | np.append(False, late[:-1])
+    stray: Mask = ~late & beside & (_distance_of_nearest(time_us) > NEAR_PERIODS * period)
+    return stray
+
+
+def _distance_of_nearest(time_us: Times) -> NDArray[np.float64]:
+    order = np.argsort(time_us, kind="stable")
+    steps = np.diff(time_us[order]).astype(np.float64)
+    nearest = np.empty(len(time_us))
+    nearest[order] = np.minimum(np.append(np.inf, steps), np.append(steps, np.inf))
+    return nearest
+
+
+def jittered(time_us: Times, period_us: float | None) -> Mask:
+    """Samples that come neither one nor several periods after the one before.
+
+    Parameters
+    ----------
+    time_us
+        Times, increasing, shape (n,).
+    period_us
+        The channel's typical period; None: nothing can be told.
+
+    Returns
+    -------
+    ndarray of bool
+        Shape (n,). They are kept: interpolation goes by the stamps as they are.
+    """
+    if not period_us:
+        return np.zeros(len(time_us), dtype=np.bool_)
+    steps = np.diff(time_us, prepend=time_us[:1] - round(period_us))
+    whole = np.maximum(np.round(steps / period_us), 1.0)
+    mask: Mask = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us
+    return mask

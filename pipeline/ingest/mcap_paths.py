@@ -1,0 +1,70 @@
+"""Paths to a field within a message: keys, and positions in arrays."""
+
+from __future__ import annotations
+
+import re
+
+from pipeline.errors import UsageError
+
+FieldPath = tuple[str | int, ...]
+"""Keys and array positions, from the message inwards."""
+
+_KEY = r"(?:\\.|[^\\.\[\]])+"
+_STEP = re.compile(rf"({_KEY})((?:\[\d{{1,9}}\])*)")
+_WHOLE = re.compile(rf"{_STEP.pattern}(?:\.{_STEP.pattern})*", re.DOTALL)
+
+
+def field_path(field: str, topic: str = "") -> FieldPath:
+    r"""Keys and positions that lead to a field.
+
+    Parameters
+    ----------
+    field
+        Keys with dots between them and positions, counted from 0, in brackets. A leading slash is
+        dropped, and so is the topic where it stands before the path; a dot, bracket or backslash
+        within a key has a backslash before it.
+    topic
+        The topic of the message.
+
+    Raises
+    ------
+    UsageError
+        ``field_path``.
+
+    Examples
+    --------
+    >>> field_path("hydraulics.pressure.a"), field_path("/hydraulics.pressure[1]")
+    (('hydraulics', 'pressure', 'a'), ('hydraulics', 'pressure', 1))
+    >>> field_path("/hydraulics.pressure.a", "/hydraulics"), field_path(r"engine\.rpm")
+    (('pressure', 'a'), ('engine.rpm',))
+    """
+    if topic.startswith("/") and field.startswith(topic + "."):
+        inner = field[len(topic) + 1 :]
+    else:
+        inner = field.removeprefix("/")
+    if not _WHOLE.fullmatch(inner):
+        raise UsageError(
+            "field_path",
+            f"field {field!r} is no path such as 'pressure.a' or 'pressures[0].value'; a dot or "
+            "bracket within a key is written with a backslash before it",
+        )
+    path: list[str | int] = []
+    for key, positions in _STEP.findall(inner):
+        path.append(re.sub(r"\\(.)", r"\1", key, flags=re.DOTALL))
+        path.extend(int(position) for position in re.findall(r"\d+", positions))
+    return tuple(path)
+
+
+def path_text(path: FieldPath) -> str:
+    """A path as it is written in a config.
+
+    Examples
+    --------
+    >>> path_text(("pressures", 0, "value.raw"))
+    'pressures[0].value\\\\.raw'
+    """
+    written = [
+        f"[{step}]" if isinstance(step, int) else "." + re.sub(r"([\\.\[\]])", r"\\\1", step)
+        for step in path
+    ]
+    return "".join(written).removeprefix(".")

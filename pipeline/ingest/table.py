@@ -1,0 +1,225 @@
+"""A table of samples, whatever its layout, gathered in pieces and given as channels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from numpy.typing import NDArray
+
+from pipeline.errors import LogError
+from pipeline.ingest.assembly import (
+    Readings,
+    canonical_channel,
+    in_canonical_unit,
+    judged,
+    raw_channel,
+    raw_log,
+    span,
+    time_name,
+)
+from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
+
+_MOST_NAMES = 2**15 - 1
+_MOST_PIECES = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Columns of a table that are wanted.
+
+    Attributes
+    ----------
+    time
+        Of the time, or of date and time.
+    name
+        Of the channel's name; None where it is not in the rows.
+    numbers
+        Of readings, each once.
+    """
+
+    time: tuple[str, ...]
+    name: str | None
+    numbers: tuple[str, ...]
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All of them, each once."""
+        names = (*self.time, *(() if self.name is None else (self.name,)), *self.numbers)
+        return tuple(dict.fromkeys(names))
+
+
+def wanted_columns(path: Path, source: LogSource) -> Columns:
+    """Columns that hold time and channels in the layout of a log.
+
+    Raises
+    ------
+    LogError
+        ``log_column_missing``: the file's name is that of no channel.
+    """
+    stamps = (source.date_column, source.time_source) if source.date_column else ()
+    times = stamps or (source.time_source,)
+    if source.layout == "long":
+        return Columns(times, source.channel_column, (source.value_column,))
+    if source.layout == "file_per_channel":
+        if not any(is_of_file(channel, path) for channel in source.channels):
+            patterns = ", ".join(repr(channel.source) for channel in source.channels)
+            raise LogError(
+                "log_column_missing",
+                path,
+                f"the file's name is that of no channel: their sources are {patterns}",
+            )
+        return Columns(times, None, (source.value_column,))
+    return Columns(times, None, tuple(dict.fromkeys(c.source for c in source.channels)))
+
+
+def is_of_file(channel: ChannelSource, path: Path) -> bool:
+    """Whether a file of one channel holds this one."""
+    return fnmatchcase(path.name, channel.source)
+
+
+class Table:
+    """Rows of a log, gathered in the order of the file; each piece is given up once joined.
+
+    Parameters
+    ----------
+    path, source
+        The log.
+    """
+
+    def __init__(self, path: Path, source: LogSource) -> None:
+        self.path = path
+        self.source = source
+        self._written: list[WrittenStamps] = []
+        # In canonical units, by channel; in a long table as they stand, all together.
+        self._parts: dict[str, list[Readings]] = {}
+        self._names: list[NDArray[np.int16]] = []
+        self._seen: dict[str, int] = {}
+
+    def add(
+        self,
+        written: WrittenStamps,
+        readings: Mapping[str, Readings],
+        names: pa.ChunkedArray | None = None,
+    ) -> None:
+        """Add rows.
+
+        Parameters
+        ----------
+        written
+            Their times.
+        readings
+            By column.
+        names
+            Channels' names as they stand in the rows (layout "long").
+        """
+        self._written.append(written)
+        if names is not None:
+            self._parts.setdefault("", []).append(readings[self.source.value_column])
+        else:
+            self._add_by_channel(readings)
+        if names is not None:
+            self._names.append(self._codes(names))
+
+    def _add_by_channel(self, readings: Mapping[str, Readings]) -> None:
+        for channel in self.source.channels:
+            column = self._column(channel)
+            if column is not None and column in readings:
+                part = in_canonical_unit(channel, readings[column])
+                parts = self._parts.setdefault(channel.channel, [])
+                parts.append(part)
+                if len(parts) >= _MOST_PIECES:
+                    # Small pieces freed in the end leave holes that the whole does not fit into.
+                    parts[:] = [Readings.joined(parts)]
+
+    def _codes(self, names: pa.ChunkedArray) -> NDArray[np.int16]:
+        """Number of each row's name among those seen so far; -1 where there is none."""
+        trimmed = pc.utf8_trim_whitespace(names)
+        for name in pc.unique(trimmed).to_pylist():
+            if name is not None:
+                self._seen.setdefault(name, len(self._seen))
+        if len(self._seen) > _MOST_NAMES:
+            raise LogError(
+                "log_type",
+                self.path,
+                f"column {self.source.channel_column!r} holds more than {_MOST_NAMES} names: it is "
+                "not that of channels",
+                self.source.channel_column,
+            )
+        known = pa.array(list(self._seen), pa.string())
+        codes: NDArray[np.int16] = (
+            pc.fill_null(pc.index_in(trimmed, value_set=known), -1).to_numpy().astype(np.int16)
+        )
+        return codes
+
+    def span(self) -> tuple[int, int]:
+        """First and last time stamp; errors as of `judged`, and ``log_empty``."""
+        stamps, _ = self._stamps()
+        return span(self.path, [stamps.time_us[stamps.readable]])
+
+    def log(self, refused: Mapping[str, int]) -> RawLog:
+        """All rows as a log; the table is empty afterwards.
+
+        Parameters
+        ----------
+        refused
+            Rows left out so far, by reason.
+
+        Raises
+        ------
+        LogError
+            ``log_type``; ``log_time`` where more than half of the rows have no time;
+            ``log_column_missing`` where a long table has rows, and none of a wanted channel.
+        """
+        stamps, without_time = self._stamps()
+        self._written.clear()
+        refused = {**refused, **without_time}
+        if self.source.layout == "long":
+            return self._long_log(stamps, refused)
+        whole = bool(stamps.readable.all())
+        time_us = stamps.time_us if whole else stamps.time_us[stamps.readable]
+        channels: dict[str, RawChannel] = {}
+        for channel in self.source.channels:
+            readings, here = self._joined(channel.channel), np.empty(0, np.int64)
+            if self._column(channel) is not None:
+                readings, here = readings.rows(stamps.readable), time_us
+            channels[channel.channel] = canonical_channel(self.path, channel, here, readings)
+        return raw_log(channels, time_us.size, refused)
+
+    def _column(self, channel: ChannelSource) -> str | None:
+        """Column of a channel; None where it is in another file."""
+        if self.source.layout == "wide":
+            return channel.source
+        return self.source.value_column if is_of_file(channel, self.path) else None
+
+    def _joined(self, name: str) -> Readings:
+        return Readings.joined(self._parts.pop(name, []))
+
+    def _long_log(self, stamps: TimeStamps, refused: Mapping[str, int]) -> RawLog:
+        names = np.concatenate([np.empty(0, np.int16), *self._names])
+        readings = self._joined("")
+        channels = {}
+        for channel in self.source.channels:
+            rows = (names == self._seen.get(channel.source, -2)) & stamps.readable
+            channels[channel.channel] = raw_channel(
+                self.path, channel, stamps.time_us[rows], readings.rows(rows)
+            )
+        absent = [c.source for c in self.source.channels if c.source not in self._seen]
+        there = ", ".join(repr(name[:40]) for name in list(self._seen)[:40])
+        if names.size and len(absent) == len(self.source.channels):
+            raise LogError(
+                "log_column_missing", self.path, f"no row of {absent[0]!r}; there are {there}"
+            )
+        remarks = [f"no row of {name!r}; there are {there}" for name in absent if names.size]
+        rows_read = sum(part.time_us.size for part in channels.values())
+        return raw_log(channels, rows_read, refused, remarks)
+
+    def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
+        stamps = placed(self._written, self.source.time_zone)
+        return judged(self.path, stamps, time_name(self.source))

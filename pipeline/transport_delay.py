@@ -1,0 +1,257 @@
+"""Transport delay between the motor and the sensors of its drain line, equation (14).
+
+Off unless asked for. In a full line a change of flow arrives at the speed of sound and only the
+oil's temperature is carried along; the thesis delays the drain flow as a whole. So each input is
+stated as one that leads the drain flow, or as one that is measured in the line and lags it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import pi
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.config import TransportDelay
+
+Values = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
+
+L_PER_MIN_PER_M3_PER_S = 60_000.0
+# Lags that the estimate tries, and samples at which it tries them.
+LAGS_TRIED = 61
+SAMPLES_TRIED = 4000
+FEWEST_SAMPLES = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """What a night's delay was, and what it takes to estimate it.
+
+    Attributes
+    ----------
+    delay_s
+        τ on the time base, nan where the flow is not known; shape (n,).
+    undelayed
+        The inputs that it is stated for, as logged, nan where not present; shape (n,) each.
+    direction
+        By input: −1 where it leads the drain flow, +1 where it lags.
+    """
+
+    delay_s: Values
+    undelayed: Mapping[str, Values]
+    direction: Mapping[str, int]
+
+
+def drain_line_delay_s(
+    flow_l_per_min: Values, line_length_m: float, line_inner_diameter_mm: float
+) -> Values:
+    """Time that oil takes through the drain line.
+
+    .. math:: \\tau(t) = \\frac{L}{v(t)}, \\qquad v = \\frac{y}{\\pi d^2 / 4}
+
+    Parameters
+    ----------
+    flow_l_per_min
+        Drain flow y, shape (n,) [l/min].
+    line_length_m
+        Length L from the motor to the sensor [m].
+    line_inner_diameter_mm
+        Inner diameter d [mm].
+
+    Returns
+    -------
+    ndarray
+        Shape (n,) [s]; infinite without flow, nan where the flow is.
+
+    Examples
+    --------
+    2 m of 12 mm hold 0.226 l; at 1 l/min they take 13.6 s to pass.
+
+    >>> drain_line_delay_s(np.array([1.0, 0.0]), 2.0, 12.0).round(2)
+    array([13.57,   inf])
+
+    References
+    ----------
+    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå
+       University of Technology, 2021, equation (14).
+    """
+    area_m2 = pi * (line_inner_diameter_mm / 1000.0) ** 2 / 4.0
+    velocity = flow_l_per_min / L_PER_MIN_PER_M3_PER_S / area_m2
+    delay = np.full(len(flow_l_per_min), np.inf)
+    np.divide(line_length_m, velocity, out=delay, where=velocity > 0)
+    delay[np.isnan(velocity)] = np.nan
+    return delay
+
+
+def delay_on_grid_s(
+    flow_l_per_min: Values, present: Mask, period_s: float, settings: TransportDelay
+) -> Values:
+    """τ at each sample of the time base, shape (n,) [s]; nan where there is no flow to tell it.
+
+    The flow is averaged over `flow_average_s` first: a pulse meter's single readings may be 0.
+    """
+    if settings.mode == "fixed":
+        return np.full(len(flow_l_per_min), settings.fixed_s)
+    if settings.line_length_m is None or settings.line_inner_diameter_mm is None:
+        raise ValueError("a delay by the flow needs the line's length and diameter")
+    half = round(settings.flow_average_s / period_s) // 2
+    row = np.arange(len(flow_l_per_min))
+    first, last = np.maximum(row - half, 0), np.minimum(row + half + 1, len(row))
+    total = np.concatenate([[0.0], np.cumsum(np.where(present, flow_l_per_min, 0.0))])
+    count = np.concatenate([[0], np.cumsum(present)])
+    average = np.full(len(row), np.nan)
+    n = count[last] - count[first]
+    np.divide(total[last] - total[first], n, out=average, where=present & (n > 0))
+    return drain_line_delay_s(average, settings.line_length_m, settings.line_inner_diameter_mm)
+
+
+def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
+    """A channel of the time base at another time: element i is its value at i + steps[i].
+
+    Parameters
+    ----------
+    value, present
+        The channel and where it has a value, shape (n,).
+    steps
+        In periods of the time base, shape (n,); not finite where not known.
+
+    Returns
+    -------
+    value, present
+        Shape (n,) each; linear between two neighbours, both of which must be present.
+    """
+    known = np.isfinite(steps)
+    place = np.arange(len(value)) + np.where(known, steps, 0.0)
+    left = np.floor(place)
+    share = place - left
+    right = left + (share > 0)
+    known &= (left >= 0) & (right < len(value))
+    left_row = np.where(known, left, 0).astype(np.int64)
+    right_row = np.where(known, right, 0).astype(np.int64)
+    known &= present[left_row] & present[right_row]
+    result = value[left_row] + share * (value[right_row] - value[left_row])
+    return np.where(known, result, np.nan), known
+
+
+def delay_inputs(
+    values: dict[str, Values],
+    present: dict[str, Mask],
+    period_s: float,
+    settings: TransportDelay,
+) -> tuple[dict[str, Values], dict[str, Mask], Mask, Delay]:
+    """Pair the drain flow y(t) with the inputs at t − τ(t), those measured in the line at t + τ(t).
+
+    Parameters
+    ----------
+    values, present
+        Channels on the time base by name, shape (n,) each.
+    period_s
+        Period of the time base.
+    settings
+        Kind of delay, its limit, and the inputs that it is stated for.
+
+    Returns
+    -------
+    values, present, refused, delay
+        All channels, those stated delayed; samples whose τ is above its limit or not known, shape
+        (n,); and the delay.
+    """
+    tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
+    refused = ~(tau <= settings.maximum_s)
+    leading: tuple[str, ...] = settings.leading
+    lagging: tuple[str, ...] = settings.lagging
+    direction = dict.fromkeys(leading, -1) | dict.fromkeys(lagging, 1)
+    usable = np.where(refused, np.nan, tau)
+    new_values, new_present = dict(values), dict(present)
+    for name, sign in direction.items():
+        new_values[name], new_present[name] = shifted(
+            values[name], present[name], sign * usable / period_s
+        )
+    undelayed = {name: np.where(present[name], values[name], np.nan) for name in direction}
+    return new_values, new_present, refused, Delay(tau, undelayed, direction)
+
+
+def estimated_delay_s(
+    delay: Delay,
+    rows: Rows,
+    measured: Values,
+    predict: Callable[[Mapping[str, Values], Rows], Values],
+    period_s: float,
+    maximum_s: float,
+) -> float | None:
+    """The constant delay at which prediction and measured flow agree best, by cross-correlation.
+
+    Parameters
+    ----------
+    delay
+        Inputs as logged, and their direction.
+    rows
+        Places of the kept samples on the time base, shape (n,).
+    measured
+        Their drain flow, shape (n,) [l/min].
+    predict
+        Drain flow [l/min] of some kept samples (by their place among them) with other inputs.
+    period_s, maximum_s
+        Period of the time base; longest delay that is tried.
+
+    Returns
+    -------
+    float or None
+        To a fraction of the lags tried, by a parabola [s]; None where nothing moves, too few
+        samples lie far enough from gaps, or the best lag is the longest.
+    """
+    step = max(1, round(maximum_s / period_s / (LAGS_TRIED - 1)))
+    lags = np.arange(0, int(maximum_s / period_s) + 1, step)
+    if len(lags) < 3 or not delay.direction:
+        return None
+    n = len(next(iter(delay.undelayed.values())))
+    chosen = np.arange(len(rows))
+    for name, sign in delay.direction.items():
+        for lag in lags:
+            place = rows[chosen] + sign * lag
+            inside = (place >= 0) & (place < n)
+            chosen, place = chosen[inside], place[inside]
+            chosen = chosen[np.isfinite(delay.undelayed[name][place])]
+    if len(chosen) < FEWEST_SAMPLES:
+        return None
+    wanted = min(SAMPLES_TRIED, len(chosen))
+    chosen = chosen[np.linspace(0, len(chosen) - 1, wanted).round().astype(np.int64)]
+    agreement = np.array(
+        [
+            _correlation(
+                measured[chosen],
+                predict(
+                    {
+                        name: delay.undelayed[name][rows[chosen] + sign * lag]
+                        for name, sign in delay.direction.items()
+                    },
+                    chosen,
+                ),
+            )
+            for lag in lags
+        ]
+    )
+    best = int(np.argmax(agreement))
+    # Lags that all agree alike tell nothing, and the longest one may not be the best there is.
+    if not np.isfinite(agreement).all() or best == len(lags) - 1 or np.ptp(agreement) < 1e-12:
+        return None
+    return float((best + _summit(agreement, best)) * step * period_s)
+
+
+def _correlation(one: Values, other: Values) -> float:
+    one, other = one - one.mean(), other - other.mean()
+    size = float(np.sqrt((one @ one) * (other @ other)))
+    return float(one @ other) / size if size > 0 else float("nan")
+
+
+def _summit(values: Values, best: int) -> float:
+    """Where a parabola through the best value and its neighbours is highest, relative to it."""
+    if best == 0:
+        return 0.0
+    before, at, after = values[best - 1 : best + 2]
+    bend = before - 2 * at + after
+    return float(0.5 * (before - after) / bend) if bend < 0 else 0.0
