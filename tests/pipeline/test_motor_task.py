@@ -503,7 +503,7 @@ def test_a_fault_of_ours_in_one_night_costs_that_night(
         workshop.log(NIGHT + day * DAY)
     monkeypatch.setattr(pipeline.motor_task, "fit_night", faulty)
     outcome = workshop.run()
-    assert (outcome.status, outcome.error_code) == ("failed", "store_write")
+    assert (outcome.status, outcome.error_code) == ("failed", "internal")
     assert f"night {NIGHT + DAY}: ZeroDivisionError: not foreseen" in (outcome.message or "")
     assert list(workshop.statuses().values()) == ["ok", "failed", "ok"]
 

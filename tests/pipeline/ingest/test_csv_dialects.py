@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gzip
-import os
 import string
 import time
 from collections.abc import Callable
@@ -321,16 +320,6 @@ def test_header_only_and_null_throughout_are_no_damage(tmp_path: Path) -> None:
     assert read(tmp_path, "time,dp,n\n").rows == 0
     log = read(tmp_path, f"time,dp,n\n{DAY}0Z,,---\n{DAY}1Z,NA,\n")
     assert all(channel.missing.all() for channel in log.channels.values())
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
-def test_a_file_that_may_not_be_read(tmp_path: Path) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text("time,dp,n\n")
-    path.chmod(0)
-    with pytest.raises(LogError) as raised:
-        read_log(path, SOURCE)
-    assert raised.value.code == "log_not_readable"
 
 
 def test_a_file_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
