@@ -207,7 +207,8 @@ def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorS
     still = next(
         q.n_refused for q in quality if (q.channel, q.reason) == ("time_base", "standstill")
     )
-    if not samples.n_running and still:
+    # Guard times alone may cover a night of a sensor at its maximum: that is no standstill.
+    if not samples.n_running and 2 * still > samples.n_grid:
         raise Insufficient(STOOD_STILL, "the motor stood still all night")
     if samples.kept_share < spec.settings.windows.minimum_kept_share:
         worst = sorted(

@@ -271,6 +271,18 @@ def test_a_motor_that_stood_still(spec: MotorSpec) -> None:
     assert outcome.rows["quality"]
 
 
+def test_a_sensor_at_its_maximum_all_night_is_no_standstill(spec: MotorSpec) -> None:
+    channels = dict(spec.file.channels)
+    channels["leakage_flow"] = channels["leakage_flow"].model_copy(update={"sensor_maximum": 0.5})
+    low = replace(spec, file=spec.file.model_copy(update={"channels": channels}))
+    operation = operate()
+    values = simulate(low, operation)
+    values["speed"] = np.where(np.arange(len(values["speed"])) < 60, 0.0, values["speed"])
+    outcome = fit(low, operation, values)
+    assert outcome.status == INSUFFICIENT_DATA
+    assert "leakage_flow at_maximum" in (outcome.reason or "")
+
+
 def test_a_sensor_without_a_sample(spec: MotorSpec) -> None:
     operation = operate()
     channels = raw(operation.time_us, simulate(spec, operation))
