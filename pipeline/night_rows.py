@@ -20,6 +20,7 @@ from leakage.validation import (
 from pipeline.config import MotorSpec
 from pipeline.night_fit import FittedMode, own_conditions, transport_delays_s
 from pipeline.night_statistics import NightStatistics
+from pipeline.operation_rows import coarse_histogram
 from pipeline.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.resample import Quality
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
@@ -82,7 +83,6 @@ def statistics_rows(
         "temperature": ("c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
         "speed": ("rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
     }
-    upper = np.triu_indices(len(motor.columns))
     rows = []
     for block, r in zip(statistics.blocks, statistics.factors, strict=True):
         part = slice(block.first_row, block.end_row)
@@ -94,7 +94,7 @@ def statistics_rows(
             "part": block.part,
             "n": block.n,
             "columns": list(motor.columns),
-            "statistics": r[upper].tolist(),
+            "statistics": upper_triangle(r),
             "share_reversed": float(np.mean(samples.speed_rpm[part] < 0)),
             "n_beyond_curve": int(beyond[part].sum()),
             "model_hash": statistics.model_hash,
@@ -107,13 +107,11 @@ def statistics_rows(
 
 def _spread(name: str, unit: str, values: Array, edges: tuple[float, ...]) -> Row:
     """Mean, limits and coarse histogram of a channel in a block; the end bins hold all beyond."""
-    bins = np.searchsorted(edges, values, side="right") - 1
-    counts = np.bincount(np.clip(bins, 0, len(edges) - 2), minlength=len(edges) - 1)
     return {
         f"mean_{name}_{unit}": float(values.mean()),
         f"minimum_{name}_{unit}": float(values.min()),
         f"maximum_{name}_{unit}": float(values.max()),
-        f"{name}_histogram": counts.tolist(),
+        f"{name}_histogram": coarse_histogram(values, edges),
     }
 
 
@@ -172,7 +170,26 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "loss": spec.settings.estimation.loss,
         "oil": spec.file.oil_on(night),
         "model_hash": statistics.model_hash,
+        "columns": list(spec.motor(night, spec.file.flushing.mode).columns),
+        "night_factor": upper_triangle(statistics.judged_on()),
+        "n_kept": len(samples.index),
     }
+
+
+def _covariance(mode: FittedMode) -> list[float] | None:
+    """Upper triangle of the covariance of θ; a coefficient without a distribution has zeros."""
+    distribution = mode.identification.distribution
+    if distribution is None:
+        return None
+    whole = np.zeros((len(mode.fit.coefficients),) * 2)
+    whole[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
+    return upper_triangle(whole)
+
+
+def upper_triangle(matrix: Array) -> list[float]:
+    """The upper triangle of a square matrix, row by row, as tables hold it."""
+    values: list[float] = matrix[np.triu_indices(len(matrix))].tolist()
+    return values
 
 
 def _mode_columns(
@@ -202,6 +219,8 @@ def _mode_columns(
         "cost": certificate.cost,
         "certificate_gap": fit.certificate_gap,
         "dual_residual": certificate.dual_residual,
+        "coefficients": fit.coefficients.tolist(),
+        "coefficient_covariance": _covariance(mode),
         "n_starts": len(fit.starts),
         "n_starts_at_minimum": len(fit.starts_at_minimum),
         "rank": certificate.rank,

@@ -14,7 +14,8 @@ from math import ceil
 import numpy as np
 
 from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
-from pipeline.config import Cleaning, TimeBase, TransportDelay
+from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
+from pipeline.halts import Halts, settled_halts
 from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
@@ -23,6 +24,7 @@ AVERAGE_ABOVE = 1.5
 CELL_SHARE = 0.5
 # A mean stands for this share of its period on either side; half, and some for jitter.
 MEAN_REACH = 0.6
+NO_HALTS = Halts()
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
@@ -64,6 +66,10 @@ class Samples:
         Place of the log's first sample on the grid.
     delay
         The transport delay that the samples were paired with; None where it is off.
+    n_logged, n_turning
+        Samples of the grid with a credible speed, and those of them above standstill.
+    halts
+        What the sensors said at depressurised, settled halts.
     """
 
     index: Times
@@ -78,6 +84,9 @@ class Samples:
     n_running: int
     first_index: int = 0
     delay: Delay | None = None
+    n_logged: int = 0
+    n_turning: int = 0
+    halts: Halts = NO_HALTS
 
     def only(self, chosen: Mask) -> Samples:
         """These samples without those that are not chosen; the night stays as long as it was."""
@@ -208,6 +217,7 @@ def bring_together(
     time_base: TimeBase,
     cleaning: Cleaning,
     transport_delay: TransportDelay | None = None,
+    sensor_health: SensorHealth | None = None,
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """All channels on one time base, and the joint rules: gap, standstill, guard, transient.
 
@@ -217,8 +227,8 @@ def bring_together(
         Cleaned channels; the pressure difference by itself or as two ports.
     night_start_us, night_end_us
         The night, half open, UTC microseconds.
-    time_base, cleaning, transport_delay
-        Settings; None: no delay.
+    time_base, cleaning, transport_delay, sensor_health
+        Settings; None: no delay, and the defaults.
 
     Returns
     -------
@@ -275,6 +285,11 @@ def bring_together(
             n_running=int((logged & ~masks["standstill"] & ~masks["guard"]).sum()),
             first_index=begin,
             delay=delay,
+            n_logged=int(present["speed"].sum()),
+            n_turning=int((present["speed"] & ~masks["standstill"]).sum()),
+            halts=settled_halts(
+                masks["standstill"], grid, channels, sensor_health or SensorHealth()
+            ),
         ),
         tuple(found),
     )

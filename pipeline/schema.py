@@ -12,7 +12,7 @@ from typing import Any
 
 import polars as pl
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 TIMESTAMP = pl.Datetime("us", "UTC")
 NUMBERS = pl.List(pl.Float64)
@@ -217,6 +217,23 @@ FITS = Table(
             "The same by cross-correlation of measured and predicted flow; null where it is off, "
             "nothing moves, or the best agreement lies at the longest delay tried",
         ),
+        Column("columns", NAMES, "", "Columns of the statistics: of each free path, one, known, y"),
+        Column(
+            "coefficients", NUMBERS, "m3, l/min", "θ: a coefficient for each free path, then C_f"
+        ),
+        Column(
+            "coefficient_covariance",
+            NUMBERS,
+            "squares of those",
+            "Upper triangle of their covariance, row by row; 0 where fixed; null without intervals",
+        ),
+        Column(
+            "night_factor",
+            NUMBERS,
+            "",
+            "Upper triangle of the factor R of all kept samples of the night, row by row",
+        ),
+        Column("n_kept", pl.Int64, "", "Kept samples of the night, of all parts"),
     ),
 )
 
@@ -379,6 +396,51 @@ BLOCK_STATISTICS = Table(
     ),
 )
 
+OPERATION = Table(
+    "operation",
+    "a motor, a night with samples",
+    ("motor_id", "night"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        Column("logged_hours", pl.Float64, "h", "Time with a credible speed"),
+        Column("kept_hours", pl.Float64, "h", "Time of the samples kept for statistics"),
+        Column("running_share", pl.Float64, "", "Share of the logged time above standstill"),
+        Column(
+            "running_hours",
+            pl.Float64,
+            "h",
+            "Running hours of the night: of the log's counter, else running_share of the night",
+        ),
+        Column("running_hours_source", pl.String, "", "counter or share; null: unknown"),
+        Column("oil", pl.String, "", "The night's oil"),
+        Column("mean_pressure_bar", pl.Float64, "bar", "Mean magnitude of the kept samples"),
+        Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),
+        Column("mean_speed_rpm", pl.Float64, "rpm", "Mean magnitude of the kept samples"),
+        Column("mean_flow_l_per_min", pl.Float64, "l/min", "Mean drain flow of the kept samples"),
+        Column("share_reversed", pl.Float64, "", "Share of kept samples with negative speed"),
+        Column("pressure_histogram", COUNTS, "", "Kept samples, bins of 20 bar from 0"),
+        Column("temperature_histogram", COUNTS, "", "Kept samples, bins of 5 °C from −20 °C"),
+        Column("speed_histogram", COUNTS, "", "Kept samples, bins of 10 rpm from 0"),
+        Column("n_halts", pl.Int64, "", "Halts without pressure that show the sensors' zeros"),
+        Column("pressure_zero_bar", pl.Float64, "bar", "What the pressure difference read at them"),
+        Column(
+            "pressure_zero_standard_error",
+            pl.Float64,
+            "bar",
+            "From the scatter between halts; null for fewer than three",
+        ),
+        Column(
+            "flow_zero_l_per_min",
+            pl.Float64,
+            "l/min",
+            "What the drain flow read at them, the flushing included",
+        ),
+        Column("flow_zero_standard_error", pl.Float64, "l/min", "From the scatter between halts"),
+        RUN_ID,
+    ),
+)
+
 INPUT_FILES = Table(
     "input_files",
     "a file read",
@@ -475,6 +537,7 @@ NIGHT_TABLES = (
     STARTS,
     PREDICTIONS,
     QUALITY,
+    OPERATION,
     BLOCK_STATISTICS,
     INPUT_FILES,
 )

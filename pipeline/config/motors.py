@@ -30,6 +30,7 @@ ChannelName = Literal[
     "oil_temperature",
     "speed",
     "leakage_flow",
+    "running_hours",
 ]
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
@@ -43,6 +44,7 @@ FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
     "oil_temperature": (-40.0, 120.0),
     "speed": (-500.0, 500.0),
     "leakage_flow": (0.0, 200.0),
+    "running_hours": (0.0, 1e6),
 }
 
 

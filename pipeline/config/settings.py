@@ -294,6 +294,20 @@ class ReferenceConditions(Section):
     speed_rpm: NonNegative = Field(30.0, description="Motor speed")
 
 
+class SensorHealth(Section):
+    """Which halts show the zero of the pressure and flow sensors; published in `operation`."""
+
+    settle_s: NonNegative = Field(
+        45.0, description="Time after the motor has stopped that is left out"
+    )
+    minimum_s: Positive = Field(
+        20.0, description="Credible samples, as time, that a halt needs after that"
+    )
+    depressurised_below_bar: Positive = Field(
+        5.0, description="|pressure difference| all the while; a halt under load shows no zero"
+    )
+
+
 class Execution(Section):
     """How the work is spread; nothing here changes a figure."""
 
@@ -315,6 +329,7 @@ class Settings(Section):
     model: Model = Field(default_factory=lambda: Model())
     estimation: Estimation = Field(default_factory=lambda: Estimation())
     reference: ReferenceConditions = Field(default_factory=lambda: ReferenceConditions())
+    sensor_health: SensorHealth = Field(default_factory=lambda: SensorHealth())
 
     @model_validator(mode="after")
     def _smoothing_fits_a_block(self) -> Settings:
