@@ -4,6 +4,7 @@ from pipeline.config.faults import ConfigError, Fault
 from pipeline.config.loading import Fleet, MotorSpec, load_fleet
 from pipeline.config.motors import Channel, Event, MotorFile
 from pipeline.config.settings import (
+    Alarms,
     Cleaning,
     Estimation,
     Nights,
@@ -12,10 +13,12 @@ from pipeline.config.settings import (
     Smoothing,
     TimeBase,
     TransportDelay,
+    Trend,
     Windows,
 )
 
 __all__ = [
+    "Alarms",
     "Channel",
     "Cleaning",
     "ConfigError",
@@ -31,6 +34,7 @@ __all__ = [
     "Smoothing",
     "TimeBase",
     "TransportDelay",
+    "Trend",
     "Windows",
     "load_fleet",
 ]

@@ -1,0 +1,209 @@
+"""What the tables say of motors' nights, as arrays: all that trends are made from."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.dataset as ds
+from numpy.typing import NDArray
+
+from pipeline.errors import StoreError
+from pipeline.schema import FITS, OPERATION, PARAMETERS, Table
+from pipeline.store import table_folder
+
+Array = NDArray[np.float64]
+
+FIT_COLUMNS = (
+    "motor_id",
+    "night",
+    "is_primary",
+    "status",
+    "reason",
+    "flushing_mode",
+    "columns",
+    "coefficients",
+    "coefficient_covariance",
+    "night_factor",
+    "n_kept",
+    "interval_status",
+    "reference_leakage_l_per_min",
+    "reference_leakage_lower",
+    "reference_leakage_upper",
+    "reference_verdict",
+    "reference_reason",
+    "outside_fitted_range",
+    "reference_pressure_bar",
+    "reference_temperature_c",
+    "reference_speed_rpm",
+    "own_pressure_bar",
+    "own_temperature_c",
+    "own_speed_rpm",
+    "validation_fit_percent",
+    "oil",
+    "model_hash",
+)
+PARAMETER_COLUMNS = (
+    "motor_id",
+    "night",
+    "flushing_mode",
+    "parameter",
+    "value",
+    "lower",
+    "upper",
+    "verdict",
+    "reason",
+)
+OPERATION_COLUMNS = tuple(name for name in OPERATION.schema if name not in ("run_id", "oil"))
+
+
+@dataclass(frozen=True, slots=True)
+class Estimates:
+    """A parameter over a motor's nights; shape (n,) each.
+
+    Attributes
+    ----------
+    value
+        nan where there is none.
+    lower, upper
+        95 % interval; nan where there is none.
+    verdict, reason
+        Of each night; empty where there is none.
+    """
+
+    value: Array
+    lower: Array
+    upper: Array
+    verdict: tuple[str, ...]
+    reason: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """A motor's nights in order, as the tables have them.
+
+    Attributes
+    ----------
+    motor_id
+        The motor.
+    nights
+        Labels of all nights that have a row, increasing.
+    fits
+        Primary fits, one row a night.
+    parameters
+        Parameters of the primary fits by name.
+    operation
+        One row a night; null where the night had no samples.
+    """
+
+    motor_id: str
+    nights: tuple[dt.date, ...]
+    fits: pl.DataFrame
+    parameters: Mapping[str, Estimates]
+    operation: pl.DataFrame
+
+    def column(self, name: str) -> Array:
+        """A figure of the fits over the nights, nan where there is none; shape (n,)."""
+        values: Array = self.fits[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
+        return values
+
+    def operated(self, name: str) -> Array:
+        """A figure of `operation` over the nights, nan where there is none; shape (n,)."""
+        values: Array = self.operation[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
+        return values
+
+    def words(self, name: str) -> list[str]:
+        """A text of the fits over the nights, empty where there is none."""
+        return self.fits[name].fill_null("").to_list()
+
+
+def read_histories(output: Path, motor_ids: Sequence[str]) -> dict[str, History]:
+    """The published nights of some motors.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    motor_ids
+        Which motors; one without rows is left out.
+
+    Returns
+    -------
+    dict of str to History
+
+    Raises
+    ------
+    StoreError
+        If a table file is damaged.
+    """
+    fits = _read(output, FITS, FIT_COLUMNS, motor_ids, primary=True)
+    parameters = _read(output, PARAMETERS, PARAMETER_COLUMNS, motor_ids)
+    operation = _read(output, OPERATION, OPERATION_COLUMNS, motor_ids)
+    by_motor = fits.sort("night").partition_by("motor_id", as_dict=True)
+    histories = {}
+    for (motor_id,), own in sorted(by_motor.items()):
+        nights = own.select("night", "flushing_mode")
+        ran = nights.join(
+            operation.filter(pl.col("motor_id") == motor_id),
+            on="night",
+            how="left",
+            maintain_order="left",
+        )
+        found = parameters.filter(pl.col("motor_id") == motor_id).join(
+            nights, on=["night", "flushing_mode"], how="semi"
+        )
+        labels = tuple(own["night"].to_list())
+        histories[str(motor_id)] = History(
+            str(motor_id), labels, own, _estimates(found, nights), ran
+        )
+    return histories
+
+
+def _estimates(parameters: pl.DataFrame, nights: pl.DataFrame) -> dict[str, Estimates]:
+    result = {}
+    for (name,), rows in sorted(parameters.partition_by("parameter", as_dict=True).items()):
+        aligned = nights.select("night").join(rows, on="night", how="left", maintain_order="left")
+        value, lower, upper = (
+            aligned[column].fill_null(np.nan).to_numpy() for column in ("value", "lower", "upper")
+        )
+        verdict, reason = (
+            tuple(aligned[column].fill_null("").to_list()) for column in ("verdict", "reason")
+        )
+        result[str(name)] = Estimates(value, lower, upper, verdict, reason)
+    return result
+
+
+def _read(
+    output: Path,
+    table: Table,
+    columns: Iterable[str],
+    motor_ids: Sequence[str],
+    *,
+    primary: bool = False,
+) -> pl.DataFrame:
+    """Some columns of all files of a table; those that an older file had not are null."""
+    folder = table_folder(output, table)
+    paths = sorted(str(path) for path in folder.glob("month=*/*.parquet"))
+    chosen = list(columns)
+    empty = pl.DataFrame(schema={name: table.schema[name] for name in chosen})
+    if not paths:
+        return empty
+    wanted = ds.field("motor_id").isin(list(motor_ids))
+    if primary:
+        wanted &= ds.field("is_primary")
+    # Page checksums are verified: a flipped bit would otherwise be a step in a trend.
+    layout = ds.ParquetFileFormat(
+        default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    )
+    try:
+        whole = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
+        rows = pl.from_arrow(whole.to_table(columns=chosen, filter=wanted, use_threads=False))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
+    assert isinstance(rows, pl.DataFrame)
+    return rows.cast(empty.schema)
