@@ -74,17 +74,26 @@ def record_decision(output: Path, decision: Decision) -> None:
     path = journal_file(output)
     try:
         output.mkdir(parents=True, exist_ok=True)
-        # One write to a file opened for appending: a run may be reading, others may be writing.
-        handle = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-        try:
-            written = os.write(handle, line.encode())
-            os.fsync(handle)
-        finally:
-            os.close(handle)
-        if written != len(line.encode()):
-            raise OSError("the disk took only a part of it")
+        whole = _append(path, line.encode())
     except OSError as error:
         raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
+    if not whole:
+        raise StoreError("store_write", f"{path.name} was written in part: the disk is full")
+
+
+def _append(path: Path, line: bytes) -> bool:
+    """One write to a file opened for appending: a run may be reading, others may be writing."""
+    handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
+    try:
+        size = os.fstat(handle).st_size
+        # After a line that was cut off a new one begins.
+        torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
+        line = b"\n" + line if torn else line
+        written = os.write(handle, line)
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+    return written == len(line)
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:

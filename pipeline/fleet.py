@@ -26,9 +26,9 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 
 from pipeline.config import Fleet
 from pipeline.errors import LockedError, StoreError
-from pipeline.ledger import forget_night, write_ledger
+from pipeline.ledger import forget_night, write_months
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor, settings_hash
+from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor
 from pipeline.night_statistics import hash_of
 from pipeline.schema import (
     DATA_DICTIONARY,
@@ -39,6 +39,7 @@ from pipeline.schema import (
     data_dictionary,
     frame,
 )
+from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.store import (
     StagedRows,
     publish_night,
@@ -251,8 +252,9 @@ def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_
     lost_nights: set[dt.date] = set()
     for table in NIGHT_TABLES:
         staged = {
-            one.motor_id: StagedRows(staging / table.name / f"{one.motor_id}.arrow")
+            one.motor_id: StagedRows(path)
             for one in fresh
+            if (path := staging / table.name / f"{one.motor_id}.arrow").exists()
         }
         for night in sorted({night for rows in staged.values() for night in rows.nights}):
             new = {
@@ -266,15 +268,14 @@ def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_
         table_folder(output, DATA_DICTIONARY) / "data_dictionary.parquet", data_dictionary()
     )
     for outcome in outcomes:
-        if outcome.ledger is not None:
-            write_ledger(output, outcome.motor_id, outcome.ledger)
+        write_months(output, outcome.motor_id, outcome.ledger)
     for night in sorted(lost_nights):
         forget_night(output, night, {one.motor_id for one in fresh if night in one.nights})
     return sum(len(outcome.nights) for outcome in fresh)
 
 
 def _config_hash(tasks: Sequence[MotorTask]) -> str:
-    return hash_of({task.spec.motor_id: settings_hash(task.spec) for task in tasks})
+    return hash_of({task.spec.motor_id: hash_of_config(task.spec) for task in tasks})
 
 
 def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
@@ -314,7 +315,7 @@ def _publish_run(
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
-    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "store_s")
+    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "refit_s", "store_s")
     statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
     return {
         "run_id": run_id,
@@ -324,6 +325,7 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "error_code": outcome.error_code,
         "message": outcome.message,
         "peak_memory_mib": outcome.peak_memory_mib,
+        "n_refitted": outcome.n_refitted,
         **{stage: outcome.seconds.get(stage, 0.0) for stage in stages},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
     }

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,8 +17,9 @@ from leakage.validation import (
     effective_sample_count,
     lag_one_autocorrelation,
 )
+from pipeline.block_fit import BlockFit
 from pipeline.config import MotorSpec
-from pipeline.night_fit import FittedMode, own_conditions, transport_delays_s
+from pipeline.night_fit import PA_PER_BAR, FittedMode, own_conditions, transport_delays_s
 from pipeline.night_statistics import NightStatistics
 from pipeline.operation_rows import coarse_histogram
 from pipeline.parameter_rows import parameter_rows, sensitivity_rows
@@ -124,20 +125,15 @@ def fit_rows(
 ) -> Rows:
     """Rows of `fits`, `parameters`, `sensitivities` and `starts` for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
-    figures = [_mode_columns(spec, statistics, mode, previous.get(mode.name)) for mode in modes]
-    on_validation = [row["validation_fit_percent"] for row in figures]
-    best = max((fit for fit in on_validation if fit is not None), default=None)
     rows: Rows = {"fits": [], "parameters": [], "sensitivities": [], "starts": []}
-    for mode, own in zip(modes, figures, strict=True):
+    for mode in modes:
         key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
-        own["is_primary"] = mode.name == spec.file.flushing.mode
-        own["is_best_on_validation"] = (
-            None if best is None else own["validation_fit_percent"] == best
-        )
-        rows["fits"].append(shared | key | own)
+        own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
+        rows["fits"].append(own | criteria_columns(own))
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
         rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
         rows["starts"] += [key | row for row in start_rows(mode.fit)]
+    mark_modes(rows["fits"], spec.file.flushing.mode)
     return rows
 
 
@@ -173,10 +169,19 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "columns": list(spec.motor(night, spec.file.flushing.mode).columns),
         "night_factor": upper_triangle(statistics.judged_on()),
         "n_kept": len(samples.index),
+        "sample_period_s": samples.period_us / 1e6,
+        "mean_charge_over_case_bar": _mean_charge_bar(statistics),
+        "weight_inflation": statistics.inflation,
+        "is_refitted": False,
     }
 
 
-def _covariance(mode: FittedMode) -> list[float] | None:
+def _mean_charge_bar(statistics: NightStatistics) -> float | None:
+    charge = statistics.conditions.charge_over_case_pa
+    return None if charge is None else float(charge.mean()) / PA_PER_BAR
+
+
+def _covariance(mode: BlockFit) -> list[float] | None:
     """Upper triangle of the covariance of θ; a coefficient without a distribution has zeros."""
     distribution = mode.identification.distribution
     if distribution is None:
@@ -199,56 +204,85 @@ def _mode_columns(
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
-    certificate, fit = mode.fit.certificate, mode.fit
-    resolution = spec.file.channels["leakage_flow"].resolution
-    training = agreement(statistics.judged_on(TRAINING), fit.coefficients, resolution)
-    validation = agreement(statistics.judged_on(VALIDATION), fit.coefficients, resolution)
-    before = None
-    if previous is not None and len(previous) == len(fit.coefficients):
-        before = agreement(statistics.judged_on(), np.array(previous), resolution).fit_percent
-    condition = certificate.condition_number
+    chosen = statistics.rows_of(TRAINING)
+    consecutive = np.diff(statistics.samples.index[chosen]) == 1
+    phi = lag_one_autocorrelation(mode.error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
+        "n_starts": len(mode.fit.starts),
+        "n_starts_at_minimum": len(mode.fit.starts_at_minimum),
+        "certificate_gap": mode.fit.certificate_gap,
+        "correlation_time_s": mode.excitation.correlation_time_s,
+        "n_effective": effective_sample_count(len(mode.error), phi),
+        "lag_one_autocorrelation": phi,
+        **agreement_columns(spec, statistics.judged_on, mode, previous),
+        **block_fit_columns(mode),
+        **leakage_columns(mode),
+    }
+
+
+def agreement_columns(
+    spec: MotorSpec,
+    judged_on: Callable[[str | None], Array],
+    mode: BlockFit,
+    previous: tuple[float, ...] | None,
+) -> Row:
+    """How a fit, and the model before it, agree with the night's samples.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    judged_on
+        Factor of the samples of a part, or of all.
+    mode
+        The fit.
+    previous
+        θ of the model before; None where there is none.
+    """
+    fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
+    training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
+    validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
+    before = None
+    if previous is not None and len(previous) == len(fit.coefficients):
+        before = agreement(judged_on(None), np.array(previous), resolution).fit_percent
+    return {
         "training_fit_percent": training.fit_percent,
         "validation_fit_percent": validation.fit_percent,
         "previous_model_fit_percent": before,
         "training_rmse_l_per_min": training.rmse_l_per_min,
         "validation_rmse_l_per_min": validation.rmse_l_per_min,
-        "cost": certificate.cost,
-        "certificate_gap": fit.certificate_gap,
-        "dual_residual": certificate.dual_residual,
-        "coefficients": fit.coefficients.tolist(),
-        "coefficient_covariance": _covariance(mode),
-        "n_starts": len(fit.starts),
-        "n_starts_at_minimum": len(fit.starts_at_minimum),
-        "rank": certificate.rank,
-        "condition_number": condition if np.isfinite(condition) else None,
-        "singular_values": certificate.singular_values.tolist(),
-        "correlation_time_s": mode.excitation.correlation_time_s,
-        "interval_status": mode.identification.interval_status,
-        "n_interval_blocks": mode.identification.n_blocks,
-        **_criteria_columns(statistics, mode, training.n),
-        **_leakage_columns(mode),
     }
 
 
-def _criteria_columns(statistics: NightStatistics, mode: FittedMode, n: int) -> Row:
-    """FPE and information criteria, by the number of samples and by the effective one."""
-    d, cost = mode.identification.n_identified, mode.fit.certificate.cost
-    chosen = statistics.rows_of(TRAINING)
-    consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    phi = lag_one_autocorrelation(mode.error, consecutive)
-    effective = effective_sample_count(len(mode.error), phi)
-    # The criteria are those of a squared loss: a robust one has none of them.
-    squared = statistics.inflation == 1.0
-    figures = criteria(cost, d, n if squared else 0)
-    honest = criteria(cost, d, (effective or 0.0) if squared else 0.0)
+def block_fit_columns(mode: BlockFit) -> Row:
+    """What the blocks of a fit say of it."""
+    certificate, fit = mode.fit.certificate, mode.fit
+    condition = certificate.condition_number
     return {
-        "n_parameters": d,
-        "n_effective": effective,
-        "lag_one_autocorrelation": phi,
+        "cost": certificate.cost,
+        "dual_residual": certificate.dual_residual,
+        "rank": certificate.rank,
+        "condition_number": condition if np.isfinite(condition) else None,
+        "singular_values": certificate.singular_values.tolist(),
+        "coefficients": fit.coefficients.tolist(),
+        "coefficient_covariance": _covariance(mode),
+        "interval_status": mode.identification.interval_status,
+        "n_interval_blocks": mode.identification.n_blocks,
+        "n_parameters": mode.identification.n_identified,
+    }
+
+
+def criteria_columns(row: Row) -> Row:
+    """FPE and information criteria of a row of `fits`, by n_training and by n_effective."""
+    cost, d = row["cost"], row["n_parameters"]
+    # The criteria are those of a squared loss: a robust one has none of them.
+    squared = row["weight_inflation"] == 1.0
+    figures = criteria(cost, d, row["n_training"] if squared else 0)
+    honest = criteria(cost, d, (row["n_effective"] or 0.0) if squared else 0.0)
+    return {
         "fpe": figures.fpe,
         "aic": figures.aic,
         "aicc": figures.aicc,
@@ -259,7 +293,18 @@ def _criteria_columns(statistics: NightStatistics, mode: FittedMode, n: int) -> 
     }
 
 
-def _leakage_columns(mode: FittedMode) -> Row:
+def mark_modes(rows: Sequence[Row], primary: str) -> None:
+    """Mark the primary fit of a night, and the one that is best on validation."""
+    on_validation = [row["validation_fit_percent"] for row in rows]
+    best = max((fit for fit in on_validation if fit is not None), default=None)
+    for row in rows:
+        row["is_primary"] = row["flushing_mode"] == primary
+        row["is_best_on_validation"] = (
+            None if best is None else row["validation_fit_percent"] == best
+        )
+
+
+def leakage_columns(mode: FittedMode) -> Row:
     """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
     reference, own = mode.reference, mode.own
     identified = reference.verdict in ("identified", "fixed")

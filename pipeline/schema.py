@@ -234,6 +234,27 @@ FITS = Table(
             "Upper triangle of the factor R of all kept samples of the night, row by row",
         ),
         Column("n_kept", pl.Int64, "", "Kept samples of the night, of all parts"),
+        Column("sample_period_s", pl.Float64, "s", "Period of the time base"),
+        Column(
+            "mean_charge_over_case_bar",
+            pl.Float64,
+            "bar",
+            "Mean charge above case pressure; null unless two_sided",
+        ),
+        Column(
+            "weight_inflation",
+            pl.Float64,
+            "",
+            "Factor on standard errors that robust weights ask for; 1 without them",
+        ),
+        Column(
+            "is_refitted",
+            pl.Boolean,
+            "",
+            "Fitted anew from its statistics after a change of settings, without its log: what "
+            "needs samples (`sensitivities`, `starts`, `predictions`, `residual_tests`, ± from "
+            "tolerances, correlation_time_s, n_effective, delays) is of the settings before",
+        ),
     ),
 )
 
@@ -422,12 +443,6 @@ OPERATION = Table(
         Column("pressure_histogram", COUNTS, "", "Kept samples, bins of 20 bar from 0"),
         Column("temperature_histogram", COUNTS, "", "Kept samples, bins of 5 °C from −20 °C"),
         Column("speed_histogram", COUNTS, "", "Kept samples, bins of 10 rpm from 0"),
-        Column(
-            "mean_charge_over_case_bar",
-            pl.Float64,
-            "bar",
-            "Mean charge above case pressure; null unless two_sided",
-        ),
         Column("n_halts", pl.Int64, "", "Halts without pressure that show the sensors' zeros"),
         Column("pressure_zero_bar", pl.Float64, "bar", "What the pressure difference read at them"),
         Column(
@@ -693,6 +708,8 @@ MOTOR_OUTCOMES = Table(
         Column("fit_s", pl.Float64, "s", "Seconds for certificate, search and validation"),
         Column("store_s", pl.Float64, "s", "Seconds for staging the rows"),
         Column("peak_memory_mib", pl.Float64, "MiB", "Largest memory of the worker so far"),
+        Column("n_refitted", pl.Int64, "", "Nights fitted anew from statistics, without a log"),
+        Column("refit_s", pl.Float64, "s", "Seconds for that"),
     ),
 )
 

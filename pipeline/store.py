@@ -16,6 +16,7 @@ from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
@@ -125,6 +126,54 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         raise StoreError(
             "store_read", f"{path.name} of {table.name} is damaged: {error}"
         ) from error
+
+
+def read_rows(
+    output: Path,
+    table: Table,
+    motor_ids: Sequence[str],
+    columns: Sequence[str] = (),
+    month: str = "*",
+) -> pl.DataFrame:
+    """The published rows of some motors in all night files of a table, or in those of a month.
+
+    Parameters
+    ----------
+    output, table
+        Which table.
+    motor_ids
+        Whose rows.
+    columns
+        Which columns; all if none. Those that an older file had not are null.
+    month
+        YYYY-MM; all by default.
+
+    Returns
+    -------
+    polars.DataFrame
+        In no particular order.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged.
+    """
+    chosen = list(columns or table.schema)
+    empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
+    paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+    if not paths:
+        return empty.select(chosen)
+    # A flipped bit would otherwise be a step in a trend.
+    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    layout = ds.ParquetFileFormat(default_fragment_scan_options=checked)
+    wanted = ds.field("motor_id").isin(list(motor_ids))
+    try:
+        files = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
+        rows = pl.from_arrow(files.to_table(columns=chosen, filter=wanted, use_threads=False))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
+    assert isinstance(rows, pl.DataFrame)
+    return rows.cast(pl.Schema({name: table.schema[name] for name in chosen}))
 
 
 def _require_known_version(path: Path, content: pa.Table) -> None:

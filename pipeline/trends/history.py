@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
-import pyarrow.dataset as ds
 from numpy.typing import NDArray
 
-from pipeline.errors import StoreError
-from pipeline.schema import FITS, OPERATION, PARAMETERS, Table
-from pipeline.store import table_folder
+from pipeline.schema import FITS, OPERATION, PARAMETERS
+from pipeline.store import read_rows
 
 Array = NDArray[np.float64]
 
@@ -47,6 +44,7 @@ FIT_COLUMNS = (
     "validation_fit_percent",
     "oil",
     "model_hash",
+    "mean_charge_over_case_bar",
 )
 PARAMETER_COLUMNS = (
     "motor_id",
@@ -141,9 +139,9 @@ def read_histories(output: Path, motor_ids: Sequence[str]) -> dict[str, History]
     StoreError
         If a table file is damaged.
     """
-    fits = _read(output, FITS, FIT_COLUMNS, motor_ids, primary=True)
-    parameters = _read(output, PARAMETERS, PARAMETER_COLUMNS, motor_ids)
-    operation = _read(output, OPERATION, OPERATION_COLUMNS, motor_ids)
+    fits = read_rows(output, FITS, motor_ids, FIT_COLUMNS).filter("is_primary")
+    parameters = read_rows(output, PARAMETERS, motor_ids, PARAMETER_COLUMNS)
+    operation = read_rows(output, OPERATION, motor_ids, OPERATION_COLUMNS)
     by_motor = fits.sort("night").partition_by("motor_id", as_dict=True)
     histories = {}
     for (motor_id,), own in sorted(by_motor.items()):
@@ -176,34 +174,3 @@ def _estimates(parameters: pl.DataFrame, nights: pl.DataFrame) -> dict[str, Esti
         )
         result[str(name)] = Estimates(value, lower, upper, verdict, reason)
     return result
-
-
-def _read(
-    output: Path,
-    table: Table,
-    columns: Iterable[str],
-    motor_ids: Sequence[str],
-    *,
-    primary: bool = False,
-) -> pl.DataFrame:
-    """Some columns of all files of a table; those that an older file had not are null."""
-    folder = table_folder(output, table)
-    paths = sorted(str(path) for path in folder.glob("month=*/*.parquet"))
-    chosen = list(columns)
-    empty = pl.DataFrame(schema={name: table.schema[name] for name in chosen})
-    if not paths:
-        return empty
-    wanted = ds.field("motor_id").isin(list(motor_ids))
-    if primary:
-        wanted &= ds.field("is_primary")
-    # Page checksums are verified: a flipped bit would otherwise be a step in a trend.
-    layout = ds.ParquetFileFormat(
-        default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
-    )
-    try:
-        whole = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
-        rows = pl.from_arrow(whole.to_table(columns=chosen, filter=wanted, use_threads=False))
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
-    assert isinstance(rows, pl.DataFrame)
-    return rows.cast(empty.schema)

@@ -166,7 +166,7 @@ def at_conditions(spec: MotorSpec, history: History, own: OwnConditions) -> Indi
     n = len(history.nights)
     value, half, outside = np.full(n, np.nan), np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
     gated = list(status_gates(history))
-    charge = history.operated("mean_charge_over_case_bar")
+    charge = history.column("mean_charge_over_case_bar")
     rows: dict[object, Array | str] = {}
     for place in range(n):
         if gated[place]:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from leakage import AnnularGap
+from pipeline.block_fit import night_seed
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel, read_log
 from pipeline.motor_night import (
@@ -23,7 +24,6 @@ from pipeline.motor_night import (
     fit_night,
     unfitted,
 )
-from pipeline.night_fit import night_seed
 from pipeline.night_rows import Rows
 from pipeline.night_statistics import model_hash
 from pipeline.schema import NIGHT_TABLES, frame
