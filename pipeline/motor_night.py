@@ -59,8 +59,8 @@ class NightOutcome:
         θ by flushing mode, for judging this model on the next night; empty without a fit.
     seconds
         Time by stage.
-    refitted
-        Whether it was fitted anew from stored statistics: only `fits` and `parameters` are new.
+    tables
+        Names of the tables that are new; None: all.
     """
 
     night: dt.date
@@ -70,7 +70,7 @@ class NightOutcome:
     rows: Rows
     model: PreviousModel = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
-    refitted: bool = False
+    tables: tuple[str, ...] | None = None
 
 
 class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error

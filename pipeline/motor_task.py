@@ -51,10 +51,11 @@ LONGEST_HOLE = dt.timedelta(days=366)
 
 
 class Work(Enum):
-    """How far a night is made anew."""
+    """How far a night is made anew: from its log, from its statistics, or the model before only."""
 
     READ = "read"
     REFIT = "refit"
+    JUDGE = "judge"
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,14 +229,18 @@ class _Nights:
 
     def _plan(self) -> dict[dt.date, Work]:
         """Nights still to do within the asked-for range."""
-        plan = self._outdated_by_model() | self.by_settings
+        outdated = self._outdated_by_model()
+        # What is not published yet cannot be judged from the tables.
+        plan = {label: Work.READ for label in outdated if label in self.done}
+        later = outdated | self.by_settings
         for name in self.logs.files:
             if self.logs.news_of(name) is not None:
-                plan |= dict.fromkeys(self.logs.touched(name), Work.READ)
+                later |= dict.fromkeys(self.logs.touched(name), Work.READ)
+        plan |= {label: work for label, work in later.items() if label not in self.done}
         return {
             label: work
             for label, work in plan.items()
-            if label not in self.done and label not in self.kept and self.task.wants(label)
+            if label not in self.kept and self.task.wants(label)
         }
 
     def _outdated_by_model(self) -> dict[dt.date, Work]:
@@ -245,7 +250,7 @@ class _Nights:
             if not record.model:
                 continue
             if record.judged_with != before:
-                found[label] = Work.REFIT
+                found[label] = Work.JUDGE
             before = _hash_of_model(record.model)
         return found
 
@@ -280,9 +285,10 @@ class _Nights:
     def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
         """What comes of a night; None where it stays as published, for want of its log."""
         try:
-            if work is Work.REFIT:
+            if work is not Work.READ:
+                make = self.stored.refit if work is Work.REFIT else self.stored.judge
                 with self._timed("refit_s"):
-                    outcome = self.stored.refit(label, before)
+                    outcome = make(label, before)
                 if outcome is not None or label not in self.logs.present():
                     return outcome
             return self._read_and_fit(label, before)
@@ -315,8 +321,8 @@ class _Nights:
         by_table: defaultdict[str, dict[dt.date, list[Row]]] = defaultdict(dict)
         for label, outcome in self.done.items():
             for table in NIGHT_TABLES:
-                # A refitted night keeps what only its samples tell.
-                if not outcome.refitted or table.name in REFITTED_TABLES:
+                # A night made anew in part keeps what only its samples tell.
+                if outcome.tables is None or table.name in outcome.tables:
                     by_table[table.name][label] = outcome.rows.get(table.name, [])
         for row in self.logs.rows():
             if row["night"] in by_table["input_files"]:
@@ -358,7 +364,7 @@ class _Nights:
             message=message,
             counts=counts,
             nights=tuple(sorted(self.done)),
-            n_refitted=sum(outcome.refitted for outcome in self.done.values()),
+            n_refitted=sum(one.tables == REFITTED_TABLES for one in self.done.values()),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),

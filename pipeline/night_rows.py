@@ -217,7 +217,8 @@ def _mode_columns(
         "correlation_time_s": mode.excitation.correlation_time_s,
         "n_effective": effective_sample_count(len(mode.error), phi),
         "lag_one_autocorrelation": phi,
-        **agreement_columns(spec, statistics.judged_on, mode, previous),
+        **agreement_columns(spec, statistics.judged_on, mode),
+        **previous_model_columns(spec, statistics.judged_on(), previous),
         **block_fit_columns(mode),
         **leakage_columns(mode),
     }
@@ -225,36 +226,50 @@ def _mode_columns(
 
 def agreement_columns(
     spec: MotorSpec,
-    judged_on: Callable[[str | None], Array],
+    judged_on: Callable[[str], Array],
     mode: BlockFit,
-    previous: tuple[float, ...] | None,
 ) -> Row:
-    """How a fit, and the model before it, agree with the night's samples.
+    """How a fit agrees with the samples of both parts.
 
     Parameters
     ----------
     spec
         The motor.
     judged_on
-        Factor of the samples of a part, or of all.
+        Factor of the samples of a part.
     mode
         The fit.
-    previous
-        θ of the model before; None where there is none.
     """
     fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
     validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
-    before = None
-    if previous is not None and len(previous) == len(fit.coefficients):
-        before = agreement(judged_on(None), np.array(previous), resolution).fit_percent
     return {
         "training_fit_percent": training.fit_percent,
         "validation_fit_percent": validation.fit_percent,
-        "previous_model_fit_percent": before,
         "training_rmse_l_per_min": training.rmse_l_per_min,
         "validation_rmse_l_per_min": validation.rmse_l_per_min,
     }
+
+
+def previous_model_columns(
+    spec: MotorSpec, night_factor: Array, previous: tuple[float, ...] | None
+) -> Row:
+    """How the model before agrees with all of the night's samples.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    night_factor
+        Factor of all kept samples, shape (c, c).
+    previous
+        θ of the model before; None where there is none.
+    """
+    percent = None
+    if previous is not None and len(previous) == len(night_factor) - 2:
+        resolution = spec.file.channels["leakage_flow"].resolution
+        percent = agreement(night_factor, np.array(previous), resolution).fit_percent
+    return {"previous_model_fit_percent": percent}
 
 
 def block_fit_columns(mode: BlockFit) -> Row:

@@ -55,7 +55,7 @@ def operation_row(
     ):
         if zero is not None:
             row[f"{name}_{unit}"] = zero.value
-            row[f"{name}_standard_error"] = zero.standard_error
+            row[f"{name}_standard_error_{unit}"] = zero.standard_error
     if len(samples.index):
         row |= _conditions(samples)
     return row

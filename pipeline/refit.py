@@ -31,6 +31,7 @@ from pipeline.night_rows import (
     criteria_columns,
     leakage_columns,
     mark_modes,
+    previous_model_columns,
 )
 from pipeline.parameter_rows import parameter_rows
 from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, Table
@@ -40,6 +41,7 @@ from pipeline.windows import TRAINING
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
+JUDGED_TABLES = ("fits",)
 READ_TABLES = (FITS, PARAMETERS, BLOCK_STATISTICS)
 NOT_READ = {"run_id", "pressure_histogram", "temperature_histogram", "speed_histogram"}
 # Columns of `parameters` that need samples, or the starts.
@@ -104,7 +106,21 @@ class StoredNights:
         except EstimationError:
             return None
         mark_modes(rows["fits"], spec.file.flushing.mode)
-        return NightOutcome(label, OK, None, None, rows, model, refitted=True)
+        return NightOutcome(label, OK, None, None, rows, model, tables=REFITTED_TABLES)
+
+    def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+        """Judge another model before on a night that is fitted; as :meth:`refit`."""
+        rows, model = [], {}
+        for row in self._rows(FITS, label):
+            if row["status"] != OK or row["night_factor"] is None:
+                return None
+            factor = _factor(row["night_factor"], len(row["columns"]))
+            before = previous.get(row["flushing_mode"])
+            rows.append(row | previous_model_columns(self._spec, factor, before))
+            model[row["flushing_mode"]] = tuple(row["coefficients"])
+        if not rows:
+            return None
+        return NightOutcome(label, OK, None, None, {"fits": rows}, model, tables=JUDGED_TABLES)
 
     def _rows(self, table: Table, label: dt.date) -> list[Row]:
         """Rows of the motor in a night; none where its month's files are absent or damaged."""
@@ -174,21 +190,27 @@ class StoredNights:
         # Blocks under a robust loss are weighted: they cannot tell how the samples agree.
         if estimation.loss == "squared":
 
-            def judged_on(part: str | None) -> Array:
+            def judged_on(part: str) -> Array:
                 return merge(_factors(blocks, part))
 
-            row |= agreement_columns(self._spec, judged_on, found, previous)
+            row |= agreement_columns(self._spec, judged_on, found)
+        factor = _factor(before["night_factor"], len(before["columns"]))
+        row |= previous_model_columns(self._spec, factor, previous)
         return row | criteria_columns(row)
 
 
-def _factors(blocks: Sequence[Row], part: str | None) -> Array:
-    """Factors of the blocks of a part, or of all, in time order; shape (b, c, c)."""
+def _factors(blocks: Sequence[Row], part: str) -> Array:
+    """Factors of the blocks of a part in time order; shape (b, c, c)."""
     size = len(blocks[0]["columns"])
-    chosen = [block["statistics"] for block in blocks if part is None or block["part"] == part]
-    factors = np.zeros((len(chosen), size, size))
-    rows, columns = np.triu_indices(size)
-    factors[:, rows, columns] = np.array(chosen, dtype=np.float64).reshape(len(chosen), len(rows))
-    return factors
+    chosen = [_factor(block["statistics"], size) for block in blocks if block["part"] == part]
+    return np.array(chosen).reshape(-1, size, size)
+
+
+def _factor(upper: Sequence[float], size: int) -> Array:
+    """A triangular factor from its stored triangle, row by row; shape (c, c)."""
+    factor = np.zeros((size, size))
+    factor[np.triu_indices(size)] = upper
+    return factor
 
 
 def _excitation(row: Row, blocks: Sequence[Row]) -> Excitation:

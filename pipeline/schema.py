@@ -446,7 +446,7 @@ OPERATION = Table(
         Column("n_halts", pl.Int64, "", "Halts without pressure that show the sensors' zeros"),
         Column("pressure_zero_bar", pl.Float64, "bar", "What the pressure difference read at them"),
         Column(
-            "pressure_zero_standard_error",
+            "pressure_zero_standard_error_bar",
             pl.Float64,
             "bar",
             "From the scatter between halts; null for fewer than three",
@@ -457,7 +457,12 @@ OPERATION = Table(
             "l/min",
             "What the drain flow read at them, the flushing included",
         ),
-        Column("flow_zero_standard_error", pl.Float64, "l/min", "From the scatter between halts"),
+        Column(
+            "flow_zero_standard_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "From the scatter between halts",
+        ),
         RUN_ID,
     ),
 )
@@ -498,7 +503,7 @@ TRENDS = Table(
         Column("gated_reason", pl.String, "", "Why the night does not count; null where it does"),
         Column("baseline_start", pl.Date, "", "First night of the baseline in use"),
         Column("baseline_mean", pl.Float64, "see unit", "Its mean; null before there is one"),
-        Column("deviation", pl.Float64, "%", "(value − baseline) / baseline"),
+        Column("deviation_percent", pl.Float64, "%", "(value − baseline) / baseline"),
         Column("running_hours", pl.Float64, "h", "Running hours since the motor's first night"),
         Column(
             "running_hours_estimated",
@@ -576,7 +581,7 @@ ALARMS = Table(
         Column("from_state", pl.String, "", "State of the night before"),
         Column("to_state", pl.String, "", "State of the night"),
         Column("reason", pl.String, "", "In words, with figures and intervals"),
-        Column("deviation", pl.Float64, "%", "Of the night from the baseline"),
+        Column("deviation_percent", pl.Float64, "%", "Of the night from the baseline"),
         Column("way", pl.String, "", "level, change, both, recovered, recomputed or baseline"),
         Column("path", pl.String, "", "Path whose growth explains the change"),
         RUN_ID,
@@ -617,7 +622,7 @@ CHANGE_POINTS = Table(
         Column("night", pl.Date, "", "Night from which it was seen; the latest holds"),
         INDICATOR,
         Column("change_night", pl.Date, "", "First night after the change"),
-        Column("size", pl.Float64, "%", "Step, relative to the level before"),
+        Column("size_percent", pl.Float64, "%", "Step, relative to the level before"),
         Column("model", pl.String, "", "step, or trend and step: which explains the nights best"),
         RUN_ID,
     ),
@@ -635,6 +640,7 @@ DECISIONS = Table(
         Column("night", pl.Date, "", "Night that it refers to"),
         Column("finding", pl.String, "", "confirmed or not_confirmed; null: no finding"),
         Column("note", pl.String, "", "In words"),
+        RUN_ID,
     ),
 )
 
