@@ -6,7 +6,9 @@ import importlib
 import sys
 
 BENCHMARKS = (
+    "alarms",
     "coverage",
+    "cusum_limits",
     "demo_run",
     "demo_truth",
     "mcap_reading",
