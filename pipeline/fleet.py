@@ -14,17 +14,17 @@ import os
 import shutil
 import tempfile
 import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
+import polars as pl
 
 from pipeline.config import Fleet
+from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import LockedError, StoreError
 from pipeline.ledger import forget_night, write_months
 from pipeline.motor_night import FAILED
@@ -32,29 +32,43 @@ from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor
 from pipeline.night_statistics import hash_of
 from pipeline.schema import (
     DATA_DICTIONARY,
+    DECISIONS,
+    FITS,
     MOTOR_OUTCOMES,
     NIGHT_TABLES,
     RUNS,
     SCHEMA_VERSION,
+    TREND_TABLES,
+    TRENDS,
     data_dictionary,
     frame,
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.store import (
     StagedRows,
+    last_night,
     publish_night,
     publish_run_table,
     remove_leftovers,
     table_folder,
     write_table,
 )
+from pipeline.trends.stage import (
+    TrendOutcome,
+    TrendTask,
+    run_trends,
+    trend_tasks,
+    with_q_values,
+    write_record,
+)
+from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[MotorOutcome], None]
 
-# Tasks handed out ahead, for each worker; of these one can have killed its worker.
-SUSPECTS_A_WORKER = 2
+# A task of trends reads the tables of all its motors at once.
+MOTORS_A_TREND_TASK = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +159,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _outcomes(tasks, fleet):
+        for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
             outcomes[outcome.motor_id] = outcome
             progress(outcome)
     except KeyboardInterrupt:
@@ -154,49 +168,20 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
     n_nights = _publish(fleet.output, staging, finished, run_id)
+    if not interrupted:
+        finished = _publish_trends(request, staging, finished, run_id)
     result = RunResult(run_id, tuple(finished), n_nights, interrupted, time.perf_counter() - begin)
     _publish_run(request, result, started, config_hash)
     return result
 
 
-def _outcomes(tasks: Sequence[MotorTask], fleet: Fleet) -> Iterator[MotorOutcome]:
-    """Outcomes as the motors finish, in any order."""
-    execution = fleet.execution
-    if execution.backend == "sequential" or execution.workers == 1 or len(tasks) < 2:
-        yield from map(run_motor, tasks)
-        return
-    # Workers read this when they start: with all threads each they would fight for the cores.
-    os.environ.setdefault("POLARS_MAX_THREADS", "1")
-    waiting = {task.spec.motor_id: task for task in tasks}
-    while waiting:
-        try:
-            for outcome in _parallel(list(waiting.values()), execution.workers):
-                del waiting[outcome.motor_id]
-                yield outcome
-        except TerminatedWorkerError:
-            # Tasks start in order: whichever killed its worker is among the first that wait.
-            suspects = list(waiting.values())[: SUSPECTS_A_WORKER * execution.workers]
-            log.warning("a worker died; %d motors are tried again, each alone", len(suspects))
-            for task in suspects:
-                del waiting[task.spec.motor_id]
-                yield _alone(task)
+def _lost(task: MotorTask, how: str) -> MotorOutcome:
+    return lost(task, "worker_died", f"its worker died twice: {how}")
 
 
-def _parallel(tasks: Sequence[MotorTask], workers: int) -> Iterator[MotorOutcome]:
-    with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
-        # An interrupted run cancels what is under way, and says so itself.
-        warnings.filterwarnings("ignore", ".*still being processed by the workers", UserWarning)
-        pool = Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_motor)(task) for task in tasks)
-
-
-def _alone(task: MotorTask) -> MotorOutcome:
-    """A task in a worker of its own, so that its death costs nobody else."""
-    try:
-        # Two workers, one task: a single one would run it in this very process.
-        return next(iter(_parallel([task], 2)))
-    except TerminatedWorkerError as error:
-        return lost(task, "worker_died", f"its worker died twice: {error.args[0].splitlines()[0]}")
+def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
+    words = f"the worker of its trends died twice: {how}"
+    return TrendOutcome(failures={spec.motor_id: words for spec in task.specs})
 
 
 @contextmanager
@@ -272,6 +257,60 @@ def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_
     for night in sorted(lost_nights):
         forget_night(output, night, {one.motor_id for one in fresh if night in one.nights})
     return sum(len(outcome.nights) for outcome in fresh)
+
+
+def _publish_trends(
+    request: RunRequest, staging: Path, outcomes: Sequence[MotorOutcome], run_id: str
+) -> list[MotorOutcome]:
+    """Make and publish the trends of the run's motors; one whose trends failed has failed."""
+    fleet = request.fleet
+    decisions = read_decisions(fleet.output)
+    _publish_decisions(fleet.output, decisions, run_id)
+    changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
+    tonight = last_night(fleet.output, FITS)
+    if tonight is None:
+        return list(outcomes)
+    tasks = trend_tasks(
+        fleet.motors, fleet.output, staging, changed, tonight, decisions, MOTORS_A_TREND_TASK
+    )
+    failures: dict[str, str] = {}
+    for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
+        _publish_trend_rows(fleet.output, staging, outcome, run_id)
+        failures |= outcome.failures
+    return [
+        replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
+        if one.motor_id in failures and one.status != FAILED
+        else one
+        for one in outcomes
+    ]
+
+
+def _publish_trend_rows(output: Path, staging: Path, outcome: TrendOutcome, run_id: str) -> None:
+    fresh = [motor_id for motor_id, nights in outcome.nights.items() if nights]
+    for table in TREND_TABLES:
+        staged = {one: StagedRows(staging / table.name / f"{one}.arrow") for one in fresh}
+        for night in sorted({night for rows in staged.values() for night in rows.nights}):
+            new = {
+                motor_id: found
+                for motor_id, rows in staged.items()
+                if (found := rows.rows(night)) is not None
+            }
+            finish = partial(with_q_values, motor_ids=list(new)) if table is TRENDS else _as_it_is
+            publish_night(output, table, night, new, run_id, finish)
+    for motor_id, record in outcome.records.items():
+        write_record(output, motor_id, record)
+
+
+def _publish_decisions(output: Path, decisions: Sequence[Decision], run_id: str) -> None:
+    rows = [asdict(one) | {"run_id": run_id} for one in decisions]
+    write_table(
+        table_folder(output, DECISIONS) / "decisions.parquet",
+        frame(DECISIONS, rows).sort(DECISIONS.key),
+    )
+
+
+def _as_it_is(rows: pl.DataFrame) -> pl.DataFrame:
+    return rows
 
 
 def _config_hash(tasks: Sequence[MotorTask]) -> str:

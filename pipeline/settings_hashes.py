@@ -93,7 +93,7 @@ class SettingsHashes:
             self._figures[oil] = hash_of(
                 {
                     "version": FIGURES_VERSION,
-                    "type": spec.motor_type.model_dump(mode="json"),
+                    "type": spec.motor_type.model_dump(mode="json", exclude={"limits"}),
                     "oil": spec.oil_on(night).model_dump(mode="json", exclude=WORDS),
                     "flushing": spec.file.flushing.model_dump(mode="json"),
                     "channels": {

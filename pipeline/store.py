@@ -38,6 +38,15 @@ def night_file(output: Path, table: Table, night: dt.date) -> Path:
     return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
 
 
+def last_night(output: Path, table: Table) -> dt.date | None:
+    """The last night that a table has a file of; None where it has none."""
+    for month in sorted(table_folder(output, table).glob("month=*"), reverse=True):
+        labels = [path.stem for path in month.glob("*.parquet")]
+        if labels:
+            return dt.date.fromisoformat(max(labels))
+    return None
+
+
 def write_table(path: Path, rows: pl.DataFrame) -> None:
     """Write a table file whole or not at all.
 
@@ -246,6 +255,7 @@ def publish_night(
     night: dt.date,
     staged: Mapping[str, pl.DataFrame],
     run_id: str,
+    finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
 ) -> bool:
     """Put the rows of some motors into a night's file; those of the others stay.
 
@@ -259,6 +269,8 @@ def publish_night(
         New rows by motor id; a motor without rows loses those it had.
     run_id
         The run that writes them.
+    finish
+        What is still to be done with all rows of the night together.
 
     Returns
     -------
@@ -281,7 +293,7 @@ def publish_night(
         rows.with_columns(pl.lit(run_id).alias("run_id")).select(table.schema.keys())
         for rows in staged.values()
     ]
-    rows = pl.concat(parts).sort(table.key)
+    rows = finish(pl.concat(parts).sort(table.key))
     if rows.height:
         write_table(path, rows)
     elif path.exists():

@@ -311,9 +311,9 @@ class SensorHealth(Section):
 class Trend(Section):
     """The motor against its own past: baseline, slope, change and time to limit."""
 
-    baseline_nights: int = Field(60, ge=20, description="Good nights of a frozen baseline")
+    baseline_nights: int = Field(60, ge=30, description="Good nights of a frozen baseline")
     provisional_nights: int = Field(
-        30, ge=20, description="Good nights after which a provisional baseline is used"
+        30, ge=30, description="Good nights after which a provisional baseline is used"
     )
     confidence: Share = Field(0.95, lt=1, description="Coverage of the slope's interval")
     horizon_years: Positive = Field(
@@ -358,8 +358,9 @@ class Alarms(Section):
     )
     common_cause_percent: Positive = Field(
         5.0,
-        description="Most motors of an oil circuit have moved by more than this, and each by no "
-        "more than this from their median: `common_cause` in place of alarms",
+        description="`common_cause` stands in place of alarms where the other motors of the oil "
+        "circuit moved alike; not where a motor's own loss factors moved apart by more than these "
+        "points and by half of the largest: oil moves all paths alike",
     )
     command: tuple[str, ...] = Field(
         (),

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from pipeline.nights import nights_between
 from pipeline.schema import FITS, OPERATION, PARAMETERS
 from pipeline.store import read_rows
 
@@ -120,7 +121,9 @@ class History:
         return self.fits[name].fill_null("").to_list()
 
 
-def read_histories(output: Path, motor_ids: Sequence[str]) -> dict[str, History]:
+def read_histories(
+    output: Path, motor_ids: Sequence[str], tonight: dt.date | None = None
+) -> dict[str, History]:
     """The published nights of some motors.
 
     Parameters
@@ -129,6 +132,9 @@ def read_histories(output: Path, motor_ids: Sequence[str]) -> dict[str, History]
         Output folder.
     motor_ids
         Which motors; one without rows is left out.
+    tonight
+        Nights up to this one are part of the history though they have no row yet, so that a motor
+        that went silent can be stale.
 
     Returns
     -------
@@ -144,7 +150,8 @@ def read_histories(output: Path, motor_ids: Sequence[str]) -> dict[str, History]
     operation = read_rows(output, OPERATION, motor_ids, OPERATION_COLUMNS)
     by_motor = fits.sort("night").partition_by("motor_id", as_dict=True)
     histories = {}
-    for (motor_id,), own in sorted(by_motor.items()):
+    for (motor_id,), found in sorted(by_motor.items()):
+        own = _continued(found, tonight)
         nights = own.select("night", "flushing_mode")
         ran = nights.join(
             operation.filter(pl.col("motor_id") == motor_id),
@@ -152,14 +159,25 @@ def read_histories(output: Path, motor_ids: Sequence[str]) -> dict[str, History]
             how="left",
             maintain_order="left",
         )
-        found = parameters.filter(pl.col("motor_id") == motor_id).join(
+        estimated = parameters.filter(pl.col("motor_id") == motor_id).join(
             nights, on=["night", "flushing_mode"], how="semi"
         )
         labels = tuple(own["night"].to_list())
         histories[str(motor_id)] = History(
-            str(motor_id), labels, own, _estimates(found, nights), ran
+            str(motor_id), labels, own, _estimates(estimated, nights), ran
         )
     return histories
+
+
+def _continued(fits: pl.DataFrame, tonight: dt.date | None) -> pl.DataFrame:
+    """A motor's nights with those up to tonight that have no row."""
+    last = fits["night"][-1]
+    missing = [] if tonight is None or tonight <= last else nights_between(last, tonight)[1:]
+    if not missing:
+        return fits
+    reason = "no log covers this night"
+    rows = [{"night": night, "status": "no_new_data", "reason": reason} for night in missing]
+    return pl.concat([fits, pl.DataFrame(rows, schema=dict(fits.schema), orient="row")])
 
 
 def _estimates(parameters: pl.DataFrame, nights: pl.DataFrame) -> dict[str, Estimates]:
