@@ -109,15 +109,19 @@ def _urgency(motor: MotorState) -> tuple[int, float, str]:
 def _motor_state(
     motor_id: str, trends: pl.DataFrame, fits: pl.DataFrame, decisions: Sequence[Decision]
 ) -> MotorState:
-    last_night = fits["night"].max()
-    good = fits.filter(status="ok")["night"].max()
-    assert last_night is None or isinstance(last_night, dt.date)
-    assert good is None or isinstance(good, dt.date)
+    last_night, good = _last(fits), _last(fits.filter(status="ok"))
     if trends.is_empty():
-        reason = "no trends yet"
-        nothing = (None, None, None)
         return MotorState(
-            motor_id, "insufficient", None, reason, *nothing, last_night, good, acknowledged=""
+            motor_id=motor_id,
+            state="insufficient",
+            indicator=None,
+            reason="no trends yet",
+            leakage_l_per_min=None,
+            deviation_percent=None,
+            sensor_health=None,
+            last_night=last_night,
+            last_good_night=good,
+            acknowledged="",
         )
     tonight = trends.filter(pl.col("night") == pl.col("night").max())
     worst = min(
@@ -143,6 +147,13 @@ def _motor_state(
     )
 
 
+def _last(rows: pl.DataFrame) -> dt.date | None:
+    """The last night of some rows; None of none."""
+    night = rows["night"].max()
+    assert night is None or isinstance(night, dt.date)
+    return night
+
+
 def _latest(trends: pl.DataFrame) -> dict[str, float | None]:
     """The last reference leakage that there is, of the fleet's conditions or of the motor's."""
     for name in REFERENCES:
@@ -159,7 +170,7 @@ def _acknowledged(
     if worst["state"] == "ok":
         return ""
     own = trends.filter(indicator=worst["indicator"]).sort("night")
-    before = own.filter(pl.col("state") != worst["state"])["night"].max()
+    before = _last(own.filter(pl.col("state") != worst["state"]))
     said = [
         one
         for one in decisions
@@ -192,13 +203,12 @@ def alarmed_night(output: Path, motor_id: str, indicator: str) -> dt.date:
     """
     rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
     raised = rows.filter(pl.col("to_state").is_in(["warning", "alarm", "common_cause"]))
-    own = raised.filter(indicator=indicator)["night"].max()
+    own = _last(raised.filter(indicator=indicator))
     if own is None:
         known = ", ".join(sorted(raised["indicator"].unique())) or "none at all"
         raise UsageError(
             "no_alarm", f"{motor_id} has had no alarm of {indicator!r}; there were of: {known}"
         )
-    assert isinstance(own, dt.date)
     return own
 
 

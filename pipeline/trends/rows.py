@@ -45,8 +45,6 @@ UTC_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 RAISED = ("warning", "alarm")
 # Good nights that say what the coefficients are now.
 NIGHTS_OF_NOW = 10
-# The same, for whether paths moved alike: an odd night of one must not decide.
-NIGHTS_OF_PATHS = 5
 # Indicators whose changes are described by steps and trends, once a run.
 LEAST_CHANGE_NIGHTS = 20
 
@@ -62,10 +60,13 @@ class MotorRows:
     peers
         Its deviation from the other motors of its oil circuit, of the baseline deviation; None for
         a motor on its own.
+    apart
+        Nights on which its paths had moved by different amounts, shape (n,).
     """
 
     watch: MotorWatch
     peers: Peers | None
+    apart: NDArray[np.bool_]
 
     @cached_property
     def _hours(self) -> tuple[Array, NDArray[np.bool_]]:
@@ -186,30 +187,9 @@ class MotorRows:
         segment, found, _ = _at(watched, place)
         inside = place - segment.first
         state = found.states[inside]
-        if state == "common_cause" and self._paths_moved_apart(place):
+        if state == "common_cause" and self.apart[place]:
             return OF_SEVERITY[int(found.own.severity[inside])]
         return state
-
-    def _paths_moved_apart(self, place: int) -> bool:
-        """Whether the coefficients of a motor moved by different amounts: oil moves all alike."""
-        if place not in self._apart:
-            moved = []
-            for name, watched in self.watch.watched.items():
-                segment, found, baseline = _at(watched, place)
-                if name.startswith("K_") and baseline is not None:
-                    recent = found.own.deviation[: place - segment.first + 1]
-                    recent = recent[np.isfinite(recent)][-NIGHTS_OF_PATHS:]
-                    if len(recent):
-                        moved.append(100.0 * float(np.median(recent)))
-            limit = self.watch.spec.settings.alarms.common_cause_percent
-            self._apart[place] = len(moved) > 1 and max(moved) - min(moved) > max(
-                limit, max(moved) / 2
-            )
-        return self._apart[place]
-
-    @cached_property
-    def _apart(self) -> dict[int, bool]:
-        return {}
 
     def _watched_row(self, name: str, watched: Watched, place: int) -> Row:
         segment, found, baseline = _at(watched, place)

@@ -29,7 +29,7 @@ from pipeline.settings_hashes import config_hash
 from pipeline.store import read_rows, replace_whole, stage
 from pipeline.trends.history import History, read_histories
 from pipeline.trends.indicators import DEVIATION, Indicator
-from pipeline.trends.peers import Peers, log_change, peers_of_circuit
+from pipeline.trends.peers import Peers, log_change, moved_apart, peers_of_circuit
 from pipeline.trends.rows import RAISED, MotorRows, Row, by_night
 from pipeline.trends.segments import segments
 from pipeline.trends.watch import Era, motor_indicators, watch
@@ -129,13 +129,13 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         nights: dict[str, int] = {}
         records: dict[str, Mapping[str, str]] = {}
         failures: dict[str, str] = {}
-        parts: dict[str, tuple[dict[str, Indicator], tuple[Era, ...]]] = {}
+        parts: dict[str, _Part] = {}
         for spec in task.specs:
             if spec.motor_id in histories:
                 try:
                     history = histories[spec.motor_id]
                     said = decisions_of(task.decisions, spec.motor_id)
-                    parts[spec.motor_id] = motor_indicators(spec, history, said)
+                    parts[spec.motor_id] = _Part.of(spec, history, said)
                 except Exception as error:  # the edge of a motor: it must not take others down
                     log.exception("trends of motor %s failed", spec.motor_id)
                     failures[spec.motor_id] = f"{type(error).__name__}: {error}"
@@ -161,35 +161,61 @@ def decisions_of(decisions: Sequence[Decision], motor_id: str) -> tuple[Decision
     return tuple(one for one in decisions if one.motor_id == motor_id)
 
 
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """What is known of a motor before the others are looked at.
+
+    Attributes
+    ----------
+    indicators, eras
+        From `motor_indicators`.
+    changes
+        Log changes by indicator, shape (n,) each.
+    apart
+        Nights on which its paths had moved by different amounts, shape (n,).
+    """
+
+    indicators: Mapping[str, Indicator]
+    eras: tuple[Era, ...]
+    changes: Mapping[str, Array]
+    apart: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, spec: MotorSpec, history: History, decisions: Sequence[Decision]) -> _Part:
+        indicators, eras = motor_indicators(spec, history, decisions)
+        nights = spec.settings.trend.provisional_nights
+        changes = {
+            name: log_change(history, one, segments(spec, history, decisions, name), nights)
+            for name, one in indicators.items()
+        }
+        paths = [one for name, one in changes.items() if name.startswith("K_")]
+        apart = np.zeros(len(history.nights), dtype=np.bool_)
+        if paths:
+            apart = moved_apart(paths, spec.settings.alarms.common_cause_percent)
+        return cls(indicators, eras, changes, apart)
+
+
 def _peers(
-    task: TrendTask,
-    histories: Mapping[str, History],
-    parts: Mapping[str, tuple[dict[str, Indicator], tuple[Era, ...]]],
+    task: TrendTask, histories: Mapping[str, History], parts: Mapping[str, _Part]
 ) -> dict[str, dict[str, Peers]]:
-    """By motor and indicator, what the other motors of its circuit did."""
+    """By motor and indicator, what the other motors of its circuit did.
+
+    A motor whose own paths moved apart wears; what it does says nothing of the oil.
+    """
     found: defaultdict[str, dict[str, Peers]] = defaultdict(dict)
-    circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
+    circuits: defaultdict[str, list[str]] = defaultdict(list)
     for spec in task.specs:
         if spec.file.oil_circuit and spec.motor_id in parts:
-            circuits[spec.file.oil_circuit].append(spec)
+            circuits[spec.file.oil_circuit].append(spec.motor_id)
     for group in circuits.values():
-        names = sorted({name for spec in group for name in parts[spec.motor_id][0]})
+        names = sorted({name for motor_id in group for name in parts[motor_id].indicators})
         for name in names if len(group) > 1 else ():
-            changes: dict[str, Array] = {}
-            for spec in group:
-                indicator = parts[spec.motor_id][0].get(name)
-                if indicator is None:
-                    continue
-                history = histories[spec.motor_id]
-                said = decisions_of(task.decisions, spec.motor_id)
-                changes[spec.motor_id] = log_change(
-                    history,
-                    indicator,
-                    segments(spec, history, said, name),
-                    spec.settings.trend.provisional_nights,
-                )
-            nights = {motor_id: histories[motor_id].nights for motor_id in changes}
-            for motor_id, one in peers_of_circuit(nights, changes).items():
+            own = {one: parts[one].changes[name] for one in group if name in parts[one].changes}
+            steady = {
+                one: np.where(parts[one].apart, np.nan, change) for one, change in own.items()
+            }
+            nights = {motor_id: histories[motor_id].nights for motor_id in own}
+            for motor_id, one in peers_of_circuit(nights, steady, own).items():
                 found[motor_id][name] = one
     return found
 
@@ -198,7 +224,7 @@ def _stage_motor(
     task: TrendTask,
     spec: MotorSpec,
     history: History,
-    part: tuple[dict[str, Indicator], tuple[Era, ...]],
+    part: _Part,
     peers: Mapping[str, Mapping[str, Peers]],
 ) -> tuple[int, Mapping[str, str]]:
     motor_id = spec.motor_id
@@ -210,7 +236,8 @@ def _stage_motor(
         return 0, record
     own_peers = peers.get(motor_id, {})
     others = {name: one.others for name, one in own_peers.items()}
-    rows = MotorRows(watch(spec, history, said, part[0], part[1], others), own_peers.get(DEVIATION))
+    watched = watch(spec, history, said, part.indicators, part.eras, others)
+    rows = MotorRows(watched, own_peers.get(DEVIATION), part.apart)
     made = {
         "trends": by_night(rows.trends(places)),
         "alarms": _with_closed(
