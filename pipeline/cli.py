@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from dataclasses import asdict, replace
+from enum import StrEnum
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -34,6 +35,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+
+
+class ImageFormat(StrEnum):
+    """Kinds of figures."""
+
+    PNG = "png"
+    SVG = "svg"
+
 
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
@@ -192,6 +201,40 @@ def demo(
 
     write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate, seed=seed, workers=jobs)
     typer.echo(f"demo fleet written to {folder}; its config is {folder / 'configs' / 'fleet.toml'}")
+
+
+@app.command()
+def model(
+    motor_type: Annotated[str, typer.Option("--type", help="Motor type, such as CB560.")],
+    config: Annotated[
+        Path | None, typer.Option(metavar="FLEET", help="The fleet file; else the shipped config.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Folder of the figures; else figures/ in the output.")
+    ] = None,
+    image_format: Annotated[
+        ImageFormat, typer.Option("--format", help="Kind of the files.")
+    ] = ImageFormat.PNG,
+    oil: Annotated[
+        str | None, typer.Option(help="The oil; else that of the fleet's first motor of the type.")
+    ] = None,
+) -> None:
+    """Draw the model of a motor type as its config states it: each path, oil, shares, films.
+
+    Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
+    are the fleet's, without what a motor overrides. Prints the files that were written.
+
+    Example: motor-leakage model --type CB560 --config configs/fleet.toml --format svg
+    """
+    from pipeline.config import load_fleet
+    from pipeline.demo import shipped_configs
+    from pipeline.model_figures import choose, write_model_figures
+
+    fleet = load_fleet(config or shipped_configs() / "fleet.toml")
+    subject = choose(fleet, motor_type, oil)
+    folder = output or fleet.output / "figures"
+    for path in write_model_figures(subject, folder, image_format.value):
+        typer.echo(path)
 
 
 def _load(config: Path, output: Path | None, jobs: int | None) -> Fleet:
