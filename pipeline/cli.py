@@ -80,8 +80,7 @@ def fit_fleet(
         since=_night(since, "--since"),
         until=_night(until, "--until"),
     )
-    if request.since and request.until and request.since > request.until:
-        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
+    _in_order(request.since, request.until)
     terminated = _catch_termination()
     try:
         with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
@@ -204,6 +203,49 @@ def demo(
 
 
 @app.command()
+def export(
+    config: ConfigFile,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write CSV, one file a table, there.")
+    ] = None,
+    tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
+    ] = "",
+    since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
+    until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
+    bom: Annotated[
+        bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+) -> None:
+    """Write published tables in another format; what is there of the same name is replaced.
+
+    Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
+
+    Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    """
+    from pipeline.config import load_fleet
+    from pipeline.csv_export import Selection, export_csv, tables_named
+
+    if csv is None:
+        raise UsageError("export_format", "name the folder of the files: --csv FOLDER")
+    fleet = load_fleet(config)
+    selection = Selection(
+        tables=tables_named(tables.replace(",", " ").split()),
+        motors=_known_motors(motors.split(), fleet),
+        since=_night(since, "--since"),
+        until=_night(until, "--until"),
+    )
+    _in_order(selection.since, selection.until)
+    root = fleet.output if output is None else output.resolve()
+    for file in export_csv(root, csv, selection, byte_order_mark=bom):
+        typer.echo(f"{file.path}: {file.n_rows} rows")
+
+
+@app.command()
 def model(
     motor_type: Annotated[str, typer.Option("--type", help="Motor type, such as CB560.")],
     config: Annotated[
@@ -267,6 +309,11 @@ def _night(text: str | None, option: str) -> dt.date | None:
         return None if text is None else dt.date.fromisoformat(text)
     except ValueError:
         raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def _in_order(since: dt.date | None, until: dt.date | None) -> None:
+    if since and until and since > until:
+        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
 
 
 def _catch_termination() -> list[int]:
