@@ -111,5 +111,5 @@ def _stribeck(
     plain_ticks(axes, "x")
     axes.set_yticks(range(len(regimes) + len(names)), [*regimes, *names])
     axes.axhline(len(regimes) - 0.5, color=QUIET, linewidth=0.8)
-    label(axes, f"(a) regimes after {TABLE} and the films", f"{RATIO} = h (1 − e) / σ", "")
+    label(axes, f"(a) regimes after {TABLE} and the films", RATIO, "")
     axes.legend(loc="upper left")

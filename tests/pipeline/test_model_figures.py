@@ -372,21 +372,23 @@ def test_lines_are_told_apart_without_colour() -> None:
 # Files
 
 
-@pytest.mark.parametrize("image_format", ["png", "svg"])
+# A map with contours and a stack with hatches: what an SVG numbers at random.
+@pytest.mark.parametrize(
+    ("name", "image_format"),
+    [("shares", "png"), ("shares", "svg"), ("piston_ring_leakage", "svg")],
+)
 def test_same_bytes_whatever_a_user_prefers(
-    cb560: ModelSubject, tmp_path: Path, image_format: ImageFormat
+    cb560: ModelSubject, tmp_path: Path, name: str, image_format: ImageFormat
 ) -> None:
-    # A map with contours and a stack with hatches: what an SVG numbers at random.
-    for name in ("piston_ring_leakage", "shares"):
-        paths = [tmp_path / f"{name}.{place}" for place in (1, 2)]
-        for path, size in zip(paths, (9.0, 20.0), strict=True):
-            with mpl.rc_context({"font.size": size, "lines.linewidth": size}), drawing():
-                save(model_figures(cb560)[name](), path, image_format)
-        content = paths[0].read_bytes()
-        assert content == paths[1].read_bytes()
-        assert content.startswith(b"\x89PNG" if image_format == "png" else b"<?xml")
-        assert b"<dc:date>" not in content
-        assert b"Matplotlib" not in content.replace(b"Created with", b"").partition(b"<g")[0]
+    contents = []
+    for size in (9.0, 20.0):
+        with mpl.rc_context({"font.size": size, "lines.linewidth": size}), drawing():
+            save(model_figures(cb560)[name](), tmp_path / "figure", image_format)
+        contents.append((tmp_path / "figure").read_bytes())
+    assert contents[0] == contents[1]
+    assert contents[0].startswith(b"\x89PNG" if image_format == "png" else b"<?xml")
+    assert b"<dc:date>" not in contents[0]
+    assert b"Matplotlib v" not in contents[0]
 
 
 def test_names_from_files_are_text_and_nothing_else(oil: OilFile, tmp_path: Path) -> None:
