@@ -48,6 +48,7 @@ from leakage.motor import (
 from leakage.multi_start import Parametrisation, SearchSettings, Start
 from leakage.oil import FilmPressure, Oil, density_kg_per_m3, dynamic_viscosity_pa_s
 from leakage.paths import Constant, Laminar, LeakagePath
+from leakage.pressure_maximum import pressure_of_largest_leakage_pa
 from leakage.robust import huber_weights
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from leakage.simulated_curves import fit_deformation_pressure, fit_speed_curve
@@ -123,6 +124,7 @@ __all__ = [
     "merge_blocks",
     "normal_matrix",
     "path_flows_l_per_min",
+    "pressure_of_largest_leakage_pa",
     "regressors",
     "sample_count",
     "speed_beyond_curve",

@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 from dataclasses import asdict, replace
+from enum import StrEnum
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -34,6 +35,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+
+
+class ImageFormat(StrEnum):
+    """Kinds of figures."""
+
+    PNG = "png"
+    SVG = "svg"
+
 
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
@@ -71,8 +80,7 @@ def fit_fleet(
         since=_night(since, "--since"),
         until=_night(until, "--until"),
     )
-    if request.since and request.until and request.since > request.until:
-        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
+    _in_order(request.since, request.until)
     terminated = _catch_termination()
     try:
         with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
@@ -194,6 +202,83 @@ def demo(
     typer.echo(f"demo fleet written to {folder}; its config is {folder / 'configs' / 'fleet.toml'}")
 
 
+@app.command()
+def export(
+    config: ConfigFile,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write CSV, one file a table, there.")
+    ] = None,
+    tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
+    ] = "",
+    since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
+    until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
+    bom: Annotated[
+        bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+) -> None:
+    """Write published tables in another format; what is there of the same name is replaced.
+
+    Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
+
+    Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    """
+    from pipeline.config import load_fleet
+    from pipeline.csv_export import Selection, export_csv, tables_named
+
+    if csv is None:
+        raise UsageError("export_format", "name the folder of the files: --csv FOLDER")
+    fleet = load_fleet(config)
+    selection = Selection(
+        tables=tables_named(tables.replace(",", " ").split()),
+        motors=_known_motors(motors.split(), fleet),
+        since=_night(since, "--since"),
+        until=_night(until, "--until"),
+    )
+    _in_order(selection.since, selection.until)
+    root = fleet.output if output is None else output.resolve()
+    for file in export_csv(root, csv, selection, byte_order_mark=bom):
+        typer.echo(f"{file.path}: {file.n_rows} rows")
+
+
+@app.command()
+def model(
+    motor_type: Annotated[str, typer.Option("--type", help="Motor type, such as CB560.")],
+    config: Annotated[
+        Path | None, typer.Option(metavar="FLEET", help="The fleet file; else the shipped config.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Folder of the figures; else figures/ in the output.")
+    ] = None,
+    image_format: Annotated[
+        ImageFormat, typer.Option("--format", help="Kind of the files.")
+    ] = ImageFormat.PNG,
+    oil: Annotated[
+        str | None, typer.Option(help="The oil; else that of the fleet's first motor of the type.")
+    ] = None,
+) -> None:
+    """Draw the model of a motor type as its config states it: each path, oil, shares, films.
+
+    Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
+    are the fleet's, without what a motor overrides. Prints the files that were written.
+
+    Example: motor-leakage model --type CB560 --config configs/fleet.toml --format svg
+    """
+    from pipeline.config import load_fleet
+    from pipeline.demo import shipped_configs
+    from pipeline.model_figures import choose, write_model_figures
+
+    fleet = load_fleet(config or shipped_configs() / "fleet.toml")
+    subject = choose(fleet, motor_type, oil)
+    folder = output or fleet.output / "figures"
+    for path in write_model_figures(subject, folder, image_format.value):
+        typer.echo(path)
+
+
 def _load(config: Path, output: Path | None, jobs: int | None) -> Fleet:
     from pipeline.config import ConfigError, Fault, load_fleet
 
@@ -224,6 +309,11 @@ def _night(text: str | None, option: str) -> dt.date | None:
         return None if text is None else dt.date.fromisoformat(text)
     except ValueError:
         raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def _in_order(since: dt.date | None, until: dt.date | None) -> None:
+    if since and until and since > until:
+        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
 
 
 def _catch_termination() -> list[int]:
