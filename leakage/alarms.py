@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from leakage.autoregression import Array, Nights
@@ -34,9 +34,9 @@ class Levels:
     off_nights
         Off after so many good nights in a row below.
     least_sd
-        A level counts from so many standard deviations of the baseline's nights only, so that
-        nights that scatter widely do not reach it by chance. In simulated years of healthy motors,
-        correlation up to 0.6, 3 of 5 nights went beyond 5 in at most 0.2 %.
+        A level counts from so many standard deviations of the nights only, the upper 95 % bound
+        of what the baseline lets them be, so that widely scattering nights do not reach it by
+        chance.
 
     Raises
     ------
@@ -50,7 +50,7 @@ class Levels:
     on_nights: int = 3
     of_nights: int = 5
     off_nights: int = 5
-    least_sd: float = 5.0
+    least_sd: float = 4.5
 
     def __post_init__(self) -> None:
         if not (0 < self.warning <= self.alarm and 0 <= self.deadband < self.warning):
@@ -142,7 +142,7 @@ def level_severity(
     deviation
         Relative deviation from the baseline, shape (n,); nights that are not finite hold.
     sd
-        Relative standard deviation of the baseline's nights.
+        Relative standard deviation of the nights, from the safe side.
     rule
         The levels.
     values
@@ -200,16 +200,17 @@ def state_changes(nights: Nights, states: list[State]) -> tuple[StateChange, ...
     [(1, 'warning')]
     """
     return tuple(
-        StateChange(place, int(nights[place]), states[place - 1], states[place])
-        for place in range(1, len(states))
-        if states[place] != states[place - 1]
+        StateChange(place, int(nights[place]), before, after)
+        for place, (before, after) in enumerate(itertools.pairwise(states), start=1)
+        if before != after
     )
 
 
 def _count(condition: NDArray[np.bool_], nights: int) -> NDArray[np.int64]:
     """How many of the last so many entries are true; fewer at the start, where there are fewer."""
-    padded = np.concatenate([np.zeros(nights - 1, dtype=np.bool_), condition])
-    result: NDArray[np.int64] = sliding_window_view(padded, nights).sum(axis=1)
+    total = np.concatenate([[0], np.cumsum(condition)])
+    places = np.arange(1, len(total))
+    result: NDArray[np.int64] = total[1:] - total[np.maximum(places - nights, 0)]
     return result
 
 

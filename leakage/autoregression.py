@@ -147,6 +147,8 @@ def variance_of_mean(phi: float, nights: Nights) -> float:
     >>> variance_of_mean(0.5, np.array([0, 1]))
     0.75
     """
+    if phi <= 0.0:
+        return 1.0 / len(nights)
     return float(np.mean(phi ** np.abs(nights[:, None] - nights)))
 
 

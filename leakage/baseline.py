@@ -18,10 +18,12 @@ spread as those of both together.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
+from scipy.special import chdtri
 
 from leakage.autoregression import Array, Nights, estimated_phi, variance_of_mean
 from leakage.errors import ParameterError
@@ -128,6 +130,16 @@ class Baseline:
     sloped: bool
     reason: str
 
+    def highest_sd(self, coverage: float = 0.95) -> float:
+        r"""Upper bound of the standard deviation of the nights [unit].
+
+        From χ² with :math:`n (1 - \varphi^2) / (1 + \varphi^2) - 1` degrees of freedom, as nights
+        that remember tell less of their scatter.
+        """
+        squared = self.phi**2
+        freedom = max(self.n * (1.0 - squared) / (1.0 + squared) - 1.0, 1.0)
+        return self.sd * math.sqrt(freedom / float(chdtri(freedom, coverage)))
+
     def deviation(self, values: Array) -> Array:
         """Relative deviation from the mean, shape of `values`, [-]."""
         result: Array = values / self.mean - 1.0
@@ -180,10 +192,13 @@ def fit_baseline(
     nights, values = nights[good], values[good]
     steady = _winsorised(values, chosen)
     mean, sd = float(np.mean(steady)), float(np.std(steady, ddof=1))
-    phi = _phi_without_line(nights, steady)
+    slope, residuals = _line(nights, steady)
+    phi = estimated_phi(residuals, nights)
     floored_sd = max(sd, _floor(mean, chosen))
     phi_of_floored = floored_phi(sd, floored_sd, phi)
-    sloped = _is_sloped(nights, steady, floored_sd)
+    # A line that moves hardly more than half a standard deviation needs no test.
+    moves = abs(slope) * float(nights[-1] - nights[0])
+    sloped = moves > floored_sd / 2 and _is_sloped(nights, steady, floored_sd)
     whole = len(good) == chosen.nights
     reasons = [] if whole else [f"provisional: {len(good)} of {chosen.nights} good nights"]
     reasons += ["the baseline itself has a slope"] if sloped else []
@@ -254,16 +269,17 @@ def _winsorised(values: Array, settings: BaselineSettings) -> Array:
     return steady
 
 
-def _phi_without_line(nights: Nights, values: Array) -> float:
+def _line(nights: Nights, values: Array) -> tuple[float, Array]:
+    """Slope of the straight line of least squares, and the residuals."""
     centred = nights - np.mean(nights)
     slope = float(centred @ values) / float(centred @ centred)
-    return estimated_phi(values - np.mean(values) - slope * centred, nights)
+    return slope, values - np.mean(values) - slope * centred
 
 
 def _is_sloped(nights: Nights, values: Array, floored_sd: float) -> bool:
+    """Whether a slope is certain, and more than the nights scatter by themselves."""
     line = fit_slope(nights, values)
     if line.slope is None:
         return False
-    moves = abs(line.slope) * float(nights[-1] - nights[0])
-    certain = line.status == "no_scatter" or (line.p_value or 0.0) < SLOPED_P
-    return certain and moves > floored_sd
+    certain = line.p_value is None or line.p_value < SLOPED_P
+    return certain and abs(line.slope) * float(nights[-1] - nights[0]) > floored_sd

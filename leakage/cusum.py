@@ -23,6 +23,7 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -31,7 +32,7 @@ from numpy.typing import NDArray
 
 from leakage.autoregression import Array, Nights, correlation_to_previous, whitened
 from leakage.baseline import Baseline
-from leakage.cusum_limits import LENGTHS, LIMITS, PHI, RATES
+from leakage.cusum_limits import FLOOR_LIMITS, LENGTHS, LIMITS, PHI, RATES
 from leakage.errors import ParameterError
 from leakage.slope import check_series
 
@@ -39,10 +40,18 @@ from leakage.slope import check_series
 REFERENCE_VALUE: Final = 0.25
 BASELINE_ERRORS: Final = 3.0
 WINSORISED_AT: Final = 4.0
+# Upper bound of the nights' standard deviation over the floored one, up to which the floor alone
+# decides, and from which on the nights do: simulated rates stay below what is asked for between.
+FLOOR_DECIDES: Final = 0.7
+NIGHTS_DECIDE: Final = 1.2
 
 _LOG_RATES = np.log(RATES)
-_ROOT_LENGTHS = 1.0 / np.sqrt(LENGTHS)
+# Rising with the length; a limit is close to linear in the error of the baseline.
+_ROOT_LENGTHS = -1.0 / np.sqrt(LENGTHS)
+_PHI = np.array(PHI)
 _LOG_LIMITS = np.log(LIMITS)
+_LOG_FLOOR_LIMITS = np.log(FLOOR_LIMITS)
+_DECIDES = np.array([FLOOR_DECIDES, NIGHTS_DECIDE])
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,24 +133,24 @@ def cusum(nights: Nights, values: Array, baseline: Baseline, limit: float) -> Cu
     return Cusum(statistic, is_on, onset, limit)
 
 
-def cusum_limit(false_alarms_per_year: float, n: int, phi: float) -> float:
+def cusum_limit(false_alarms_per_year: float, baseline: Baseline) -> float:
     """Limit h at which a healthy indicator is told changed no more often than asked for.
 
     Parameters
     ----------
     false_alarms_per_year
         Rate that one indicator may have, 0.002 to 0.1 a year of nights.
-    n
-        Good nights of its baseline, at least 30; beyond 120 the limit of 120 is used, which is
-        then on the safe side.
-    phi
-        Estimated correlation of neighbouring nights.
+    baseline
+        Of at least 30 good nights; beyond 120 the limit of 120 is used, which is then on the safe
+        side.
 
     Returns
     -------
     float
-        h, interpolated between simulated baselines; it holds whatever the true correlation up to
-        0.6, and `benchmarks/results/cusum_limits.md` says what becomes of it beyond.
+        h. Where the nights may scatter as much as their floor, it covers the errors of their
+        standard deviation and φ, and holds whatever the true φ up to 0.6; where the floor is well
+        above them, only the error of the mean is left, and h is lower.
+        `benchmarks/results/cusum_limits.md` has the rates, and what becomes of them beyond 0.6.
 
     Raises
     ------
@@ -150,27 +159,36 @@ def cusum_limit(false_alarms_per_year: float, n: int, phi: float) -> float:
 
     Examples
     --------
-    >>> cusum_limit(0.02, 60, 0.0) < cusum_limit(0.02, 60, 0.6) < cusum_limit(0.02, 30, 0.6)
+    >>> from leakage.baseline import BaselineSettings, fit_baseline
+    >>> values = 1.0 + 0.02 * np.random.default_rng(1).standard_normal(60)
+    >>> with_floor = fit_baseline(np.arange(60), values, BaselineSettings(relative_floor=0.05))
+    >>> without = fit_baseline(np.arange(60), values, BaselineSettings(relative_floor=0.0))
+    >>> cusum_limit(0.02, with_floor) < cusum_limit(0.02, without) < cusum_limit(0.01, without)
     True
     """
-    if not RATES[0] <= false_alarms_per_year <= RATES[-1] or n < LENGTHS[0]:
+    if not RATES[0] <= false_alarms_per_year <= RATES[-1] or baseline.n < LENGTHS[0]:
         raise ParameterError(
             "cusum_not_calibrated",
-            f"{false_alarms_per_year:g} false alarms a year with a baseline of {n} nights; limits "
-            f"are calibrated for {RATES[0]:g} to {RATES[-1]:g} a year and {LENGTHS[0]} nights or "
-            "more",
+            f"{false_alarms_per_year:g} false alarms a year with a baseline of {baseline.n} "
+            f"nights; limits are calibrated for {RATES[0]:g} to {RATES[-1]:g} a year and "
+            f"{LENGTHS[0]} nights or more",
         )
-    of_phi = _along(_LOG_LIMITS, np.array(PHI), phi)
-    of_length = _along(of_phi, _ROOT_LENGTHS[::-1], 1.0 / np.sqrt(n), reverse=True)
-    return float(np.exp(np.interp(np.log(false_alarms_per_year), _LOG_RATES, of_length)))
+    of_nights = _along(_LOG_LIMITS, _PHI, baseline.floored_phi)
+    both = np.stack([_LOG_FLOOR_LIMITS, of_nights], axis=-1)
+    scatter = baseline.highest_sd() / baseline.floored_sd if baseline.floored_sd > 0.0 else 0.0
+    by_scatter = _along(both, _DECIDES, scatter)
+    by_length = _along(by_scatter, _ROOT_LENGTHS, -1.0 / math.sqrt(baseline.n))
+    return float(np.exp(_along(by_length, _LOG_RATES, math.log(false_alarms_per_year))))
 
 
-def _along(table: Array, places: Array, at: float, reverse: bool = False) -> Array:
+def _along(table: Array, places: Array, at: float) -> Array:
     """Interpolated along the last axis of a table; its ends hold beyond."""
-    rows = table[..., ::-1] if reverse else table
-    flat = rows.reshape(-1, rows.shape[-1])
-    result = np.array([np.interp(at, places, row) for row in flat])
-    return result.reshape(rows.shape[:-1])
+    last = len(places) - 1
+    upper = min(max(int(np.searchsorted(places, at)), 1), last)
+    span = float(places[upper] - places[upper - 1])
+    share = min(max((at - float(places[upper - 1])) / span, 0.0), 1.0)
+    result: Array = (1.0 - share) * table[..., upper - 1] + share * table[..., upper]
+    return result
 
 
 def _steps(nights: Nights, values: Array, baseline: Baseline) -> Array:

@@ -237,34 +237,17 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
     check_series(nights, values)
     good = np.isfinite(values)
     parts = _Parts.empty(len(nights))
-    first = fit_baseline(
-        nights, values, replace(settings.baseline, nights=settings.baseline.provisional_nights)
-    )
-    baselines: list[Baseline] = []
-    served_from: list[int] = []
-    # A relative deviation needs something to be relative to.
-    if first.status != "insufficient" and first.mean > 0.0:
-        start = int(np.searchsorted(nights, first.last_night)) + 1
-        parts.follow(nights, values, first, settings, start)
-        whole = fit_baseline(nights, values, settings.baseline)
-        baselines, served_from = [replace(first, status="provisional")], [start]
-        if whole.status == "frozen":
-            at = int(np.searchsorted(nights, whole.last_night))
-            kept = _why_kept(first, whole, bool(parts.severity[at]))
-            if kept or whole.n == first.n:
-                baselines = [replace(first, status="frozen", reason=kept or whole.reason)]
-            else:
-                parts.follow(nights, values, whole, settings, at + 1)
-                baselines, served_from = [*baselines, whole], [start, at + 1]
+    served = _serve(nights, values, settings, parts)
+    first_served = served[0][0] if served else len(nights)
     return Track(
-        baselines=tuple(baselines),
-        served_from=tuple(served_from),
+        baselines=tuple(baseline for _, baseline in served),
+        served_from=tuple(start for start, _ in served),
         deviation=parts.deviation,
         evidence=parts.evidence,
         onset=parts.onset,
         severity=parts.severity,
         limit_severity=parts.limit_severity,
-        has_baseline=np.arange(len(nights)) >= (served_from[0] if served_from else len(nights)),
+        has_baseline=np.arange(len(nights)) >= first_served,
         since_good=nights_since_good(nights, good),
     )
 
@@ -334,25 +317,60 @@ class _Parts:
         settings: MonitorSettings,
         start: int,
     ) -> None:
-        """Fill the columns from a place on, by one baseline."""
-        limit = cusum_limit(settings.false_alarms_per_year, baseline.n, baseline.floored_phi)
+        """Fill the columns from a place on to the end of the series given, by one baseline."""
+        stop = len(nights)
+        limit = cusum_limit(settings.false_alarms_per_year, baseline)
         sums = cusum(nights, values, baseline, limit)
         watched = values[start:]
         deviation = baseline.deviation(watched)
         by_level, by_limit = level_severity(
-            deviation, baseline.sd / abs(baseline.mean), settings.levels, watched, settings.limits
+            deviation,
+            baseline.highest_sd() / baseline.mean,
+            settings.levels,
+            watched,
+            settings.limits,
         )
         by_sum = np.where(sums.is_on[start:], _SEVERITY_OF[settings.cusum_leads_to], 0)
-        self.deviation[start:] = deviation
-        self.evidence[start:] = sums.statistic[start:] / limit
-        self.onset[start:] = sums.onset[start:]
-        self.severity[start:] = np.maximum(by_level, by_sum)
-        self.limit_severity[start:] = by_limit
+        self.deviation[start:stop] = deviation
+        self.evidence[start:stop] = sums.statistic[start:] / limit
+        self.onset[start:stop] = sums.onset[start:]
+        self.severity[start:stop] = np.maximum(by_level, by_sum)
+        self.limit_severity[start:stop] = by_limit
+
+
+def _serve(
+    nights: Nights, values: Array, settings: MonitorSettings, parts: _Parts
+) -> list[tuple[int, Baseline]]:
+    """Baselines with the places from which they serve; fills the parts by them."""
+    shorter = replace(settings.baseline, nights=settings.baseline.provisional_nights)
+    first = fit_baseline(nights, values, shorter)
+    # A relative deviation needs something to be relative to.
+    if first.status == "insufficient" or first.mean <= 0.0:
+        return []
+    start = int(np.searchsorted(nights, first.last_night)) + 1
+    whole = fit_baseline(nights, values, settings.baseline)
+    if whole.n == first.n and whole.status == "frozen":
+        parts.follow(nights, values, whole, settings, start)
+        return [(start, whole)]
+    end = int(np.searchsorted(nights, whole.last_night)) + 1
+    words = f"provisional: {first.n} of {settings.baseline.nights} good nights"
+    provisional = replace(first, status="provisional", reason=_joined(words, first.reason))
+    if whole.status != "frozen":
+        parts.follow(nights, values, provisional, settings, start)
+        return [(start, provisional)]
+    parts.follow(nights[:end], values[:end], provisional, settings, start)
+    kept = _why_kept(first, whole, bool(parts.severity[end - 1]))
+    if kept:
+        first = replace(first, reason=_joined(kept, first.reason))
+        parts.follow(nights, values, first, settings, start)
+        return [(start, first)]
+    parts.follow(nights, values, whole, settings, end)
+    return [(start, provisional), (end, whole)]
 
 
 def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
     """Why the provisional baseline is to stay; empty where the whole takes its place."""
-    if told and whole.n > first.n:
+    if told:
         return f"kept at {first.n} good nights: a change was told before there were {whole.n}"
     if whole.sloped and not first.sloped:
         return f"kept at {first.n} good nights: {whole.n} have a slope"
@@ -370,14 +388,13 @@ def _states(
         common = explained & (circuit.severity > 0)
         severity = np.where(usable, np.minimum(severity, corrected.severity), severity)
     severity = np.maximum(severity, own.limit_severity)
-    states: list[State] = []
-    for place, one in enumerate(severity.tolist()):
-        if not own.has_baseline[place]:
-            states.append("insufficient")
-        elif own.since_good[place] > stale_nights:
-            states.append("stale")
-        elif common[place] and not own.limit_severity[place]:
-            states.append("common_cause")
-        else:
-            states.append(OF_SEVERITY[one])
-    return states
+    states = np.array(OF_SEVERITY, dtype=object)[severity]
+    states[common & (own.limit_severity == 0)] = "common_cause"
+    states[own.since_good > stale_nights] = "stale"
+    states[~own.has_baseline] = "insufficient"
+    found: list[State] = states.tolist()
+    return found
+
+
+def _joined(*reasons: str) -> str:
+    return "; ".join(reason for reason in reasons if reason)
