@@ -20,6 +20,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -30,7 +31,9 @@ from pipeline.ledger import forget_night, write_months
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor
 from pipeline.night_statistics import hash_of
+from pipeline.notify import notify
 from pipeline.schema import (
+    ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
     FITS,
@@ -107,6 +110,8 @@ class RunResult:
         Whether the run was stopped before all motors were done; what was finished is published.
     seconds
         Wall-clock time.
+    alarms
+        New rows of `alarms`.
     """
 
     run_id: str
@@ -114,6 +119,7 @@ class RunResult:
     n_nights: int
     interrupted: bool
     seconds: float
+    alarms: tuple[Mapping[str, Any], ...] = ()
 
     @property
     def failed(self) -> tuple[MotorOutcome, ...]:
@@ -168,10 +174,16 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
     n_nights = _publish(fleet.output, staging, finished, run_id)
+    alarms: list[Mapping[str, Any]] = []
     if not interrupted:
-        finished = _publish_trends(request, staging, finished, run_id)
-    result = RunResult(run_id, tuple(finished), n_nights, interrupted, time.perf_counter() - begin)
+        finished, alarms = _publish_trends(request, staging, finished, run_id)
+    seconds = time.perf_counter() - begin
+    result = RunResult(
+        run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
+    )
     _publish_run(request, result, started, config_hash)
+    for fault in notify(fleet.settings.alarms, fleet.name, alarms):
+        log.warning("%s", fault)
     return result
 
 
@@ -261,7 +273,7 @@ def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_
 
 def _publish_trends(
     request: RunRequest, staging: Path, outcomes: Sequence[MotorOutcome], run_id: str
-) -> list[MotorOutcome]:
+) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
     """Make and publish the trends of the run's motors; one whose trends failed has failed."""
     fleet = request.fleet
     decisions = read_decisions(fleet.output)
@@ -269,23 +281,29 @@ def _publish_trends(
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
     tonight = last_night(fleet.output, FITS)
     if tonight is None:
-        return list(outcomes)
+        return list(outcomes), []
     tasks = trend_tasks(
         fleet.motors, fleet.output, staging, changed, tonight, decisions, MOTORS_A_TREND_TASK
     )
     failures: dict[str, str] = {}
+    alarms: list[Mapping[str, Any]] = []
     for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
-        _publish_trend_rows(fleet.output, staging, outcome, run_id)
+        alarms += _publish_trend_rows(fleet.output, staging, outcome, run_id)
         failures |= outcome.failures
-    return [
+    judged = [
         replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
         if one.motor_id in failures and one.status != FAILED
         else one
         for one in outcomes
     ]
+    return judged, alarms
 
 
-def _publish_trend_rows(output: Path, staging: Path, outcome: TrendOutcome, run_id: str) -> None:
+def _publish_trend_rows(
+    output: Path, staging: Path, outcome: TrendOutcome, run_id: str
+) -> list[Mapping[str, Any]]:
+    """Publish what a task has staged; returns the new rows of `alarms`."""
+    alarms: list[Mapping[str, Any]] = []
     fresh = [motor_id for motor_id, nights in outcome.nights.items() if nights]
     for table in TREND_TABLES:
         staged = {one: StagedRows(staging / table.name / f"{one}.arrow") for one in fresh}
@@ -297,8 +315,11 @@ def _publish_trend_rows(output: Path, staging: Path, outcome: TrendOutcome, run_
             }
             finish = partial(with_q_values, motor_ids=list(new)) if table is TRENDS else _as_it_is
             publish_night(output, table, night, new, run_id, finish)
+            if table is ALARMS:
+                alarms += [row for rows in new.values() for row in rows.to_dicts()]
     for motor_id, record in outcome.records.items():
         write_record(output, motor_id, record)
+    return alarms
 
 
 def _publish_decisions(output: Path, decisions: Sequence[Decision], run_id: str) -> None:

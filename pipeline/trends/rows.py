@@ -205,9 +205,7 @@ class MotorRows:
             row["state_reason"] = self._why_no_baseline(watched, place)
             return row | self._line(watched, place, None)
         evidence = found.own.evidence[inside]
-        limit = cusum_limit(
-            watched.settings.false_alarms_per_year, baseline.n, baseline.floored_phi
-        )
+        limit = cusum_limit(watched.settings.false_alarms_per_year, baseline)
         shift = 1.0 if name in RATIOS else 0.0
         row |= {
             "baseline_start": self._label(_place_of(self.watch.numbers, baseline.first_night)),
