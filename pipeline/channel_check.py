@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
-from pipeline.clean import SECOND_US, ChannelRules, clean_channel
+from pipeline.arrays import SECOND_US
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import clean_channel
 from pipeline.config import Channel, MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log

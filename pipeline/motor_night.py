@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leakage import EstimationError, LeakageError
-from pipeline.clean import ChannelRules, CleanChannel, clean_channel
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import CleanChannel, clean_channel
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.night_fit import fit_modes

@@ -13,8 +13,10 @@ from math import ceil
 
 import numpy as np
 
-from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
+from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.clean import CleanChannel
 from pipeline.config import Cleaning, TimeBase, TransportDelay
+from pipeline.masks import near, transient
 from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
