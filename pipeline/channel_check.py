@@ -112,7 +112,8 @@ def check_channels(
 
 
 def _looked_at(spec: MotorSpec, name: str, channel: Channel, raw: RawChannel) -> ChannelCheck:
-    clean = clean_channel(raw, ChannelRules.of(name, channel, spec.settings.cleaning))
+    rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
+    clean = clean_channel(raw, rules)
     n = max(clean.n_samples, 1)
     kept = clean.value[~clean.refused]
     return ChannelCheck(

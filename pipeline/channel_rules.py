@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pipeline.config import Channel, Cleaning
-from pipeline.config.motors import FALLBACK_VALID_RANGE
+from pipeline.config.motors import FALLBACK_VALID_RANGE, Logs
 from pipeline.sampling import PERIODIC, Sampling
 
 TEMPERATURE_FROZEN_AFTER_S = 900.0
@@ -35,6 +35,9 @@ class ChannelRules:
         What the samples are.
     puts_in_order
         Samples written late are put back in their place, not refused.
+    has_rows_of_its_own
+        A row of the log is of this channel alone, so that one without a value says that there is
+        none; else it may only be a row of another channel.
     """
 
     valid_range: tuple[float, float]
@@ -48,10 +51,23 @@ class ChannelRules:
     at_rest_below: float = 0.0
     sampling: Sampling = PERIODIC
     puts_in_order: bool = True
+    has_rows_of_its_own: bool = False
 
     @classmethod
-    def of(cls, name: str, channel: Channel, cleaning: Cleaning) -> ChannelRules:
-        """The rules of a channel: its own keys where stated, else the fleet's."""
+    def of(
+        cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
+    ) -> ChannelRules:
+        """The rules of a channel: its own keys where stated, else the fleet's.
+
+        Parameters
+        ----------
+        name, channel
+            The channel.
+        cleaning
+            Settings of the fleet, or the motor's own.
+        logs
+            The motor's logs, for their layout; None: columns side by side.
+        """
         is_temperature = name == "oil_temperature"
         fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
@@ -72,4 +88,5 @@ class ChannelRules:
             at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
             sampling=Sampling.of(channel),
             puts_in_order=cleaning.out_of_order == "sort",
+            has_rows_of_its_own=logs is not None and logs.layout != "wide",
         )

@@ -13,16 +13,10 @@ import numpy as np
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.channel_rules import ChannelRules
-from pipeline.clocks import (
-    backward_time,
-    duplicate_time,
-    jittered,
-    stray_time,
-    typical_period_us,
-    written_late,
-)
+from pipeline.clocks import jittered, typical_period_us
 from pipeline.ingest import RawChannel
-from pipeline.masks import at_maximum, frozen, missing_sample, out_of_range, spike
+from pipeline.masks import at_maximum, frozen, out_of_range, spike
+from pipeline.order import carried_over, in_order, samples_of
 from pipeline.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 
 
@@ -53,6 +47,10 @@ class CleanChannel:
         in order, `jitter` for those that came off their period.
     sampling
         What the samples are.
+    ends
+        Samples of an on-change channel from which on there is no value, shape (n,); None: none.
+    n_carried
+        Samples at the front that are from before the night, 0 or 1; no count has them.
     """
 
     time_us: Times
@@ -65,9 +63,13 @@ class CleanChannel:
     n_samples: int
     noted: Mapping[str, int] = field(default_factory=dict)
     sampling: Sampling = PERIODIC
+    ends: Mask | None = None
+    n_carried: int = 0
 
 
-def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
+def clean_channel(
+    raw: RawChannel, rules: ChannelRules, night_start_us: int | None = None
+) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
     Parameters
@@ -76,25 +78,69 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
         Samples as read, in the order of the log.
     rules
         The channel's rules.
+    night_start_us
+        Of what lies before it, the last sample of an on-change channel carries over, and no rule
+        counts it; None: all samples are of the night.
 
     Returns
     -------
     CleanChannel
         Sorted, with blank cells that are no sample left out and all others judged.
     """
-    time, value, blank, disorder = _in_order(raw, rules)
-    sampling = rules.sampling
-    period = typical_period_us(time[~blank])
+    early = np.zeros(len(raw.time_us), dtype=np.bool_)
+    if night_start_us is not None:
+        early = raw.time_us < night_start_us
+    cells, disorder = in_order(raw.rows(~early) if early.any() else raw, rules)
+    period = typical_period_us(cells.time_us[~cells.missing])
     longest_gap_us = _longest_gap_us(period, rules)
-    missing = blank & False if sampling.on_change else missing_sample(time, blank, period)
-    sample = ~blank | missing
-    time, value, missing = time[sample], value[sample], missing[sample]
+    samples = samples_of(cells, rules, period)
     noted = {"backward_time": disorder.n_put_back}
-    if not sampling.on_change:
-        noted["jitter"] = int(jittered(time, period).sum())
-    masks = {"missing": missing, "not_finite": ~missing & ~np.isfinite(value)}
+    if not rules.sampling.on_change:
+        noted["jitter"] = int(jittered(samples.time_us, period).sum())
+    n_carried = 0
+    if night_start_us is not None and early.any():
+        carried = carried_over(raw.rows(early), rules, night_start_us - longest_gap_us)
+        n_carried, samples = len(carried.time_us), RawChannel.joined([carried, samples])
+    time, value, masks = _judged(samples, rules, period, longest_gap_us)
+    refused = np.logical_or.reduce(list(masks.values()))
+    counts = {reason: int(mask[n_carried:].sum()) for reason, mask in masks.items()}
+    counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
+    out_of_order = disorder.n_backward + disorder.n_duplicate
+    return CleanChannel(
+        time_us=time,
+        value=value,
+        refused=refused,
+        at_maximum=masks["at_maximum"],
+        period_us=period,
+        longest_gap_us=longest_gap_us,
+        counts=counts | {"any": int(refused[n_carried:].sum()) + out_of_order},
+        n_samples=len(time) - n_carried + out_of_order,
+        noted=noted,
+        sampling=rules.sampling,
+        ends=_ends(masks) if rules.sampling.on_change else None,
+        n_carried=n_carried,
+    )
+
+
+def _ends(masks: Mapping[str, Mask]) -> Mask:
+    """Samples that say that there is no value from there on."""
+    found: Mask = masks["missing"] | masks["not_finite"]
+    return found | masks["bad_quality"] if "bad_quality" in masks else found
+
+
+def _judged(
+    samples: RawChannel, rules: ChannelRules, period_us: float | None, longest_gap_us: float
+) -> tuple[Times, Values, dict[str, Mask]]:
+    """Times and values, of a counter as a flow, and which samples each rule refuses."""
+    time, value, sampling = samples.time_us, samples.value, rules.sampling
+    masks = {"missing": samples.missing, "not_finite": ~samples.missing & ~np.isfinite(value)}
+    if samples.bad_quality is not None:
+        masks["bad_quality"] = samples.bad_quality
     if sampling.counts is not None:
-        counted = flow_from_counts(time, value, longest_gap_us, sampling)
+        trusted = (
+            value if samples.bad_quality is None else np.where(samples.bad_quality, np.nan, value)
+        )
+        counted = flow_from_counts(time, trusted, longest_gap_us, sampling)
         time, value = counted.time_us, counted.flow_l_per_min
         masks |= {"no_interval": counted.no_interval, "counter_reset": counted.counter_reset}
     masks |= {
@@ -102,7 +148,7 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
     credible = ~np.logical_or.reduce(list(masks.values()))
-    resolution = max(rules.resolution, sampling.resolution_l_per_min(period))
+    resolution = max(rules.resolution, sampling.resolution_l_per_min(period_us))
     resolution = resolution or step_of_readings(value[credible])
     # A compressed archive holds only what differs from its neighbourhood.
     stands_out = (
@@ -114,52 +160,7 @@ def clean_channel(raw: RawChannel, rules: ChannelRules) -> CleanChannel:
     masks["frozen"] = _within(
         credible, _frozen_in_sight(time[credible], value[credible], longest_gap_us, rules)
     )
-    refused = np.logical_or.reduce(list(masks.values()))
-    counts = {reason: int(mask.sum()) for reason, mask in masks.items()}
-    counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
-    out_of_order = disorder.n_backward + disorder.n_duplicate
-    return CleanChannel(
-        time_us=time,
-        value=value,
-        refused=refused,
-        at_maximum=masks["at_maximum"],
-        period_us=period,
-        longest_gap_us=longest_gap_us,
-        counts=counts | {"any": int(refused.sum()) + out_of_order},
-        n_samples=len(time) + out_of_order,
-        noted=noted,
-        sampling=sampling,
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Disorder:
-    """Samples, blank cells aside, that were out of order."""
-
-    n_put_back: int
-    n_backward: int
-    n_duplicate: int
-
-
-def _in_order(raw: RawChannel, rules: ChannelRules) -> tuple[Times, Values, Mask, _Disorder]:
-    """Cells in strict order of their corrected time, and what it took."""
-    backward = backward_time(raw.time_us)
-    late = np.zeros(len(backward), dtype=np.bool_)
-    if rules.puts_in_order:
-        late = written_late(raw.time_us, backward)
-    backward = (backward & ~late) | stray_time(raw.time_us, late)
-    rows = np.flatnonzero(~backward)
-    if late.any():
-        rows = rows[np.argsort(raw.time_us[rows], kind="stable")]
-    repeated = duplicate_time(raw.time_us[rows], np.zeros(len(rows), dtype=np.bool_))
-    disorder = _Disorder(
-        int((late & ~raw.missing).sum()),
-        int((backward & ~raw.missing).sum()),
-        int((repeated & ~raw.missing[rows]).sum()),
-    )
-    rows = rows[~repeated]
-    time = raw.time_us[rows] + rules.sampling.shift_us
-    return time, raw.value[rows], raw.missing[rows], disorder
+    return time, value, masks
 
 
 def _within(chosen: Mask, flags: Mask) -> Mask:

@@ -9,9 +9,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
+from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
@@ -24,6 +26,7 @@ LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 GLOB_CHARACTERS = frozenset("*?[")
+NO_REACH: Mapping[str, int] = MappingProxyType({})
 
 
 def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
@@ -213,27 +216,34 @@ def _lag_of_names(records: Iterable[FileRecord]) -> dt.timedelta:
     return lags.most_common(1)[0][0] if lags else 0 * DAY
 
 
-def slice_night(logs: Iterable[RawLog], night: Night) -> dict[str, RawChannel]:
-    """The samples of a night from all files that have some, file after file."""
+def slice_night(
+    logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int] = NO_REACH
+) -> dict[str, RawChannel]:
+    """The samples of a night from all files that have some, file after file.
+
+    Parameters
+    ----------
+    logs
+        The files' content.
+    night
+        The night.
+    reach_us
+        By channel, from how long before the night samples carry over into it [µs].
+    """
     parts: dict[str, list[RawChannel]] = {}
     for log in logs:
         for name, channel in log.channels.items():
-            inside = (channel.time_us >= night.start_us) & (channel.time_us < night.end_us)
-            rows = slice(None) if inside.all() else inside
-            parts.setdefault(name, []).append(
-                RawChannel(
-                    channel.time_us[rows],
-                    channel.value[rows],
-                    channel.missing[rows],
-                    channel.unparsed,
-                )
-            )
+            start_us = night.start_us - reach_us.get(name, 0)
+            inside = (channel.time_us >= start_us) & (channel.time_us < night.end_us)
+            some = channel.rows(slice(None) if inside.all() else inside)
+            parts.setdefault(name, []).append(some)
+    return {name: RawChannel.joined(pieces) for name, pieces in parts.items()}
+
+
+def reaches_us(spec: MotorSpec) -> dict[str, int]:
+    """How long the last sample of each on-change channel may hold into the next night [µs]."""
     return {
-        name: RawChannel(
-            np.concatenate([part.time_us for part in pieces]),
-            np.concatenate([part.value for part in pieces]),
-            np.concatenate([part.missing for part in pieces]),
-            sum(part.unparsed for part in pieces),
-        )
-        for name, pieces in parts.items()
+        name: round(channel.longest_silence_s * SECOND_US)
+        for name, channel in spec.file.channels.items()
+        if channel.sampling == "on_change" and channel.longest_silence_s
     }

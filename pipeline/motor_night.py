@@ -91,7 +91,8 @@ def fit_night(
     night
         The night.
     channels
-        Raw samples of the night by channel.
+        Raw samples of the night by channel; of an on-change one also some from before it, of
+        which the last carries over.
     previous
         The motor's model before, by flushing mode; empty where there is none.
 
@@ -175,8 +176,8 @@ def _clean(
         raise Insufficient(FAILED, too_long, code="means_too_long")
     cleaned: dict[str, CleanChannel] = {}
     for name, channel in spec.file.channels.items():
-        rules = ChannelRules.of(name, channel, cleaning)
-        cleaned[name] = clean_channel(channels[name], rules)
+        rules = ChannelRules.of(name, channel, cleaning, spec.file.logs)
+        cleaned[name] = clean_channel(channels[name], rules, night.start_us)
     counted = tuple(
         Quality(
             name,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, field_validator, model_validator
@@ -15,7 +15,7 @@ from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.errors import UsageError
 from pipeline.ingest import ChannelSource, LogSource
-from pipeline.ingest.contract import MISSING_TOKENS
+from pipeline.ingest.contract import GOOD_QUALITY, MISSING_TOKENS, QualityValue
 from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.time_stamps import require_time_format
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
@@ -65,6 +65,21 @@ class Channel(Section):
         "`hydraulics.pressure.a` or `pressures[0].value`",
     )
     unit: str = Field(description="Unit in the log")
+    quality_source: str = Field(
+        "",
+        description="Column of what the log says of this channel's samples (CSV, Parquet; in the "
+        "layouts `long` and `file_per_channel` of the row), or path of a field in the same message "
+        "(MCAP). A sample that it does not call good is refused as `bad_quality`, and of an "
+        "`on_change` channel nothing holds from there on. Empty: none",
+    )
+    quality_good: tuple[QualityValue, ...] = Field(
+        GOOD_QUALITY,
+        min_length=1,
+        description="What stands there beside a good sample, as text (without regard to case), "
+        "number or truth value; all else is bad, and so is a blank beside a value. OPC DA: "
+        "`[192]`; OPC UA: `[0]`, which in OPC DA is bad and is therefore never taken for good "
+        "unless it stands here",
+    )
     scale: float = Field(1.0, description="Factor on the logged number, before the unit")
     offset: float = Field(0.0, description="Added to the scaled number, in the log's unit")
     valid_range: tuple[float, float] | None = Field(
@@ -132,8 +147,8 @@ class Channel(Section):
     )
 
     @model_validator(mode="after")
-    def _sampled_in_one_way(self) -> Channel:
-        refuse("channel", _sampling_faults(self))
+    def _consistent(self) -> Channel:
+        refuse("channel", chain(_sampling_faults(self), _quality_faults(self)))
         return self
 
     @field_validator("field")
@@ -158,6 +173,11 @@ class Channel(Section):
         if limits is not None and not limits[0] < limits[1]:
             raise ValueError("expected [lowest, highest]")
         return limits
+
+
+def _quality_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
+    if "quality_good" in channel.model_fields_set and not channel.quality_source:
+        yield ("quality_good",), "expected quality_source beside it", channel.quality_good
 
 
 def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
@@ -390,6 +410,8 @@ class MotorFile(Section):
     @model_validator(mode="after")
     def _complete(self) -> MotorFile:
         refuse("motor", channel_faults({name: part.unit for name, part in self.channels.items()}))
+        if self.logs.format == "mcap":
+            refuse("motor", _quality_paths(self.channels))
         return self
 
     def oil_on(self, night: dt.date) -> str:
@@ -410,11 +432,22 @@ class MotorFile(Section):
                 field=self.channels[name].field,
                 scale=self.channels[name].scale,
                 offset=self.channels[name].offset,
+                quality_source=self.channels[name].quality_source,
+                quality_good=self.channels[name].quality_good,
             )
             for name in CHANNELS
             if name in self.channels
         )
         return self.logs.source(channels)
+
+
+def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Place, str, object]]:
+    """Paths of qualities that lead to no field of an MCAP message."""
+    for name, channel in channels.items():
+        try:
+            field_path(channel.quality_source or "none")
+        except UsageError as error:
+            yield ("channels", name, "quality_source"), error.message, channel.quality_source
 
 
 def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:

@@ -96,6 +96,7 @@ class _Reader:
         # What each column may be parsed as at once; what fails is not tried again.
         self.types: dict[str, tuple[pa.DataType, ...]] = dict.fromkeys(columns.numbers, numbers)
         self.types |= dict.fromkeys(columns.time, csv_cells.time_types(source))
+        self.types |= dict.fromkeys(columns.qualities, (pa.string(),))
 
     def read(self, lines: Lines) -> None:
         """Take a piece."""
@@ -117,7 +118,7 @@ class _Reader:
         whole = Section(memoryview(data)[start:], len(self.header.names), self.header.position, 0)
         try:
             types = {key: self.types[name][0] for name, key in keys.items()}
-            table, ragged = _parse(self.source, whole, types)
+            table, ragged = self._parse(whole, types)
         except pa.ArrowInvalid:
             return False
         if ragged:
@@ -182,13 +183,13 @@ class _Reader:
         while any(types.values()):
             first = {key: kinds[0] if kinds else pa.string() for key, kinds in types.items()}
             try:
-                return _parse(self.source, section, first)
+                return self._parse(section, first)
             except pa.ArrowInvalid:
                 failed = self._next_types(section, keys)
                 if not failed:
                     break
                 types = {key: self.types.get(name) or () for name, key in keys.items()}
-        return _parse(self.source, section, dict.fromkeys(keys.values(), pa.string()))
+        return self._parse(section, dict.fromkeys(keys.values(), pa.string()))
 
     def _next_types(self, section: Section, keys: dict[str, str]) -> bool:
         """Which of a section's columns are not what they were taken for; False: none."""
@@ -196,7 +197,7 @@ class _Reader:
         for name, key in keys.items():
             while kinds := self.types.get(name, ()):
                 try:
-                    _parse(self.source, section, {key: kinds[0]})
+                    self._parse(section, {key: kinds[0]})
                     break
                 except pa.ArrowInvalid:
                     self.types[name] = kinds[1:]
@@ -211,11 +212,25 @@ class _Reader:
                 for name in self.columns.numbers
             },
             None if self.columns.name is None else cells[self.columns.name],
+            {name: cells[name] for name in self.columns.qualities},
         )
+
+    def _parse(self, section: Section, types: dict[str, pa.DataType]) -> tuple[pa.Table, list[Any]]:
+        """A section's columns, by position, and the rows that are left out."""
+        if not self.columns.qualities:
+            return _parse(self.source, section, types)
+        # What means "no sample" in a column of readings is an answer in one of qualities.
+        table, ragged = _parse(self.source, section, types, text_can_be_null=False)
+        kept = {str(section.position[name]) for name in self.columns.qualities}
+        return csv_cells.with_missing_tokens(self.source, table, kept), ragged
 
 
 def _parse(
-    source: LogSource, section: Section, types: dict[str, pa.DataType]
+    source: LogSource,
+    section: Section,
+    types: dict[str, pa.DataType],
+    *,
+    text_can_be_null: bool = True,
 ) -> tuple[pa.Table, list[Any]]:
     ragged: list[Any] = []
 
@@ -234,7 +249,7 @@ def _parse(
             include_columns=list(types),
             column_types=types,
             null_values=list(source.missing_tokens),
-            strings_can_be_null=True,
+            strings_can_be_null=text_can_be_null,
             decimal_point=source.decimal,
         ),
     )

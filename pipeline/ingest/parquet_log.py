@@ -86,6 +86,7 @@ def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> No
                 _stamps(path, source, [found[name] for name in columns.time]),
                 {name: _readings(found[name]) for name in columns.numbers},
                 None if columns.name is None else found[columns.name].cast(pa.string()),
+                {name: found[name] for name in columns.qualities},
             )
 
 
