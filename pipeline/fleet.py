@@ -15,6 +15,7 @@ import shutil
 import tempfile
 import time
 import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from joblib.externals.loky.process_executor import TerminatedWorkerError
 from pipeline.config import Fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.ledger import forget_night, write_ledger
+from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor, settings_hash
 from pipeline.night_statistics import hash_of
@@ -99,6 +101,11 @@ class RunResult:
     n_nights: int
     interrupted: bool
     seconds: float
+
+    @property
+    def files(self) -> Counter[str]:
+        """Log files of all motors by what came of them: read, unchanged, growing, failed, left."""
+        return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
 
     @property
     def failed(self) -> tuple[MotorOutcome, ...]:
@@ -326,4 +333,6 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "peak_memory_mib": outcome.peak_memory_mib,
         **{stage: outcome.seconds.get(stage, 0.0) for stage in stages},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
+        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
+        "growing": list(outcome.growing),
     }

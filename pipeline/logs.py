@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import re
 import stat
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -71,7 +72,8 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
     Returns
     -------
     FileRecord
-        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told.
+        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told;
+        ``growing`` where it is changed meanwhile, or was too lately.
     """
     record = look_at(name, path)
     if record.status == "failed":
@@ -79,14 +81,53 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
     same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
     # What could not be read has no hash: its permissions may be others by now.
     if before and before.sha256 and same:
-        return before
+        return before if before.inode == record.inode else replace(before, inode=record.inode)
+    found = _inspected(record, path, before, spec)
+    why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
+    return found if why is None else growing(found, why)
+
+
+def _inspected(
+    record: FileRecord, path: Path, before: FileRecord | None, spec: MotorSpec
+) -> FileRecord:
+    """What a look into a file of another size or time tells."""
     try:
         record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
-        return replace(before, modified_ns=record.modified_ns)
+        return replace(before, modified_ns=record.modified_ns, inode=record.inode)
     return spanned(record, path, spec)
+
+
+def change_of(record: FileRecord, path: Path) -> LogError | None:
+    """What is no more as it was when a file was looked at; None: nothing, or the file is gone."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    size, known = state.st_size, (record.size, record.modified_ns, record.inode)
+    if (size, state.st_mtime_ns, state.st_ino) == known:
+        return None
+    how = f"it went from {record.size} to {size} bytes" if size != record.size else "it changed"
+    return LogError("log_growing", path, f"{how} while it was read; the next run reads it")
+
+
+def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
+    """Why a file that was written to a moment ago is left to a later run; None: it is not."""
+    age_s = (time.time_ns() - record.modified_ns) / 1e9
+    # A clock that is far ahead must not keep a file out for good.
+    if abs(age_s) >= settle_s:
+        return None
+    ago = f"it was written to {max(age_s, 0.0):.0f} s ago"
+    return LogError(
+        "log_growing", path, f"{ago}, and logs.settle_s is {settle_s:g}; a later run reads it"
+    )
+
+
+def growing(record: FileRecord, why: LogError) -> FileRecord:
+    """The record of a file that is left to the next run, as it is being written."""
+    return replace(record, status="growing", error_code=why.code, message=legible(why.message))
 
 
 def look_at(name: str, path: Path) -> FileRecord:
@@ -97,7 +138,7 @@ def look_at(name: str, path: Path) -> FileRecord:
         return failed(
             FileRecord(name, 0, _link_modified_ns(path), None), _not_readable(path, error)
         )
-    record = FileRecord(name, state.st_size, state.st_mtime_ns, None)
+    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, inode=state.st_ino)
     if not stat.S_ISREG(state.st_mode):
         # A pipe would keep whoever opens it waiting.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")

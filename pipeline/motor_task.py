@@ -10,8 +10,9 @@ import datetime as dt
 import logging
 import resource
 import time
-from collections import Counter, OrderedDict, defaultdict
-from collections.abc import Mapping
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -20,19 +21,10 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
-from pipeline.errors import LogError, StoreError
-from pipeline.ingest import RawLog, read_log
-from pipeline.ledger import FileRecord, Ledger, NightRecord, read_ledger
-from pipeline.logs import (
-    covered,
-    failed,
-    find_logs,
-    inspect_log,
-    labels_of,
-    legible,
-    place_failed,
-    slice_night,
-)
+from pipeline.errors import StoreError
+from pipeline.ledger import Ledger, NightRecord, read_ledger
+from pipeline.log_shelf import LogShelf
+from pipeline.logs import labels_of, legible, reaches_us, slice_night
 from pipeline.motor_night import (
     FAILED,
     NO_NEW_DATA,
@@ -42,7 +34,6 @@ from pipeline.motor_night import (
     fit_night,
     unfitted,
 )
-from pipeline.night_rows import Row, utc
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
 from pipeline.schema import FITS, NIGHT_TABLES
@@ -52,8 +43,6 @@ log = logging.getLogger(__name__)
 
 # Raise it when the code makes other figures of the same statistics: everything is then done anew.
 FIGURES_VERSION = 1
-# Logs kept in memory: one that ends and one that begins within a night.
-LOGS_IN_MEMORY = 2
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
@@ -104,6 +93,10 @@ class MotorOutcome:
         Labels of the nights whose rows are staged.
     inputs
         Hashes of the contents that were read, in the order of the files.
+    files
+        Log files by what came of them: read, unchanged, growing, failed or left.
+    growing
+        What there is to say of each file that is changed while it is read.
     ledger
         The motor's new ledger, to be written once its rows are published.
     seconds
@@ -119,6 +112,8 @@ class MotorOutcome:
     counts: Mapping[str, int] = field(default_factory=dict)
     nights: tuple[dt.date, ...] = ()
     inputs: tuple[str, ...] = ()
+    files: Mapping[str, int] = field(default_factory=dict)
+    growing: tuple[str, ...] = ()
     ledger: Ledger | None = None
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
@@ -130,7 +125,12 @@ def settings_hash(spec: MotorSpec) -> str:
         {
             "version": FIGURES_VERSION,
             "motor": spec.file.model_dump(
-                mode="json", exclude={"override": True, "events": {"__all__": {"note"}}}
+                mode="json",
+                exclude={
+                    "override": True,
+                    "events": {"__all__": {"note"}},
+                    "logs": {"settle_s"},
+                },
             ),
             "type": spec.motor_type.model_dump(mode="json"),
             "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
@@ -182,23 +182,28 @@ def _still_published(ledger: Ledger, output: Path) -> Ledger:
 
 
 class _Nights:
-    """A motor's files and nights while its task works through them."""
+    """A motor's nights while its task works through them."""
 
     def __init__(self, task: MotorTask) -> None:
         self.task = task
         self.spec = task.spec
         remembered = read_ledger(task.output, task.spec.motor_id, settings_hash(task.spec))
         self.before = _still_published(remembered, task.output)
-        self.paths: dict[str, Path] = {}
-        self.files: dict[str, FileRecord] = {}
-        self.open_logs: OrderedDict[str, RawLog] = OrderedDict()
-        self.read: set[str] = set()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        with self._timed("read_s"):
+            self.logs = LogShelf(self.spec, self.before.files)
         self.done: dict[dt.date, NightOutcome] = {}
         self.judged_with: dict[dt.date, str] = {}
-        self.seconds: defaultdict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def _timed(self, stage_name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage_name] += time.perf_counter() - begin
 
     def run(self) -> MotorOutcome:
-        absent = self._look()
         # Reading may show that a log covers other nights than its ends had told, so look again.
         while todo := self._todo():
             label = min(todo)
@@ -208,41 +213,25 @@ class _Nights:
             self.judged_with[label] = _hash_of_model(before)
             for stage_name, seconds in outcome.seconds.items():
                 self.seconds[stage_name] += seconds
+            # Also those that an earlier state of a file had been read for.
+            for waiting in self.logs.waiting() & self.done.keys():
+                del self.done[waiting]
         for label in self._holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
-        self._stage()
-        return self._outcome(absent)
-
-    def _look(self) -> list[str]:
-        """Bring together what is known of all files; returns those that are named but absent."""
-        begin = time.perf_counter()
-        self.paths, absent = find_logs(self.spec)
-        looked_at = {
-            name: inspect_log(name, path, self.before.files.get(name), self.spec)
-            for name, path in self.paths.items()
-        }
-        self.files = place_failed(looked_at, self.before.files, self.spec)
-        self.seconds["read_s"] += time.perf_counter() - begin
-        return absent
-
-    def _is_new(self, name: str) -> bool:
-        before, now = self.before.files.get(name), self.files[name]
-        return before is None or now.sha256 is None or before.sha256 != now.sha256
+        with self._timed("store_s"):
+            self._stage()
+        return self._outcome()
 
     def _todo(self) -> set[dt.date]:
         """Nights still to do within the asked-for range."""
-        new = {label for name in self.files if self._is_new(name) for label in self._touched(name)}
-        todo = (new - self.done.keys()) | self._outdated()
-        return {label for label in todo if self.task.wants(label)}
-
-    def _touched(self, name: str) -> set[dt.date]:
-        """Nights in which a file has samples, or had them before it was changed."""
-        record = self.files[name]
-        return labels_of(record) | labels_of(self.before.files.get(name, record))
-
-    def _present(self) -> set[dt.date]:
-        return {label for record in self.files.values() for label in labels_of(record)}
+        new = [name for name in self.logs.files if self.logs.is_new(name)]
+        touched = {label for name in new for label in self.logs.touched(name)}
+        # A night of which there is no log, or not yet, is none to be done.
+        reached = {label for name in new for label in self.logs.reached(name)}
+        touched |= reached & self.logs.present()
+        todo = (touched - self.done.keys()) | self._outdated()
+        return {label for label in todo - self.logs.waiting() if self.task.wants(label)}
 
     def _nights(self) -> dict[dt.date, NightRecord]:
         """What is known of every night by now."""
@@ -254,7 +243,7 @@ class _Nights:
 
     def _outdated(self) -> set[dt.date]:
         """Nights with a fit that was judged with another model than the one before it now."""
-        present, outdated = self._present(), set()
+        present, outdated = self.logs.present(), set()
         before = _hash_of_model({})
         for label, record in sorted(self._nights().items()):
             if not record.model:
@@ -269,9 +258,9 @@ class _Nights:
         if not self.done:
             return []
         known = self._nights()
-        told = self._present() | known.keys()
+        told = self.logs.present() | known.keys()
         # A file that cannot be read may stand far off: its night is a guess.
-        readable = [record for record in self.files.values() if record.status == "ok"]
+        readable = [record for record in self.logs.files.values() if record.status == "ok"]
         certain = {label for record in readable for label in labels_of(record)}
         certain |= {label for label, record in known.items() if record.status != FAILED}
         between = {
@@ -283,21 +272,18 @@ class _Nights:
         return sorted(label for label in between - told if self.task.wants(label))
 
     def _night(self, label: dt.date, before: PreviousModel) -> NightOutcome:
-        names = sorted(
-            (name for name, record in self.files.items() if label in labels_of(record)),
-            key=lambda name: (self.files[name].first_us or 0, name),
-        )
-        begin = time.perf_counter()
-        logs = [self._log(name) for name in names]
-        self.seconds["read_s"] += time.perf_counter() - begin
-        broken = [self.files[name] for name in names if self.files[name].status == "failed"]
+        here = night(label, self.spec.settings.nights)
+        with self._timed("read_s"):
+            names = self.logs.of_night(label)
+            read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
+        broken = [one for name in names if (one := self.logs.files[name]).status != "ok"]
         if broken:
             return unfitted(
                 self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
             )
-        here = night(label, self.spec.settings.nights)
-        channels = slice_night([one for one in logs if one is not None], here)
-        if not any(len(channel.time_us) for channel in channels.values()):
+        logs = [one for one in read if one is not None]
+        channels = slice_night(logs, here, reaches_us(self.spec))
+        if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
         try:
             return fit_night(self.spec, here, channels, before)
@@ -306,70 +292,19 @@ class _Nights:
             reason = legible(f"{type(error).__name__}: {error}")
             return unfitted(self.spec, label, FAILED, reason, code="internal")
 
-    def _log(self, name: str) -> RawLog | None:
-        """A log's content, read once while it is needed; a failure goes into its record."""
-        if name in self.open_logs:
-            self.open_logs.move_to_end(name)
-            return self.open_logs[name]
-        record = self.files[name]
-        if record.status == "failed":
-            return None
-        try:
-            content = read_log(self.paths[name], self.spec.file.log_source())
-        except LogError as error:
-            self.files[name] = failed(record, error)
-            return None
-        self.read.add(name)
-        self.files[name] = covered(record, content, self.spec)
-        self.open_logs[name] = content
-        if len(self.open_logs) > LOGS_IN_MEMORY:
-            self.open_logs.popitem(last=False)
-        return content
-
     def _model_before(self, label: dt.date) -> PreviousModel:
         return replace(self.before, nights=self._nights()).model_before(label)
 
     def _stage(self) -> None:
-        begin = time.perf_counter()
         rows = {label: dict(outcome.rows) for label, outcome in self.done.items()}
-        for row in self._file_rows():
+        for row in self.logs.rows():
             if row["night"] in rows:
                 rows[row["night"]].setdefault("input_files", []).append(row)
         for table in NIGHT_TABLES if rows else ():
             path = self.task.staging / table.name / f"{self.spec.motor_id}.arrow"
             stage(path, table, {label: part.get(table.name, []) for label, part in rows.items()})
-        self.seconds["store_s"] += time.perf_counter() - begin
 
-    def _file_rows(self) -> list[Row]:
-        """Rows of `input_files`: each file once, under its first night."""
-        return [
-            {
-                "motor_id": self.spec.motor_id,
-                "path": name,
-                "night": min(labels_of(record)),
-                "format": self.spec.file.logs.format,
-                "size_bytes": record.size,
-                "sha256": record.sha256,
-                "rows": record.rows,
-                "first_time": None if record.first_us is None else utc(record.first_us),
-                "last_time": None if record.last_us is None else utc(record.last_us),
-                "status": record.status,
-                "error_code": record.error_code,
-                "message": record.message,
-            }
-            for name, record in sorted(self.files.items())
-            if record.nights
-        ]
-
-    def _finished_files(self) -> dict[str, FileRecord]:
-        """Files of which every night is done: the others stay new, for a run that wants them."""
-        return {
-            name: record
-            for name, record in self.files.items()
-            if not self._is_new(name) or self._touched(name) <= self.done.keys()
-        }
-
-    def _outcome(self, absent: list[str]) -> MotorOutcome:
+    def _outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
         errors: list[tuple[str | None, str | None]] = [
             (one.error_code, f"night {label}: {one.reason}")
@@ -378,10 +313,12 @@ class _Nights:
         ]
         errors += [
             (record.error_code, record.message)
-            for record in self.files.values()
+            for record in self.logs.files.values()
             if record.status == "failed" and not record.nights
         ]
-        errors += [("log_missing", f"{name}: named in the config and absent") for name in absent]
+        errors += [
+            ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
+        ]
         if errors:
             status = FAILED
         elif counts[OK]:
@@ -396,10 +333,12 @@ class _Nights:
             message=message,
             counts=counts,
             nights=tuple(sorted(self.done)),
-            inputs=tuple(self.files[name].sha256 or "" for name in sorted(self.read)),
+            inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
+            files=self.logs.counts(self.done),
+            growing=tuple(self.logs.growing()),
             ledger=replace(
                 self.before,
-                files={**self.before.files, **self._finished_files()},
+                files={**self.before.files, **self.logs.finished(self.done)},
                 nights=self._nights(),
             ),
             seconds=dict(self.seconds),

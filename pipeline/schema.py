@@ -12,7 +12,7 @@ from typing import Any
 
 import polars as pl
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 TIMESTAMP = pl.Datetime("us", "UTC")
 NUMBERS = pl.List(pl.Float64)
@@ -449,6 +449,23 @@ MOTOR_OUTCOMES = Table(
         Column("fit_s", pl.Float64, "s", "Seconds for certificate, search and validation"),
         Column("store_s", pl.Float64, "s", "Seconds for staging the rows"),
         Column("peak_memory_mib", pl.Float64, "MiB", "Largest memory of the worker so far"),
+        Column("growing", NAMES, "", "Log files that were changed while they were read, in words"),
+        Column("n_files_read", pl.Int64, "", "Log files that were read"),
+        Column("n_files_unchanged", pl.Int64, "", "Log files done by a run before, and not read"),
+        Column(
+            "n_files_growing",
+            pl.Int64,
+            "",
+            "Log files that were changed while they were read: left to the next run, and with them "
+            "their nights",
+        ),
+        Column("n_files_failed", pl.Int64, "", "Log files that cannot be read"),
+        Column(
+            "n_files_left",
+            pl.Int64,
+            "",
+            "New log files of nights that were not asked for, or that wait for a growing file",
+        ),
     ),
 )
 

@@ -239,6 +239,11 @@ class Logs(Section):
     missing_tokens: tuple[str, ...] = Field(
         MISSING_TOKENS, description="CSV: what a cell without a value holds"
     )
+    settle_s: NonNegative = Field(
+        0.0,
+        description="A new file that was written to within this time before it is looked at is "
+        "left to a later run. Without it only a file that changes while it is read is",
+    )
     stamp: str = Field(
         "",
         description="MCAP: path of a time stamp within the message, such as `header.stamp`, to use "
@@ -297,7 +302,7 @@ class Logs(Section):
 
     def source(self, channels: tuple[ChannelSource, ...]) -> LogSource:
         """What the reader is told, with the channels that it is to read."""
-        dialect = self.model_dump(exclude={"files", "time"})
+        dialect = self.model_dump(exclude={"files", "time", "settle_s"})
         return LogSource(channels=channels, time_source=self.time, **dialect)
 
 

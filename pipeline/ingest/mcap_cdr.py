@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.ingest.assembly import Readings
@@ -31,7 +30,6 @@ from pipeline.ingest.mcap_payloads import (
 )
 from pipeline.ingest.mcap_ros2msg import (
     NUMBERS,
-    QUALITIES,
     Definitions,
     Field,
     kind_of_field,
@@ -111,7 +109,6 @@ def cdr_decoder(
     fields: Sequence[FieldPath],
     stamp: FieldPath | None,
     time_format: str,
-    qualities: Sequence[FieldPath] = (),
 ) -> Decoder:
     """Decoder of the messages of a schema.
 
@@ -127,8 +124,6 @@ def cdr_decoder(
         Where its time stamp is: a number, or a message of seconds and nanoseconds.
     time_format
         How a stamp is written that is one number.
-    qualities
-        What is wanted as it stands: a number, a text or a truth value.
 
     Raises
     ------
@@ -138,16 +133,13 @@ def cdr_decoder(
     """
     definitions = ros2_definitions(path, schema)
     stamps = [] if stamp is None else stamp_parts(definitions, stamp)
-    kinds = {one: kind_of_field(path, topic, definitions, one, QUALITIES) for one in qualities}
-    kinds |= {one: kind_of_field(path, topic, definitions, one) for one in (*fields, *stamps)}
+    kinds = {one: kind_of_field(path, topic, definitions, one) for one in (*fields, *stamps)}
     wanted = _tree(kinds)
 
     def decode(payloads: Payloads) -> Decoded:
         found, sound = _walked(payloads, definitions, wanted, kinds)
         readings = {one: _readings(found, one, sound) for one in fields}
-        cells = {one: _cells(found, one, sound) for one in qualities}
-        written = _stamps(found, stamps, sound, time_format) if stamps else None
-        return Decoded(readings, written, cells)
+        return Decoded(readings, _stamps(found, stamps, sound, time_format) if stamps else None)
 
     return decode
 
@@ -203,8 +195,6 @@ def _read_one(walk: _Walk, definitions: Definitions, kind: str, inside: Any, fou
     if kind == "string":
         counts = walk.count()
         walk.require(counts)
-        if inside:
-            _keep_text(walk, counts, inside, found)
         walk.move(walk.anchor + walk.offset + np.where(walk.sound, counts, 0))
     elif kind in definitions.fields:
         _read_message(walk, definitions, kind, inside, found)
@@ -224,22 +214,10 @@ def _keep(
     ahead: int = 0,
     where: NDArray[np.bool_] | None = None,
 ) -> None:
-    values = walk.numbers((NUMBERS | {"bool": "u1"})[kind], ahead)
+    values = walk.numbers(NUMBERS[kind], ahead)
     row = walk.row if where is None else walk.row[where]
     found.values[path][row] = values if where is None else values[where]
     found.there[path][row] = True
-
-
-def _keep_text(walk: _Walk, counts: NDArray[np.int64], path: FieldPath, found: _Found) -> None:
-    """Texts of the messages that are whole so far; the last byte of each is a zero."""
-    whole = np.flatnonzero(walk.sound)
-    starts = (walk.anchor + walk.offset)[whole].tolist()
-    for row, start, count in zip(
-        walk.row[whole].tolist(), starts, counts[whole].tolist(), strict=True
-    ):
-        text = walk.text[start : start + max(count - 1, 0)].tobytes()
-        found.values[path][row] = text.decode(errors="replace")
-    found.there[path][walk.row[whole]] = True
 
 
 def _read_numbers(walk: _Walk, field: Field, inside: _Wanted, found: _Found) -> None:
@@ -318,10 +296,6 @@ def _readings(found: _Found, path: FieldPath, sound: NDArray[np.bool_]) -> Readi
     raw = np.where(there, found.values[path].astype(np.float64), np.nan)
     example = None if sound.all() else "a message that is cut or not in CDR"
     return Readings(raw, ~there, ~sound, example)
-
-
-def _cells(found: _Found, path: FieldPath, sound: NDArray[np.bool_]) -> pa.Array:
-    return pa.array(found.values[path], mask=~(found.there[path] & sound))
 
 
 def _stamps(

@@ -18,13 +18,19 @@ from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, judged, raw_channel, raw_log, span
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import (
+    ChannelSource,
+    LogSource,
+    QualityValue,
+    RawChannel,
+    RawLog,
+)
 from pipeline.ingest.mcap_cdr import cdr_decoder
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
 from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
 from pipeline.ingest.mcap_paths import FieldPath, field_path, path_text
-from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
+from pipeline.ingest.mcap_payloads import Decoded, Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
 from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import (
@@ -38,7 +44,7 @@ from pipeline.ingest.time_stamps import (
 _PIECE = 8 * 2**20
 _NO_SCHEMA = Schema("", "", b"")
 
-_Quality = tuple[FieldPath, tuple[str, ...]]
+_Quality = tuple[FieldPath, tuple[QualityValue, ...]]
 """A field of qualities, and what is good there."""
 
 
@@ -191,10 +197,9 @@ def _fields(source: LogSource, topic: str) -> _Fields:
 
 
 def _quality_of(channel: ChannelSource) -> _Quality:
-    """Where a channel's quality is, and what is good there; as text, for 1 is not true."""
+    """Where a channel's quality is, and what is good there."""
     named = channel.quality_source
-    path = field_path(named, channel.source) if named else ()
-    return path, tuple(map(str, channel.quality_good))
+    return field_path(named, channel.source) if named else (), channel.quality_good
 
 
 def _states(
@@ -280,11 +285,18 @@ def _decode(
         rows = payloads.topic == topic
         parts = content.parts[names[topic]]
         parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows]))
-        for one, readings in decoded.fields.items():
-            parts.fields[one].append(_compact(readings.rows(rows)))
+        for one, pieces in parts.fields.items():
+            pieces.append(_compact(decoded.fields[one].rows(rows)))
         for (one, good), states in parts.states.items():
-            cells = decoded.qualities[one].filter(pa.array(rows))
+            cells = _cells(decoded, one).filter(pa.array(rows))
             states.append(quality_states(path, path_text(one), cells, good))
+
+
+def _cells(decoded: Decoded, quality: FieldPath) -> pa.Array:
+    if quality in decoded.qualities:
+        return decoded.qualities[quality]
+    readings = decoded.fields[quality]
+    return pa.array(readings.raw, mask=readings.missing)
 
 
 def _compact(readings: Readings) -> Readings:
@@ -339,7 +351,8 @@ def _decoder(path: Path, source: LogSource, topic: str, key: _Key) -> Decoder:
     if encoding == "json":
         return json_decoder(fields.readings, stamp, source.time_format, qualities)
     made = cdr_decoder if encoding == "cdr" else protobuf_decoder
-    return made(path, topic, schema, fields.readings, stamp, source.time_format, qualities)
+    numbers = tuple(dict.fromkeys((*fields.readings, *qualities)))
+    return made(path, topic, schema, numbers, stamp, source.time_format)
 
 
 def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:

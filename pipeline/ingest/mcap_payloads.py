@@ -55,7 +55,8 @@ class Decoded:
     stamps
         None where the log time is to be used.
     qualities
-        What the messages say of their samples, by path: text, numbers or truth values.
+        What messages of JSON say of their samples, by path: text, numbers or truth values. With
+        other encodings it is a number, and among the fields.
     """
 
     fields: Mapping[FieldPath, Readings]

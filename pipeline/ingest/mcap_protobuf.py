@@ -6,12 +6,11 @@ proto2), and its default where it cannot: plain numbers of proto3, of which a 0 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
@@ -39,7 +38,6 @@ def protobuf_decoder(
     fields: Sequence[FieldPath],
     stamp: FieldPath | None,
     time_format: str,
-    qualities: Sequence[FieldPath] = (),
 ) -> Decoder:
     """Decoder of the messages of a schema.
 
@@ -55,8 +53,6 @@ def protobuf_decoder(
         Where its time stamp is: a number, or a message of seconds and nanoseconds.
     time_format
         How a stamp is written that is one number.
-    qualities
-        What is wanted as it stands: a number, a text, a truth value, or the number of an enum.
 
     Raises
     ------
@@ -67,8 +63,7 @@ def protobuf_decoder(
     message_class, decode_error = _message_class(path, schema)
     root = message_class.DESCRIPTOR
     parts = [] if stamp is None else _stamp_parts(root, stamp)
-    kinds = {one: _kind(path, topic, root, one, _QUALITIES) for one in qualities}
-    kinds |= {one: _kind(path, topic, root, one) for one in (*fields, *parts)}
+    kinds = {one: _kind(path, topic, root, one) for one in (*fields, *parts)}
     follows = [_follow(root, one) for one in kinds]
 
     def decode(payloads: Payloads) -> Decoded:
@@ -87,8 +82,7 @@ def protobuf_decoder(
         values = dict(zip(kinds, columns, strict=True))
         readings = {one: _readings(values[one], sound) for one in fields}
         found = [_numbers(values[one], kinds[one]) for one in parts]
-        cells = {one: pa.array(values[one]) for one in qualities}
-        return Decoded(readings, _stamps(found, time_format) if found else None, cells)
+        return Decoded(readings, _stamps(found, time_format) if found else None)
 
     return decode
 
@@ -129,10 +123,8 @@ def _add_file(pool: Any, waiting: dict[str, Any], name: str) -> None:
     pool.Add(file)
 
 
-def _kind(
-    path: Path, topic: str, root: Any, wanted: FieldPath, kinds: Mapping[int, str] | None = None
-) -> str:
-    """NumPy's name of the type of a field, which is that of a number unless other kinds are."""
+def _kind(path: Path, topic: str, root: Any, wanted: FieldPath) -> str:
+    """NumPy's name of the type of a field."""
     message, field, in_array = root, None, False
     for step in wanted:
         if isinstance(step, int):
@@ -151,7 +143,7 @@ def _kind(
                 + ", ".join(repr(name) for name in _names(root, "", 0)[:40]),
                 topic,
             )
-    kind = None if in_array or field is None else (kinds or _NUMBERS).get(field.cpp_type)
+    kind = None if in_array or field is None else _NUMBERS.get(field.cpp_type)
     if kind is None:
         raise LogError("log_type", path, f"field {path_text(wanted)!r} is no number", topic)
     return kind
@@ -159,9 +151,6 @@ def _kind(
 
 _NUMBERS = {1: "i4", 2: "i8", 3: "u4", 4: "u8", 5: "f8", 6: "f4"}
 """NumPy's names by the runtime's ``CPPTYPE_INT32`` and so on; neither truth values nor enums."""
-
-_QUALITIES = _NUMBERS | {7: "?", 8: "i4", 9: "O"}
-"""The same with truth values, enums and text."""
 
 
 def _is_repeated(field: Any) -> bool:

@@ -34,9 +34,6 @@ NUMBERS = {
 }
 """NumPy's names of the number types, without a byte order."""
 
-QUALITIES = NUMBERS | {"bool": "?", "string": "O"}
-"""The same with truth values and text."""
-
 _SIZES = {name: int(kind[1]) for name, kind in NUMBERS.items()} | {"bool": 1, "string": 4}
 _UNREADABLE = ("wstring", "time", "duration")
 _FIELD = re.compile(r"(?P<type>[\w/]+)(?:<=\d+)?(?P<array>\[(?P<bound><=)?(?P<count>\d*)\])?")
@@ -155,30 +152,13 @@ def _measure(
     return smallest[name]
 
 
-def kind_of_field(
-    path: Path,
-    topic: str,
-    definitions: Definitions,
-    wanted: FieldPath,
-    kinds: Mapping[str, str] = NUMBERS,
-) -> str:
+def kind_of_field(path: Path, topic: str, definitions: Definitions, wanted: FieldPath) -> str:
     """NumPy's name of the type of a field.
-
-    Parameters
-    ----------
-    path, topic
-        For messages of errors.
-    definitions
-        Of the message.
-    wanted
-        Path to the field.
-    kinds
-        Types that it may have, with NumPy's names of them.
 
     Raises
     ------
     LogError
-        ``log_column_missing`` or ``log_type``: the path leads nowhere, or to none of these types.
+        ``log_column_missing`` or ``log_type``: the path leads nowhere, or to no number.
     """
     message, field, in_array = definitions.root, None, False
     for step in wanted:
@@ -199,12 +179,12 @@ def kind_of_field(
                 + ", ".join(_names(definitions, definitions.root, "")[:40]),
                 topic,
             )
-    if in_array or message not in kinds:
+    if in_array or message not in NUMBERS:
         what = f"an array of {message}" if in_array else message
         raise LogError(
             "log_type", path, f"field {path_text(wanted)!r} is no number but {what}", topic
         )
-    return kinds[message]
+    return NUMBERS[message]
 
 
 def _names(definitions: Definitions, message: str, before: str) -> list[str]:

@@ -17,6 +17,7 @@ _GOOD, _BAD, BLANK = 0, 1, 2
 """States of a cell of a quality column."""
 
 _MOST_VALUES = 1000
+_TRUTH = {"true": 1.0, "false": 0.0}
 
 
 def quality_states(
@@ -32,7 +33,7 @@ def quality_states(
         Text, numbers or truth values; null where blank.
     good
         What stands for good. Text is compared without regard to case and blanks around it, and as
-        a number where both are numbers: 192, 192.0 and "192" are one.
+        a number where both are numbers: 192, 192.0 and "192" are one, and so are true and 1.
 
     Returns
     -------
@@ -96,9 +97,8 @@ def _can_be_quality(kind: pa.DataType) -> bool:
 
 
 def _accepted(good: Iterable[QualityValue]) -> tuple[frozenset[str], frozenset[float]]:
-    texts = frozenset(_text(value) for value in good)
-    numbers = frozenset(number for text in texts if (number := _number(text)) is not None)
-    return texts, numbers
+    texts = frozenset(map(_text, good))
+    return texts, frozenset(number for text in texts if (number := _number(text)) is not None)
 
 
 def _state(value: object, texts: frozenset[str], numbers: frozenset[float]) -> int:
@@ -113,6 +113,8 @@ def _text(value: object) -> str:
 
 
 def _number(text: str) -> float | None:
+    if text in _TRUTH:
+        return _TRUTH[text]
     try:
         return float(text)
     except ValueError:

@@ -24,7 +24,13 @@ from pipeline.ingest.assembly import (
     span,
     time_name,
 )
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import (
+    ChannelSource,
+    LogSource,
+    QualityValue,
+    RawChannel,
+    RawLog,
+)
 from pipeline.ingest.quality import quality_states
 from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
 
@@ -32,7 +38,7 @@ _MOST_NAMES = 2**15 - 1
 _MOST_PIECES = 16
 _NO_QUALITIES: Mapping[str, pa.ChunkedArray] = MappingProxyType({})
 
-_Quality = tuple[str, tuple[str, ...]]
+_Quality = tuple[str, tuple[QualityValue, ...]]
 """A column of qualities, and what is good there."""
 
 
@@ -102,8 +108,7 @@ def is_of_file(channel: ChannelSource, path: Path) -> bool:
 
 
 def _quality_of(channel: ChannelSource) -> _Quality:
-    # As text: 1 and true are one key, and not one quality.
-    return channel.quality_source, tuple(map(str, channel.quality_good))
+    return channel.quality_source, channel.quality_good
 
 
 def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArray[np.uint8] | None:

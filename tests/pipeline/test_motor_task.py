@@ -16,6 +16,7 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+import pipeline.log_shelf
 import pipeline.motor_task
 from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, run_fleet
@@ -221,7 +222,7 @@ def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPa
         read.append(path.name)
         return read_log(path, source)
 
-    monkeypatch.setattr(pipeline.motor_task, "read_log", counted)
+    monkeypatch.setattr(pipeline.log_shelf, "read_log", counted)
     operation, values = workshop.night(NIGHT)
     half = int((8 * 3600 - MINUTES * 30) * SECOND_US)
     for day in range(4):  # each over the end of a night
@@ -454,7 +455,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at(
         paths, absent = find_logs(spec)
         return paths | {"M1/gone.parquet": gone}, absent
 
-    monkeypatch.setattr(pipeline.motor_task, "find_logs", with_gone)
+    monkeypatch.setattr(pipeline.log_shelf, "find_logs", with_gone)
     outcome = workshop.run()
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_readable")
     assert outcome.nights == (NIGHT,)
