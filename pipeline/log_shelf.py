@@ -133,12 +133,12 @@ class LogShelf:
         record = self.files[name]
         if record.status != "ok":
             return None
-        content = None
+        content: RawLog | None = None
         try:
             content = read_log(self._paths[name], self._spec.file.log_source())
             found = covered(record, content, self._spec)
         except LogError as error:
-            found = failed(record, error)
+            found, content = failed(record, error), None
         why = change_of(record, self._paths[name])
         if why is not None:
             found, content = growing(record, why), None

@@ -180,11 +180,18 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """The record of a file that was read: its span, its nights, and what was left out of it."""
+    """The record of a file that was read: its span, its nights, and what was left out of it.
+
+    Raises
+    ------
+    LogError
+        ``log_empty``: there are rows, and all cells of all channels in them are blank.
+    """
     stamps = np.concatenate([channel.time_us for channel in log.channels.values()])
     notes = list(log.notes)
     unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
     notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
+    notes += _blank_channels(record, log, spec)
     if not len(stamps):
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
@@ -206,6 +213,25 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
         nights=tuple(map(dt.date.isoformat, labels)),
         message="; ".join(notes) or None,
     )
+
+
+def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
+    """What there is to say of channels that are there, and neither have a value nor say why."""
+    cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
+    blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
+    told = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
+    if blank and len(blank) == len(cells):
+        message = f"there is no sample: {', '.join(told)}"
+        raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
+    # What did not change has no value in a table of what did.
+    silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
+    return [note for name, note in zip(blank, told, strict=True) if name not in silent]
+
+
+def _is_blank(channel: RawChannel) -> bool:
+    if channel.unparsed or not channel.missing.all():
+        return False
+    return channel.bad_quality is None or not channel.bad_quality.any()
 
 
 def labels_of(record: FileRecord) -> set[dt.date]:

@@ -74,7 +74,6 @@ class Channel(Section):
     )
     quality_good: tuple[QualityValue, ...] = Field(
         GOOD_QUALITY,
-        min_length=1,
         description="What stands there beside a good sample, as text (without regard to case), "
         "number or truth value; all else is bad, and so is a blank beside a value. OPC DA: "
         "`[192]`; OPC UA: `[0]`, which in OPC DA is bad and is therefore never taken for good "
@@ -159,6 +158,14 @@ class Channel(Section):
         except UsageError as error:
             raise ValueError(error.message) from error
         return field
+
+    @field_validator("quality_good", mode="before")
+    @classmethod
+    def _words(cls, good: object) -> object:
+        words = tuple(good) if isinstance(good, list | tuple) else ()
+        if not words or not all(isinstance(word, str | int | float) for word in words):
+            raise ValueError("expected a list of at least one text, number, true or false")
+        return words
 
     @field_validator("scale")
     @classmethod

@@ -8,7 +8,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -49,8 +48,7 @@ def read_log(path: Path, source: LogSource) -> RawLog:
     Returns
     -------
     RawLog
-        The wanted channels; a log without rows gives channels without samples. A channel all of
-        whose cells are blank is noted.
+        The wanted channels; a log without rows gives channels without samples.
 
     Raises
     ------
@@ -59,10 +57,9 @@ def read_log(path: Path, source: LogSource) -> RawLog:
     """
     _require_file(path)
     try:
-        log = _READERS[source.format].read(path, source)
+        return _READERS[source.format].read(path, source)
     except OSError as error:
         raise _not_readable(path, error) from error
-    return _with_blanks_told(path, log)
 
 
 def time_span(path: Path, source: LogSource) -> tuple[int, int]:
@@ -91,23 +88,6 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
         return _READERS[source.format].span(path, source)
     except OSError as error:
         raise _not_readable(path, error) from error
-
-
-def _with_blanks_told(path: Path, log: RawLog) -> RawLog:
-    """The log, with a note for each channel that holds nothing; none may be all that it holds."""
-    cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
-    blank = [name for name in cells if _is_blank(log.channels[name])]
-    notes = tuple(f"all {cells[name]} cells of {name} are blank" for name in blank)
-    if notes and len(notes) == len(cells):
-        raise LogError("log_empty", path, f"there is no sample: {', '.join(notes)}", blank[0])
-    return replace(log, notes=log.notes + notes) if notes else log
-
-
-def _is_blank(channel: RawChannel) -> bool:
-    """Whether a channel has neither values nor anything to say why."""
-    if channel.unparsed or not channel.missing.all():
-        return False
-    return channel.bad_quality is None or not channel.bad_quality.any()
 
 
 def _require_file(path: Path) -> None:

@@ -8,8 +8,7 @@ Codes of the `LogError` that readers raise:
 
 - ``log_missing``: there is no such file;
 - ``log_not_readable``: not a file, or it may not be opened;
-- ``log_empty``: the file has no bytes or no header, all cells of its channels are blank, or it has
-  no rows and a span was asked for;
+- ``log_empty``: the file has no bytes or no header, or it has no samples and a span was asked for;
 - ``log_not_csv``, ``log_not_parquet``, ``log_not_mcap``: it is something else;
 - ``log_encoding``: the text is in another encoding, or MCAP messages are in one that is not read;
 - ``log_extra_missing``: a package that these messages need is not installed;

@@ -170,7 +170,11 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
         return None
     log_times = [statistics.first_log_time, statistics.last_log_time]
     stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
-    return span(path, [stamps.time_us]) if stamps.readable.all() else None
+    try:
+        good, _ = judged(path, stamps, _time_name(source))
+    except LogError:
+        return None  # The messages themselves say how many of them have no good time.
+    return span(path, [stamps.time_us]) if good.readable.all() else None
 
 
 def _time_name(source: LogSource) -> str:
