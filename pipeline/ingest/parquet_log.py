@@ -34,8 +34,8 @@ MOST_ROWS = 2**27
 """Two weeks at 100 Hz. A file of a few kilobytes may claim, and decode to, any number of rows."""
 
 MOST_ROWS_A_BYTE = 10_000
-"""Beyond a day at 100 Hz. A day of a motor that stands still has 4900 if packed as tightly as can be;
-a file made for the purpose had 48 000 in 2.5 kB."""
+"""Beyond a day at 100 Hz. A day of a motor that stands still, packed as tightly as can be, has
+4900; a file made for the purpose had 48 000 in 2.5 kB."""
 
 _MAGIC = b"PAR1"
 _BATCH_ROWS = 2**18
