@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,13 +17,9 @@ from polars.testing import assert_frame_equal
 from pipeline.channel_rules import ChannelRules
 from pipeline.clean import CleanChannel, clean_channel
 from pipeline.config import Channel, Cleaning, TimeBase, load_fleet
-from pipeline.fleet import RunRequest, run_fleet
 from pipeline.ingest import RawChannel
-from pipeline.motor_task import MotorOutcome
 from pipeline.resample import Samples, bring_together, on_grid
-from pipeline.schema import NIGHT_TABLES
 from tests.pipeline.simulated import (
-    FLEET,
     NIGHT,
     SECOND_US,
     Operation,
@@ -34,26 +28,13 @@ from tests.pipeline.simulated import (
     operate,
     write_configs,
 )
+from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
 
-DAY = dt.timedelta(days=1)
 START = night_of().start_us
 END = night_of().end_us
 SILENCE_S = 600.0
 Log = Mapping[str, pa.Array]
-# The quickest motor there is: one gap, no search.
-MINI = """
-motor_type = "MINI"
-[[path]]
-name = "gap"
-law = "annular_gap"
-source = "invented"
-count = 8
-radius_mm = 35.0
-length_mm = 4.0
-deformation_pressure_bar = 120.0
-gap_um = { value = 8.0, minimum = 1.0, maximum = 60.0 }
-"""
-QUICK = FLEET + '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
+Make = Callable[[], Workshop]
 
 
 def cleaned(seconds: list[int], value: list[float], **keys: Any) -> CleanChannel:
@@ -157,47 +138,29 @@ def test_the_night_begins_with_its_first_sample_unless_all_channels_carry_over()
     assert all_of_them.time_us[0] == START
 
 
-@dataclass(frozen=True)
-class Workshop:
-    """A motor whose temperature is sent on change; nights as a test writes them."""
-
-    folder: Path
-
-    def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
-        fleet = load_fleet(self.folder / "configs" / "fleet.toml")
-        (outcome,) = run_fleet(RunRequest(fleet, (), since, until)).outcomes
-        return outcome
-
-    def configure(self, keys: str = "") -> None:
-        text = motor_toml("M1", "MINI")
-        stated = f'sampling = "on_change"\nlongest_silence_s = {SILENCE_S}\n{keys}'
-        head = "[channels.oil_temperature]\n"
-        write_configs(self.folder, {"M1": text.replace(head, head + stated)}, {"MINI": MINI}, QUICK)
-
-    def write(self, name: str, rows: slice, log: Log) -> None:
-        path = self.folder / "logs" / "M1" / f"{name}.parquet"
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.table({column: cells[rows] for column, cells in log.items()}), path)
-
-    def rows(self, table: str) -> pl.DataFrame:
-        files = sorted((self.folder / "out" / "tables" / table).rglob("*.parquet"))
-        found = [pl.read_parquet(path, hive_partitioning=False) for path in files]
-        return pl.concat(found).drop("run_id") if found else pl.DataFrame()
-
-    def gaps(self) -> list[int]:
-        """Samples without a temperature for want of one near enough, night by night."""
-        found = self.rows("quality").filter(channel="oil_temperature", reason="gap")
-        return found.sort("night")["n_refused"].to_list()
-
-
 @pytest.fixture
-def make(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    def made(keys: str = "") -> Workshop:
+def make(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Workshop]:
+    """Motors whose temperature is sent on change."""
+
+    def made() -> Workshop:
+        head = "[channels.oil_temperature]\n"
+        stated = f'sampling = "on_change"\nlongest_silence_s = {SILENCE_S}\n'
         workshop = Workshop(tmp_path_factory.mktemp("border"))
-        workshop.configure(keys)
+        workshop.configure(motor_toml("M1", "MINI").replace(head, head + stated))
         return workshop
 
     return made
+
+
+def write(workshop: Workshop, name: str, rows: slice, log: Log) -> None:
+    cells = {column: part[rows] for column, part in log.items()}
+    pq.write_table(pa.table(cells), workshop.logs / f"{name}.parquet")
+
+
+def gaps(workshop: Workshop) -> list[int]:
+    """Samples without a temperature for want of one near enough, night by night."""
+    found = workshop.rows("quality").filter(channel="oil_temperature", reason="gap")
+    return found.sort("night")["n_refused"].to_list()
 
 
 BORDER = 30 * 60  # seconds of the log before the night's end
@@ -226,22 +189,16 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pa.Array]:
     return {"time": pa.array(there.time_us, pa.timestamp("us", "UTC")), **cells}
 
 
-def check_same_figures(one: Workshop, other: Workshop) -> None:
-    for table in NIGHT_TABLES:
-        if table.name != "input_files":
-            assert_frame_equal(one.rows(table.name), other.rows(table.name), check_exact=True)
-
-
 class TestFiles:
     def test_the_value_across_the_border_is_the_one_that_was_there(
-        self, make: Any, log: Log
+        self, make: Make, log: Log
     ) -> None:
         """Without noise the loss factor of the second night is exact, its first minutes too."""
         workshop = make()
-        workshop.write("all", slice(None), log)
+        write(workshop, "all", slice(None), log)
         assert dict(workshop.run().counts) == {"ok": 2}
         # Before the first and behind the last temperature of the log, and nothing between.
-        assert workshop.gaps()[0] >= 90
+        assert gaps(workshop)[0] >= 90
         second = workshop.rows("fits").filter(night=NIGHT + DAY).row(0, named=True)
         assert second["window_start"] == dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
         (found,) = workshop.rows("parameters").filter(night=NIGHT + DAY, parameter="K_gap")["value"]
@@ -251,41 +208,41 @@ class TestFiles:
     @pytest.mark.parametrize(
         "borders", [[BORDER], [BORDER - 700, BORDER], [1000, BORDER + 95], [BORDER - 141]]
     )
-    def test_in_whatever_files(self, make: Any, log: Log, borders: list[int]) -> None:
+    def test_in_whatever_files(self, make: Make, log: Log, borders: list[int]) -> None:
         in_one, in_parts = make(), make()
-        in_one.write("all", slice(None), log)
+        write(in_one, "all", slice(None), log)
         for number, (begin, end) in enumerate(pairwise([0, *borders, 3600])):
-            in_parts.write(str(9 - number), slice(begin, end), log)
+            write(in_parts, str(9 - number), slice(begin, end), log)
         in_one.run()
         assert dict(in_parts.run().counts) == {"ok": 2}
-        check_same_figures(in_one, in_parts)
+        check_same_figures(in_one, in_parts, "input_files")
 
-    def test_in_whatever_order_they_come(self, make: Any, log: Log) -> None:
+    def test_in_whatever_order_they_come(self, make: Make, log: Log) -> None:
         at_once, early_first, late_first = make(), make(), make()
         parts = {"a": slice(0, BORDER), "b": slice(BORDER, None)}
         for name, rows in parts.items():
-            at_once.write(name, rows, log)
+            write(at_once, name, rows, log)
         at_once.run()
-        early_first.write("a", parts["a"], log)
+        write(early_first, "a", parts["a"], log)
         # Its last value would hold into a night of which there is no log yet.
         assert early_first.run().nights == (NIGHT,)
-        early_first.write("b", parts["b"], log)
+        write(early_first, "b", parts["b"], log)
         assert early_first.run().nights == (NIGHT + DAY,)
-        check_same_figures(at_once, early_first)
-        late_first.write("b", parts["b"], log)
+        check_same_figures(at_once, early_first, "input_files")
+        write(late_first, "b", parts["b"], log)
         assert late_first.run().nights == (NIGHT + DAY,)
-        assert late_first.gaps()[0] >= 90
-        late_first.write("a", parts["a"], log)
+        assert gaps(late_first)[0] >= 90
+        write(late_first, "a", parts["a"], log)
         assert late_first.run().nights == (NIGHT, NIGHT + DAY)
-        check_same_figures(at_once, late_first)
+        check_same_figures(at_once, late_first, "input_files")
         for workshop in (at_once, early_first, late_first):
             assert workshop.run().nights == ()
 
-    def test_a_night_that_is_asked_for_alone_has_it_too(self, make: Any, log: Log) -> None:
+    def test_a_night_that_is_asked_for_alone_has_it_too(self, make: Make, log: Log) -> None:
         at_once, alone = make(), make()
         for workshop in (at_once, alone):
             for name, rows in {"a": slice(0, BORDER), "b": slice(BORDER, None)}.items():
-                workshop.write(name, rows, log)
+                write(workshop, name, rows, log)
         at_once.run()
         assert alone.run(since=NIGHT + DAY).nights == (NIGHT + DAY,)
         night_2 = pl.col("night") == NIGHT + DAY
@@ -293,39 +250,39 @@ class TestFiles:
             alone.rows("quality").filter(night_2), at_once.rows("quality").filter(night_2)
         )
         alone.run()
-        check_same_figures(at_once, alone)
+        check_same_figures(at_once, alone, "input_files")
 
     def test_a_correction_of_the_night_before_that_reaches_over_the_border_redoes_both(
-        self, make: Any, log: Log
+        self, make: Make, log: Log
     ) -> None:
         """The first file first ends a quarter of an hour before the border, then at it."""
         corrected, at_once = make(), make()
-        at_once.write("a", slice(0, BORDER), log)
-        corrected.write("a", slice(0, BORDER - 900), log)
+        write(at_once, "a", slice(0, BORDER), log)
+        write(corrected, "a", slice(0, BORDER - 900), log)
         for workshop in (corrected, at_once):
-            workshop.write("b", slice(BORDER, None), log)
+            write(workshop, "b", slice(BORDER, None), log)
             workshop.run()
-        corrected.write("a", slice(0, BORDER), log)
+        write(corrected, "a", slice(0, BORDER), log)
         assert corrected.run().nights == (NIGHT, NIGHT + DAY)
-        check_same_figures(at_once, corrected)
+        check_same_figures(at_once, corrected, "input_files")
 
-    def test_a_broken_file_before_it_fails_its_own_night_alone(self, make: Any, log: Log) -> None:
+    def test_a_broken_file_before_it_fails_its_own_night_alone(self, make: Make, log: Log) -> None:
         workshop = make()
-        workshop.write(str(NIGHT), slice(0, BORDER), log)
-        workshop.write(str(NIGHT + DAY), slice(BORDER, None), log)
-        broken = workshop.folder / "logs" / "M1" / f"{NIGHT}.parquet"
+        write(workshop, str(NIGHT), slice(0, BORDER), log)
+        write(workshop, str(NIGHT + DAY), slice(BORDER, None), log)
+        broken = workshop.logs / f"{NIGHT}.parquet"
         broken.write_bytes(broken.read_bytes()[:-50])
         assert dict(workshop.run().counts) == {"failed": 1, "ok": 1}
 
-    def test_channels_sent_at_a_period_are_as_they_were(self, make: Any, log: Log) -> None:
+    def test_channels_sent_at_a_period_are_as_they_were(self, make: Make, log: Log) -> None:
         """No other file is read for them."""
         workshop = make()
         text = motor_toml("M1", "MINI")
         write_configs(workshop.folder, {"M1": text}, {"MINI": MINI}, QUICK)
         sent = log | {"oil_temperature": pa.array(np.full(3600, 50.0) + np.arange(3600) % 2)}
-        workshop.write("a", slice(0, BORDER), sent)
+        write(workshop, "a", slice(0, BORDER), sent)
         workshop.run()
-        workshop.write("b", slice(BORDER, None), sent)
+        write(workshop, "b", slice(BORDER, None), sent)
         outcome = workshop.run()
         assert outcome.files["read"] == 1
         assert outcome.files["unchanged"] == 1
