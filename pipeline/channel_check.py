@@ -10,7 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
-from pipeline.clean import SECOND_US, ChannelRules, clean_channel
+from pipeline.arrays import SECOND_US
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import clean_channel
 from pipeline.config import Channel, MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
@@ -110,7 +112,8 @@ def check_channels(
 
 
 def _looked_at(spec: MotorSpec, name: str, channel: Channel, raw: RawChannel) -> ChannelCheck:
-    clean = clean_channel(raw, ChannelRules.of(name, channel, spec.settings.cleaning))
+    rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
+    clean = clean_channel(raw, rules)
     n = max(clean.n_samples, 1)
     kept = clean.value[~clean.refused]
     return ChannelCheck(

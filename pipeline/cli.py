@@ -8,6 +8,7 @@ import logging
 import os
 import signal
 import sys
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from enum import StrEnum
 from pathlib import Path
@@ -183,6 +184,9 @@ def fit(
         fleet = _load(config, Path(folder), None)
         request = RunRequest(fleet, _known_motors([motor], fleet), since=label, until=label)
         result = run_fleet(request)
+        growing = [one for outcome in result.outcomes for one in outcome.growing]
+        if growing and not result.n_nights:
+            raise MotorLeakageError("log_growing", f"the night waits: {'; '.join(growing)}")
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
@@ -487,12 +491,16 @@ class _Reporter:
                 "error_code": outcome.error_code,
                 "message": outcome.message,
                 "nights": dict(outcome.counts),
+                "files": _by_fate(outcome.files),
+                "growing": outcome.growing,
             }
             _say(json.dumps(line))
             return
         _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
         if outcome.error_code:
             _say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
+        for message in outcome.growing:
+            _say(f"{outcome.motor_id}: log_growing: {message}", err=True)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""
@@ -503,17 +511,26 @@ class _Reporter:
                 "n_motors": len(result.outcomes),
                 "n_failed": len(result.failed),
                 "n_nights": result.n_nights,
+                "files": _by_fate(result.files),
                 "interrupted": result.interrupted,
                 "seconds": round(result.seconds, 3),
             }
             _say(json.dumps(line))
             return
         state = "interrupted; " if result.interrupted else ""
+        files = ", ".join(f"{n} {fate}" for fate, n in _by_fate(result.files).items())
         _say(
             f"{state}{result.n_nights} nights of {len(result.outcomes)} motors in "
-            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; "
+            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; logs: {files}; "
             f"tables in {output / 'tables'}"
         )
+
+
+def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
+    """Log files by what came of them, all of which there can be, in a fixed order."""
+    from pipeline.log_shelf import FATES
+
+    return {fate: files.get(fate, 0) for fate in FATES}
 
 
 def _print_checks(checks: tuple[MotorCheck, ...]) -> None:

@@ -14,6 +14,7 @@ import os
 import shutil
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -28,6 +29,7 @@ from pipeline.config import Fleet
 from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import LockedError, StoreError
 from pipeline.ledger import forget_night, write_months
+from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor
 from pipeline.night_statistics import hash_of
@@ -120,6 +122,11 @@ class RunResult:
     interrupted: bool
     seconds: float
     alarms: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def files(self) -> Counter[str]:
+        """Log files of all motors by what came of them: read, unchanged, growing, failed, left."""
+        return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
 
     @property
     def failed(self) -> tuple[MotorOutcome, ...]:
@@ -388,4 +395,6 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "n_refitted": outcome.n_refitted,
         **{stage: outcome.seconds.get(stage, 0.0) for stage in stages},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
+        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
+        "growing": list(outcome.growing),
     }

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values
+from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.clean import CleanChannel
 from pipeline.config import SensorHealth
 
 

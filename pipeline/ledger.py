@@ -38,7 +38,10 @@ class FileRecord:
     nights
         Labels of the nights in which it has samples, or which its failure failed.
     status, error_code, message
-        ``ok`` or ``failed``, and why; of an ``ok`` file what was left out.
+        ``ok``, ``failed``, or ``growing`` for one that is changed while it is read, and why; of an
+        ``ok`` file what was left out.
+    inode
+        Number of the file on its disk: another one has taken its name where this differs.
     """
 
     path: str
@@ -53,6 +56,7 @@ class FileRecord:
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
+    inode: int = 0
 
 
 @dataclass(frozen=True, slots=True)

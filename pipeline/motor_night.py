@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leakage import EstimationError, LeakageError
-from pipeline.clean import ChannelRules, CleanChannel, clean_channel
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import CleanChannel, clean_channel
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.night_fit import fit_modes
@@ -98,7 +99,8 @@ def fit_night(
     night
         The night.
     channels
-        Raw samples of the night by channel.
+        Raw samples of the night by channel; of an on-change one also some from before it, of
+        which the last carries over.
     previous
         The motor's model before, by flushing mode; empty where there is none.
 
@@ -184,8 +186,8 @@ def _clean(
     for name, channel in spec.file.channels.items():
         if name == RUNNING_HOURS:
             continue
-        rules = ChannelRules.of(name, channel, cleaning)
-        cleaned[name] = clean_channel(channels[name], rules)
+        rules = ChannelRules.of(name, channel, cleaning, spec.file.logs)
+        cleaned[name] = clean_channel(channels[name], rules, night.start_us)
     counted = tuple(
         Quality(
             name,

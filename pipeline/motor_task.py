@@ -25,7 +25,7 @@ from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
 from pipeline.ledger import Ledger, NightRecord, changed_months, read_ledger
 from pipeline.log_shelf import LogShelf
-from pipeline.logs import labels_of, legible, slice_night
+from pipeline.logs import labels_of, legible, reaches_us, slice_night
 from pipeline.motor_night import (
     FAILED,
     NO_NEW_DATA,
@@ -103,6 +103,10 @@ class MotorOutcome:
         Labels of the nights whose rows are staged.
     inputs
         Hashes of the contents that were read, in the order of the files.
+    files
+        Log files by what came of them: read, unchanged, growing, failed or left.
+    growing
+        What there is to say of each file that is changed while it is read.
     n_refitted
         Nights that were fitted anew from their stored statistics, without a log.
     ledger
@@ -120,6 +124,8 @@ class MotorOutcome:
     counts: Mapping[str, int] = field(default_factory=dict)
     nights: tuple[dt.date, ...] = ()
     inputs: tuple[str, ...] = ()
+    files: Mapping[str, int] = field(default_factory=dict)
+    growing: tuple[str, ...] = ()
     n_refitted: int = 0
     ledger: Mapping[str, Ledger] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -197,6 +203,9 @@ class _Nights:
             self._remember(outcome, before)
             for stage_name, seconds in outcome.seconds.items():
                 self.seconds[stage_name] += seconds
+            # Also those that an earlier state of a file had been read for.
+            for waiting in self.logs.waiting() & self.done.keys():
+                self._take_back(waiting)
         for label in self._holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
@@ -233,14 +242,17 @@ class _Nights:
         # What is not published yet cannot be judged from the tables.
         plan = {label: Work.READ for label in outdated if label in self.done}
         later = outdated | self.by_settings
+        present, waiting = self.logs.present(), self.logs.waiting()
         for name in self.logs.files:
             if self.logs.news_of(name) is not None:
-                later |= dict.fromkeys(self.logs.touched(name), Work.READ)
+                # A night of which there is no log, or not yet, is none to be done.
+                reached = self.logs.touched(name) | (self.logs.reached(name) & present)
+                later |= dict.fromkeys(reached, Work.READ)
         plan |= {label: work for label, work in later.items() if label not in self.done}
         return {
             label: work
             for label, work in plan.items()
-            if label not in self.kept and self.task.wants(label)
+            if label not in self.kept | waiting and self.task.wants(label)
         }
 
     def _outdated_by_model(self) -> dict[dt.date, Work]:
@@ -253,6 +265,14 @@ class _Nights:
                 found[label] = Work.JUDGE
             before = _hash_of_model(record.model)
         return found
+
+    def _take_back(self, label: dt.date) -> None:
+        """Leave a night to the next run, as if it had not been done in this one."""
+        del self.done[label]
+        if label in self.before.nights:
+            self.records[label] = self.before.nights[label]
+        else:
+            del self.records[label]
 
     def _remember(self, outcome: NightOutcome, before: PreviousModel) -> None:
         label = outcome.night
@@ -300,17 +320,18 @@ class _Nights:
             return unfitted(self.spec, label, FAILED, reason, code="internal")
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
+        here = night(label, self.spec.settings.nights)
         with self._timed("read_s"):
             names = self.logs.of_night(label)
-            contents = [self.logs.content(name) for name in names]
-        broken = [one for name in names if (one := self.logs.files[name]).status == "failed"]
+            read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
+        broken = [one for name in names if (one := self.logs.files[name]).status != "ok"]
         if broken:
             return unfitted(
                 self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
             )
-        here = night(label, self.spec.settings.nights)
-        channels = slice_night([one for one in contents if one is not None], here)
-        if not any(len(channel.time_us) for channel in channels.values()):
+        contents = [one for one in read if one is not None]
+        channels = slice_night(contents, here, reaches_us(self.spec))
+        if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
         return fit_night(self.spec, here, channels, before)
 
@@ -366,6 +387,8 @@ class _Nights:
             nights=tuple(sorted(self.done)),
             n_refitted=sum(one.tables == REFITTED_TABLES for one in self.done.values()),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
+            files=self.logs.counts(self.done),
+            growing=tuple(self.logs.growing()),
             ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
             peak_memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,

@@ -219,7 +219,8 @@ def _kind(field: Schema, root: Schema) -> str:
     if "prefixItems" in field:
         return f"[{', '.join(_kind(_resolved(one, root), root) for one in field['prefixItems'])}]"
     if field.get("type") == "array":
-        return f"list of {_kind(_resolved(field['items'], root), root)}"
+        kinds = [_kind(_resolved(one, root), root) for one in _options(field["items"])]
+        return f"list of {', '.join(kinds)}"
     if "pattern" in field:
         return f"text as `{field['pattern']}`"
     # An exclusive limit takes the place of an inclusive one on the same side.
@@ -247,6 +248,12 @@ def _resolved(field: Schema, root: Schema) -> Schema:
     plain: Schema = {**field, **options[0]} if options else field
     reference = plain.get("$ref", "").rpartition("/")[2]
     return {**plain, **root["$defs"][reference]} if reference else plain
+
+
+def _options(items: Schema) -> Sequence[Schema]:
+    """What an element of a list can be."""
+    options: Sequence[Schema] = items.get("anyOf", [items])
+    return options
 
 
 def _paragraph(text: str) -> str:

@@ -2,7 +2,7 @@
 
 The grid is anchored at the night's start, so it does not depend on which files a night came in.
 Slower channels are interpolated linearly, never across a gap or a refused sample; faster ones are
-averaged over a cell of the grid.
+averaged over a cell of the grid. An on-change channel begins with its last sample before the night.
 """
 
 from __future__ import annotations
@@ -12,10 +12,13 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
+from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.clean import CleanChannel
 from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
 from pipeline.halts import Halts, settled_halts
+from pipeline.masks import near, transient
 from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
@@ -166,7 +169,7 @@ def _interpolated(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, 
     left = np.where(time[right] == grid_us, right, np.maximum(right - 1, 0))
     distance = time[right] - time[left]
     inside = (time[left] <= grid_us) & (grid_us <= time[right])
-    silent = ~inside | (distance > channel.longest_gap_us)
+    silent = ~inside | (distance > channel.longest_gap_us) | _ended(channel, left, grid_us)
     present = ~silent & kept[left] & kept[right]
     share = (grid_us - time[left]) / np.maximum(distance, 1)
     result = value[left] + share * (value[right] - value[left])
@@ -179,8 +182,17 @@ def _held(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
     last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
     known, last = last >= 0, np.maximum(last, 0)
     silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
+    silent |= _ended(channel, last, grid_us)
     present = ~silent & ~channel.refused[last]
     return np.where(present, channel.value[last], np.nan), present, silent
+
+
+def _ended(channel: CleanChannel, last: NDArray[np.intp], grid_us: Times) -> Mask:
+    """Times behind a sample which says that there is no value from there on."""
+    if channel.ends is None:
+        return np.zeros(len(grid_us), dtype=np.bool_)
+    ended: Mask = channel.ends[last] & (channel.time_us[last] < grid_us)
+    return ended
 
 
 def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
@@ -236,9 +248,8 @@ def bring_together(
         Kept samples, and counts of the joint rules.
     """
     period = grid_period_us(channels, time_base)
-    first = min(int(channel.time_us[0]) for channel in channels.values())
     last = max(int(channel.time_us[-1]) for channel in channels.values())
-    begin = -(-(first - night_start_us) // period)
+    begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)
     end = min((last - night_start_us) // period, (night_end_us - night_start_us - 1) // period)
     index = np.arange(begin, end + 1, dtype=np.int64)
     grid = night_start_us + index * period
@@ -292,6 +303,17 @@ def bring_together(
             ),
         ),
         tuple(found),
+    )
+
+
+def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:
+    """Where the log of a night begins: with its first sample, or at once if all carry over."""
+    if all(channel.n_carried for channel in channels.values()):
+        return night_start_us
+    return min(
+        int(channel.time_us[channel.n_carried])
+        for channel in channels.values()
+        if len(channel.time_us) > channel.n_carried
     )
 
 

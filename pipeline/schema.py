@@ -716,6 +716,23 @@ MOTOR_OUTCOMES = Table(
         Column("peak_memory_mib", pl.Float64, "MiB", "Largest memory of the worker so far"),
         Column("n_refitted", pl.Int64, "", "Nights fitted anew from statistics, without a log"),
         Column("refit_s", pl.Float64, "s", "Seconds for that"),
+        Column("growing", NAMES, "", "Log files that were changed while they were read, in words"),
+        Column("n_files_read", pl.Int64, "", "Log files that were read"),
+        Column("n_files_unchanged", pl.Int64, "", "Log files done by a run before, and not read"),
+        Column(
+            "n_files_growing",
+            pl.Int64,
+            "",
+            "Log files that were changed while they were read: left to the next run, and with them "
+            "their nights",
+        ),
+        Column("n_files_failed", pl.Int64, "", "Log files that cannot be read"),
+        Column(
+            "n_files_left",
+            pl.Int64,
+            "",
+            "New log files of nights that were not asked for, or that wait for a growing file",
+        ),
     ),
 )
 

@@ -30,7 +30,12 @@ def config_hash(spec: MotorSpec) -> str:
         {
             "versions": (READING_VERSION, FIGURES_VERSION),
             "motor": spec.file.model_dump(
-                mode="json", exclude={"override": True, "events": {"__all__": {"note"}}}
+                mode="json",
+                exclude={
+                    "override": True,
+                    "events": {"__all__": {"note"}},
+                    "logs": {"settle_s"},
+                },
             ),
             "type": spec.motor_type.model_dump(mode="json"),
             "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
@@ -44,7 +49,7 @@ def reading_hash(spec: MotorSpec) -> str:
     return hash_of(
         {
             "version": READING_VERSION,
-            "logs": spec.file.logs.model_dump(mode="json", exclude={"files"}),
+            "logs": spec.file.logs.model_dump(mode="json", exclude={"files", "settle_s"}),
             "channels": {
                 name: channel.model_dump(mode="json", exclude=TOLERANCES)
                 for name, channel in spec.file.channels.items()

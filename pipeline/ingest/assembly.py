@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.quality import is_bad
 from pipeline.ingest.time_stamps import TimeStamps
 from pipeline.units import to_canonical
 
@@ -60,16 +61,30 @@ class Readings:
 
 
 def raw_channel(
-    path: Path, source: ChannelSource, time_us: NDArray[np.int64], readings: Readings
+    path: Path,
+    source: ChannelSource,
+    time_us: NDArray[np.int64],
+    readings: Readings,
+    quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
     """Channel in its canonical unit.
+
+    Parameters
+    ----------
+    path, source
+        The log, and where the channel is in it.
+    time_us : (n,) int64
+    readings
+        As they stand in the log.
+    quality : (n,) uint8
+        Of `quality_states`; None: the log says nothing of its samples.
 
     Raises
     ------
     LogError
         ``log_type``: the channel holds something, but not one number.
     """
-    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings))
+    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings), quality)
 
 
 def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
@@ -82,11 +97,17 @@ def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
 
 
 def canonical_channel(
-    path: Path, source: ChannelSource, time_us: NDArray[np.int64], readings: Readings
+    path: Path,
+    source: ChannelSource,
+    time_us: NDArray[np.int64],
+    readings: Readings,
+    quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel whose readings are in its canonical unit already; errors as of `raw_channel`."""
+    """Channel whose readings are in its canonical unit already; otherwise as `raw_channel`."""
+    bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
-    if unparsed and readings.missing.all():
+    told = bad is not None and bool(bad[readings.unparsed].all())
+    if unparsed and readings.missing.all() and not told:
         raise LogError(
             "log_type",
             path,
@@ -94,7 +115,13 @@ def canonical_channel(
             f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             source.source,
         )
-    return RawChannel(_frozen(time_us), _frozen(readings.raw), _frozen(readings.missing), unparsed)
+    return RawChannel(
+        _frozen(time_us),
+        _frozen(readings.raw),
+        _frozen(readings.missing),
+        unparsed,
+        None if bad is None else _frozen(bad),
+    )
 
 
 def time_name(source: LogSource) -> str:

@@ -10,20 +10,29 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, judged, raw_channel, raw_log, span
-from pipeline.ingest.contract import LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import (
+    ChannelSource,
+    LogSource,
+    QualityValue,
+    RawChannel,
+    RawLog,
+)
 from pipeline.ingest.mcap_cdr import cdr_decoder
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
 from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
-from pipeline.ingest.mcap_paths import FieldPath, field_path
-from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
+from pipeline.ingest.mcap_paths import FieldPath, field_path, path_text
+from pipeline.ingest.mcap_payloads import Decoded, Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
+from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,
@@ -35,10 +44,21 @@ from pipeline.ingest.time_stamps import (
 _PIECE = 8 * 2**20
 _NO_SCHEMA = Schema("", "", b"")
 
-_Wanted = Mapping[str, tuple[FieldPath, ...]]
+_Quality = tuple[FieldPath, tuple[QualityValue, ...]]
+"""A field of qualities, and what is good there."""
+
+
+class _Fields(NamedTuple):
+    """What is wanted of each message of a topic: readings, and what it says of them."""
+
+    readings: tuple[FieldPath, ...]
+    qualities: tuple[_Quality, ...]
+
+
+_Wanted = Mapping[str, _Fields]
 """Fields by topic."""
 
-_Key = tuple[str, Schema, tuple[FieldPath, ...]]
+_Key = tuple[str, Schema, _Fields]
 """Encoding, schema and fields: what messages have to share to be decoded together."""
 
 
@@ -48,6 +68,7 @@ class _Parts:
 
     stamps: list[WrittenStamps]
     fields: dict[FieldPath, list[Readings]]
+    states: dict[_Quality, list[NDArray[np.uint8]]]
 
 
 @dataclass(slots=True)
@@ -93,13 +114,16 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
         readable = judged_stamps.readable[slices[topic]]
         time_us = judged_stamps.time_us[slices[topic]]
         time_us = time_us if readable.all() else time_us[readable]
-        for one in fields:
+        states = _states(path, source, topic, content.parts[topic], readable)
+        for one in fields.readings:
             # The parts are given up, so that a long log is not held twice.
             readings = Readings.joined(content.parts[topic].fields.pop(one)).rows(readable)
             if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
                 _require_field(path, source, topic, one)
             channels |= {
-                channel.channel: raw_channel(path, channel, time_us, readings)
+                channel.channel: raw_channel(
+                    path, channel, time_us, readings, states.get(_quality_of(channel))
+                )
                 for channel in source.channels
                 if channel.source == topic and field_path(channel.field, topic) == one
             }
@@ -146,7 +170,11 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
         return None
     log_times = [statistics.first_log_time, statistics.last_log_time]
     stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
-    return span(path, [stamps.time_us]) if stamps.readable.all() else None
+    try:
+        good, _ = judged(path, stamps, _time_name(source))
+    except LogError:
+        return None  # The messages themselves say how many of them have no good time.
+    return span(path, [stamps.time_us]) if good.readable.all() else None
 
 
 def _time_name(source: LogSource) -> str:
@@ -160,17 +188,46 @@ def _times(messages: Messages, time_source: str) -> NDArray[np.uint64]:
 
 
 def _wanted(source: LogSource) -> _Wanted:
-    wanted: dict[str, dict[FieldPath, None]] = {}
-    for channel in source.channels:
-        path = field_path(channel.field, channel.source)
-        wanted.setdefault(channel.source, {})[path] = None
-    return {topic: tuple(fields) for topic, fields in wanted.items()}
+    return {
+        topic: _fields(source, topic) for topic in dict.fromkeys(c.source for c in source.channels)
+    }
+
+
+def _fields(source: LogSource, topic: str) -> _Fields:
+    channels = [channel for channel in source.channels if channel.source == topic]
+    readings = dict.fromkeys(field_path(channel.field, topic) for channel in channels)
+    qualities = dict.fromkeys(_quality_of(c) for c in channels if c.quality_source)
+    return _Fields(tuple(readings), tuple(qualities))
+
+
+def _quality_of(channel: ChannelSource) -> _Quality:
+    """Where a channel's quality is, and what is good there."""
+    named = channel.quality_source
+    return field_path(named, channel.source) if named else (), channel.quality_good
+
+
+def _states(
+    path: Path, source: LogSource, topic: str, parts: _Parts, readable: NDArray[np.bool_]
+) -> dict[_Quality, NDArray[np.uint8]]:
+    """What the messages of a topic with a good time say of their samples."""
+    found: dict[_Quality, NDArray[np.uint8]] = {}
+    for quality, pieces in parts.states.items():
+        states = np.concatenate([np.empty(0, np.uint8), *pieces])
+        if states.size and (states == BLANK).all():
+            _require_field(path, source, topic, quality[0])
+        found[quality] = states[readable]
+    return found
 
 
 def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
     names = tuple(wanted)
     content = _Content(
-        {name: _Parts([], {one: [] for one in fields}) for name, fields in wanted.items()}
+        {
+            name: _Parts(
+                [], {one: [] for one in fields.readings}, {one: [] for one in fields.qualities}
+            )
+            for name, fields in wanted.items()
+        }
     )
     decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1
@@ -183,17 +240,17 @@ def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
         for number, chosen in _runs(decoders.number[messages.channel_id], in_turn=in_turn):
             # Messages of one topic keep their order, whatever decodes them.
             for other in [other for other in held if in_turn and other != number]:
-                _decode(decoders, other, held.pop(other), names, content)
+                _decode(path, decoders, other, held.pop(other), names, content)
             topic = decoders.topic[messages.channel_id]
             times = _times(messages, source.time_source)
             stretches = held.setdefault(number, [])
             stretches.append(payloads_of(messages, chosen, topic, times))
             if sum(stretch.text.size for stretch in stretches) >= _PIECE:
-                _decode(decoders, number, held.pop(number), names, content)
+                _decode(path, decoders, number, held.pop(number), names, content)
         content.topics = tuple(sorted({one.topic for one in messages.channels.values()}))
         content.loss = messages.loss
     for number, stretches in held.items():
-        _decode(decoders, number, stretches, names, content)
+        _decode(path, decoders, number, stretches, names, content)
     return content
 
 
@@ -216,6 +273,7 @@ def _is_shared(decoders: _Decoders) -> bool:
 
 
 def _decode(
+    path: Path,
     decoders: _Decoders,
     number: int,
     stretches: Sequence[Payloads],
@@ -231,8 +289,18 @@ def _decode(
         rows = payloads.topic == topic
         parts = content.parts[names[topic]]
         parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows]))
-        for one, readings in decoded.fields.items():
-            parts.fields[one].append(_compact(readings.rows(rows)))
+        for one, pieces in parts.fields.items():
+            pieces.append(_compact(decoded.fields[one].rows(rows)))
+        for (one, good), states in parts.states.items():
+            cells = _cells(decoded, one).filter(pa.array(rows))
+            states.append(quality_states(path, path_text(one), cells, good))
+
+
+def _cells(decoded: Decoded, quality: FieldPath) -> pa.Array:
+    if quality in decoded.qualities:
+        return decoded.qualities[quality]
+    readings = decoded.fields[quality]
+    return pa.array(readings.raw, mask=readings.missing)
 
 
 def _compact(readings: Readings) -> Readings:
@@ -264,9 +332,7 @@ def _add_decoders(
         decoders.number[channel_id] = list(decoders.by_key).index(key)
 
 
-def _key(
-    path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: tuple[FieldPath, ...]
-) -> _Key:
+def _key(path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: _Fields) -> _Key:
     if channel.encoding == "json":
         return channel.encoding, _NO_SCHEMA, fields
     schema = schemas.get(channel.schema_id, _NO_SCHEMA)
@@ -285,10 +351,12 @@ def _key(
 def _decoder(path: Path, source: LogSource, topic: str, key: _Key) -> Decoder:
     encoding, schema, fields = key
     stamp = field_path(source.stamp) if source.stamp else None
+    qualities = tuple(dict.fromkeys(one for one, _ in fields.qualities))
     if encoding == "json":
-        return json_decoder(fields, stamp, source.time_format)
+        return json_decoder(fields.readings, stamp, source.time_format, qualities)
     made = cdr_decoder if encoding == "cdr" else protobuf_decoder
-    return made(path, topic, schema, fields, stamp, source.time_format)
+    numbers = tuple(dict.fromkeys((*fields.readings, *qualities)))
+    return made(path, topic, schema, numbers, stamp, source.time_format)
 
 
 def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.ingest.assembly import Readings
@@ -45,10 +46,22 @@ class Payloads:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Readings of the wanted fields of messages, and the stamps in them where they are wanted."""
+    """Readings of the wanted fields of messages, and the stamps in them where they are wanted.
+
+    Attributes
+    ----------
+    fields
+        Readings by path.
+    stamps
+        None where the log time is to be used.
+    qualities
+        What messages of JSON say of their samples, by path: text, numbers or truth values. With
+        other encodings it is a number, and among the fields.
+    """
 
     fields: Mapping[FieldPath, Readings]
     stamps: WrittenStamps | None
+    qualities: Mapping[FieldPath, pa.Array] = field(default_factory=dict)
 
 
 Decoder = Callable[[Payloads], Decoded]

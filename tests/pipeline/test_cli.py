@@ -79,7 +79,8 @@ def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
     done = [f"{motor}: no_new_data (nothing to do)" for motor in (CSV, PARQUET)]
     assert sorted(lines[:2]) == done
     assert lines[2].startswith("0 nights of 2 motors in ")
-    assert lines[2].endswith(f"0 motors failed; tables in {fleet.parent.parent / 'out' / 'tables'}")
+    assert "; logs: 0 read, 6 unchanged, 0 growing, 0 failed, 0 left; " in lines[2]
+    assert lines[2].endswith(f"; tables in {fleet.parent.parent / 'out' / 'tables'}")
 
 
 def test_1_when_a_motor_failed_and_the_other_is_done(call: Call, own_fleet: OwnFleet) -> None:
@@ -284,11 +285,14 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
         "error_code": None,
         "message": None,
         "nights": {"ok": 3},
+        "files": {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0},
+        "growing": [],
     }
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
     assert run["event"] == "run"
     assert (run["n_motors"], run["n_failed"], run["n_nights"]) == (2, 1, 6)
+    assert run["files"] == {"read": 5, "unchanged": 0, "growing": 0, "failed": 1, "left": 0}
     assert re.fullmatch(r"[0-9a-f]{16}", run["run_id"])
     assert run["interrupted"] is False
 

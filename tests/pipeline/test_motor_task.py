@@ -22,7 +22,6 @@ from pipeline.ledger import Ledger, NightRecord
 from pipeline.logs import find_logs, inspect_log, place_failed, slice_night
 from pipeline.motor_night import NightOutcome, fit_night
 from pipeline.motor_task import run_motor
-from pipeline.schema import NIGHT_TABLES
 from pipeline.settings_hashes import config_hash
 from tests.pipeline.simulated import (
     NIGHT,
@@ -31,7 +30,7 @@ from tests.pipeline.simulated import (
     raw,
     write_log,
 )
-from tests.pipeline.workshop import DAY, MINUTES, QUICK, Workshop
+from tests.pipeline.workshop import DAY, MINUTES, QUICK, Workshop, check_same_figures
 
 
 @pytest.fixture
@@ -46,12 +45,6 @@ def other(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 
 def part(values: Mapping[str, Any], rows: slice) -> dict[str, Any]:
     return {name: value[rows] for name, value in values.items()}
-
-
-def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:
-    for table in NIGHT_TABLES:
-        if table.name not in exempt:
-            assert_frame_equal(one.rows(table.name), two.rows(table.name), check_exact=True)
 
 
 # A night in several files

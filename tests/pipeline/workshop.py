@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask
-from pipeline.schema import TABLES
+from pipeline.schema import NIGHT_TABLES, TABLES
 from tests.pipeline.simulated import (
     FLEET,
     Operation,
@@ -63,12 +64,22 @@ class Workshop:
     def output(self) -> Path:
         return self.folder / "out"
 
+    @property
+    def fleet(self) -> Path:
+        return self.folder / "configs" / "fleet.toml"
+
+    def take(self, motor: str) -> Path:
+        """Take a motor's file, of type MINI; returns the folder of its logs."""
+        write_configs(self.folder, {"M1": motor}, {"MINI": MINI}, QUICK)
+        self.logs.mkdir(parents=True, exist_ok=True)
+        return self.logs
+
     def configure(self, files: str | None = None, more: str = "", fleet: str = QUICK) -> None:
         text = motor_toml("M1", "MINI", files=files, more=more)
         write_configs(self.folder, {"M1": text}, {"MINI": MINI}, fleet)
 
     def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
-        fleet = load_fleet(self.folder / "configs" / "fleet.toml")
+        fleet = load_fleet(self.fleet)
         (outcome,) = run_fleet(RunRequest(fleet, (), since, until)).outcomes
         return outcome
 
@@ -99,3 +110,9 @@ class Workshop:
 
     def statuses(self) -> dict[dt.date, str]:
         return dict(self.rows("fits").select("night", "status").iter_rows())
+
+
+def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:
+    for table in NIGHT_TABLES:
+        if table.name not in exempt:
+            assert_frame_equal(one.rows(table.name), two.rows(table.name), check_exact=True)
