@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 # Raise it when the code makes other statistics of the same samples: old blocks then never merge
 # with new ones.
-STATISTICS_VERSION = 1
+STATISTICS_VERSION = 2
 
 # Keys that leave the columns of a free path as they are: they scale its coefficient, or only say
 # how well something is known.

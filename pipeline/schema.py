@@ -366,7 +366,8 @@ QUALITY = Table(
             "reason",
             pl.String,
             "",
-            "The rule; a sample is counted under each that refuses it, and once under any",
+            "The rule; a sample is counted under each that refuses it, and once under any. "
+            "bad_quality: the log itself does not call it good",
         ),
         Column("n_samples", pl.Int64, "", "Samples that the rule looked at"),
         Column("n_refused", pl.Int64, "", "Samples that it refused"),

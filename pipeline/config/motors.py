@@ -119,7 +119,8 @@ class Channel(Section):
     between: Literal["interpolate", "hold"] = Field(
         "interpolate",
         description="Between two samples: `interpolate` (a compressed archive), or `hold` the "
-        "first one (a value sent on change; `on_change` only)",
+        "first one (a value sent on change; `on_change` only). The last `on_change` sample before "
+        "a night is the first of these two at its start, if silence may be that long",
     )
     mean_of_s: Positive | None = Field(
         None, description="Period of which a sample is the mean; needed for `mean`"
