@@ -137,12 +137,14 @@ def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) 
         assert row["rows"] > 10_000
 
 
-@pytest.mark.parametrize("table", [table.name for table in TABLES])
+# Nothing is raised, frozen or said in three nights.
+WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions"}
+
+
+@pytest.mark.parametrize("table", sorted({table.name for table in TABLES} - WITHOUT_ROWS))
 def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table: str) -> None:
     (declared,) = (one for one in TABLES if one.name == table)
     folder = fitted_output / "tables" / table
-    if not folder.exists():
-        pytest.skip("no rows after three nights")
     found = pl.read_parquet(folder / "**" / "*.parquet", hive_partitioning=False)
     assert found.height
     assert found.select(declared.key).is_unique().all()
@@ -258,7 +260,7 @@ def test_a_lost_or_damaged_ledger_costs_work_and_nothing_else(own_fleet: OwnFlee
     fleet = own_fleet(CSV, PARQUET, fitted=True)
     before = table_files(output_of(fleet))
     shutil.rmtree(output_of(fleet) / "ledger" / CSV)
-    (month,) = (output_of(fleet) / "ledger" / PARQUET).iterdir()
+    (month,) = (output_of(fleet) / "ledger" / PARQUET).glob("*.json")
     month.write_text('{"files": [', "utf-8")
     assert run(fleet).n_nights == 6
     check_same_tables(output_of(fleet), output_of(fleet))

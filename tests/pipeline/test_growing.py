@@ -26,7 +26,7 @@ from pipeline.check import check_fleet
 from pipeline.config import load_fleet
 from pipeline.ledger import read_ledger
 from pipeline.logs import change_of, look_at
-from pipeline.motor_task import settings_hash
+from pipeline.settings_hashes import config_hash
 from tests.pipeline.simulated import CANONICAL, NIGHT, load_motor, motor_toml, operate
 from tests.pipeline.workshop import DAY, MINI, Workshop, check_same_figures
 
@@ -138,9 +138,8 @@ class Site:
             pass
 
     def known_files(self) -> set[str]:
-        (spec,) = load_fleet(self.workshop.fleet).motors
         output = self.workshop.folder / "out"
-        return set(read_ledger(output, "M1", settings_hash(spec)).files)
+        return set(read_ledger(output, "M1").files)
 
 
 @pytest.fixture
@@ -449,7 +448,7 @@ class TestSettling:
         assert spec.file.logs.settle_s == 0.0
         later = spec.file.logs.model_copy(update={"settle_s": 9.0})
         other = replace(spec, file=spec.file.model_copy(update={"logs": later}))
-        assert settings_hash(other) == settings_hash(spec)
+        assert config_hash(other) == config_hash(spec)
 
 
 def test_the_check_notes_it_and_calls_it_no_fault(

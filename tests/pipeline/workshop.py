@@ -106,7 +106,7 @@ class Workshop:
         if not files:
             return pl.DataFrame(schema=declared.schema).drop("run_id")
         found = pl.concat([pl.read_parquet(path, hive_partitioning=False) for path in files])
-        return found.drop("run_id").sort(declared.key)
+        return found.sort(declared.key).drop("run_id")
 
     def statuses(self) -> dict[dt.date, str]:
         return dict(self.rows("fits").select("night", "status").iter_rows())
