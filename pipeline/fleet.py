@@ -18,15 +18,12 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from pipeline.config import Fleet
-from pipeline.decisions import Decision, read_decisions
+from pipeline.decisions import read_decisions
 from pipeline.errors import LockedError, StoreError
 from pipeline.ledger import forget_night, write_months
 from pipeline.log_shelf import FATES
@@ -34,6 +31,7 @@ from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
+from pipeline.publishing import Publisher
 from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
@@ -49,18 +47,11 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
-from pipeline.store import (
-    StagedRows,
-    last_night,
-    publish_night,
-    publish_run_table,
-    remove_leftovers,
-    table_folder,
-    write_table,
-)
+from pipeline.store import last_night, remove_leftovers
 from pipeline.trends.stage import (
     TrendOutcome,
     TrendTask,
+    forget_records,
     run_trends,
     trend_tasks,
     with_q_values,
@@ -157,7 +148,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     """
     output = request.fleet.output
     with _locked(output), _staging(output) as staging:
-        remove_leftovers([output / "tables", output / "ledger"])
+        remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         return _run(request, staging, progress)
 
 
@@ -180,15 +171,16 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
-    n_nights = _publish(fleet.output, staging, finished, run_id)
+    publisher = Publisher(fleet.output, staging, run_id)
+    n_nights = _publish(publisher, finished)
     alarms: list[Mapping[str, Any]] = []
     if not interrupted:
-        finished, alarms = _publish_trends(request, staging, finished, run_id)
+        finished, alarms = _publish_trends(request, publisher, finished)
     seconds = time.perf_counter() - begin
     result = RunResult(
         run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
     )
-    _publish_run(request, result, started, config_hash)
+    _publish_run(publisher, request, result, started, config_hash)
     for fault in notify(fleet.settings.alarms, fleet.name, alarms):
         log.warning("%s", fault)
     return result
@@ -250,52 +242,43 @@ def _staging(output: Path) -> Iterator[Path]:
         shutil.rmtree(root, ignore_errors=True)
 
 
-def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_id: str) -> int:
-    """Publish all staged rows, a table and a night at a time, then what was remembered of them."""
+def _publish(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
+    """Publish what the motors' tasks have staged, then what was remembered of it."""
     fresh = [outcome for outcome in outcomes if outcome.nights]
-    lost_nights: set[dt.date] = set()
-    for table in NIGHT_TABLES:
-        staged = {
-            one.motor_id: StagedRows(path)
-            for one in fresh
-            if (path := staging / table.name / f"{one.motor_id}.arrow").exists()
-        }
-        for night in sorted({night for rows in staged.values() for night in rows.nights}):
-            new = {
-                motor_id: found
-                for motor_id, rows in staged.items()
-                if (found := rows.rows(night)) is not None
-            }
-            if publish_night(output, table, night, new, run_id):
-                lost_nights.add(night)
-    write_table(
-        table_folder(output, DATA_DICTIONARY) / "data_dictionary.parquet", data_dictionary()
-    )
+    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh])
+    publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
-        write_months(output, outcome.motor_id, outcome.ledger)
-    for night in sorted(lost_nights):
-        forget_night(output, night, {one.motor_id for one in fresh if night in one.nights})
+        write_months(publisher.output, outcome.motor_id, outcome.ledger)
+    for night, kept in sorted(publisher.lost.items()):
+        forget_night(publisher.output, night, kept)
     return sum(len(outcome.nights) for outcome in fresh)
 
 
 def _publish_trends(
-    request: RunRequest, staging: Path, outcomes: Sequence[MotorOutcome], run_id: str
+    request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
 ) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
     """Make and publish the trends of the run's motors; one whose trends failed has failed."""
     fleet = request.fleet
     decisions = read_decisions(fleet.output)
-    _publish_decisions(fleet.output, decisions, run_id)
+    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
+    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
     tonight = last_night(fleet.output, FITS)
     if tonight is None:
         return list(outcomes), []
     tasks = trend_tasks(
-        fleet.motors, fleet.output, staging, changed, tonight, decisions, MOTORS_A_TREND_TASK
+        fleet.motors,
+        fleet.output,
+        publisher.staging,
+        changed,
+        tonight,
+        decisions,
+        MOTORS_A_TREND_TASK,
     )
     failures: dict[str, str] = {}
     alarms: list[Mapping[str, Any]] = []
     for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
-        alarms += _publish_trend_rows(fleet.output, staging, outcome, run_id)
+        alarms += _publish_trend_rows(publisher, outcome)
         failures |= outcome.failures
     judged = [
         replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
@@ -306,39 +289,19 @@ def _publish_trends(
     return judged, alarms
 
 
-def _publish_trend_rows(
-    output: Path, staging: Path, outcome: TrendOutcome, run_id: str
-) -> list[Mapping[str, Any]]:
+def _publish_trend_rows(publisher: Publisher, outcome: TrendOutcome) -> list[Mapping[str, Any]]:
     """Publish what a task has staged; returns the new rows of `alarms`."""
-    alarms: list[Mapping[str, Any]] = []
     fresh = [motor_id for motor_id, nights in outcome.nights.items() if nights]
-    for table in TREND_TABLES:
-        staged = {one: StagedRows(staging / table.name / f"{one}.arrow") for one in fresh}
-        for night in sorted({night for rows in staged.values() for night in rows.nights}):
-            new = {
-                motor_id: found
-                for motor_id, rows in staged.items()
-                if (found := rows.rows(night)) is not None
-            }
-            finish = partial(with_q_values, motor_ids=list(new)) if table is TRENDS else _as_it_is
-            publish_night(output, table, night, new, run_id, finish)
-            if table is ALARMS:
-                alarms += [row for rows in new.values() for row in rows.to_dicts()]
+    lost_before = set(publisher.lost)
+    publisher.nights(TREND_TABLES, fresh, {TRENDS.name: with_q_values})
     for motor_id, record in outcome.records.items():
-        write_record(output, motor_id, record)
-    return alarms
-
-
-def _publish_decisions(output: Path, decisions: Sequence[Decision], run_id: str) -> None:
-    rows = [asdict(one) | {"run_id": run_id} for one in decisions]
-    write_table(
-        table_folder(output, DECISIONS) / "decisions.parquet",
-        frame(DECISIONS, rows).sort(DECISIONS.key),
-    )
-
-
-def _as_it_is(rows: pl.DataFrame) -> pl.DataFrame:
-    return rows
+        write_record(publisher.output, motor_id, record)
+    for night in sorted(set(publisher.lost) - lost_before):
+        forget_records(publisher.output, publisher.lost[night])
+    staged = publisher.staged(ALARMS, fresh).values()
+    nights = ((rows, night) for rows in staged for night in rows.nights)
+    frames = (rows.rows(night) for rows, night in nights)
+    return [row for found in frames if found is not None for row in found.to_dicts()]
 
 
 def _config_hash(tasks: Sequence[MotorTask]) -> str:
@@ -352,7 +315,11 @@ def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
 
 
 def _publish_run(
-    request: RunRequest, result: RunResult, started: dt.datetime, config_hash: str
+    publisher: Publisher,
+    request: RunRequest,
+    result: RunResult,
+    started: dt.datetime,
+    config_hash: str,
 ) -> None:
     fleet = request.fleet
     seeds = {spec.settings.estimation.seed for spec in fleet.motors}
@@ -376,9 +343,8 @@ def _publish_run(
         "n_nights": result.n_nights,
         "seconds": result.seconds,
     }
-    publish_run_table(fleet.output, RUNS, started, frame(RUNS, [run]))
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
-    publish_run_table(fleet.output, MOTOR_OUTCOMES, started, frame(MOTOR_OUTCOMES, rows))
+    publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:

@@ -7,11 +7,14 @@ memory does not grow with the fleet's history. Data files hold no clock time of 
 from __future__ import annotations
 
 import datetime as dt
+import errno
+import hashlib
 import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
@@ -47,7 +50,7 @@ def last_night(output: Path, table: Table) -> dt.date | None:
     return None
 
 
-def write_table(path: Path, rows: pl.DataFrame) -> None:
+def write_table(path: Path, rows: pl.DataFrame) -> str:
     """Write a table file whole or not at all.
 
     Parameters
@@ -56,6 +59,11 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
         The file; folders above it are made.
     rows
         Its rows, in their final order.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, as it was read back from the disk.
 
     Raises
     ------
@@ -76,11 +84,43 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
             # Metadata of the schema would be left out with it.
             table.add_key_value_metadata({VERSION_KEY: str(SCHEMA_VERSION)})
 
-    replace_whole(path, write)
+    def compare(name: str) -> None:
+        written = pl.from_arrow(
+            pq.read_table(name, page_checksum_verification=True, partitioning=None)
+        )
+        assert isinstance(written, pl.DataFrame)
+        if not written.equals(rows, null_equal=True):
+            raise OSError(errno.EIO, "what was read back is not what was written")
+
+    return replace_whole(path, write, compare)
 
 
-def replace_whole(path: Path, write: Callable[[str], None]) -> None:
-    """Write a file beside its final name, flush it to the disk, then rename it."""
+def replace_whole(
+    path: Path,
+    write: Callable[[str], None],
+    compare: Callable[[str], None] = lambda _: None,
+) -> str:
+    """Write a file beside its final name, flush it, read it back, then rename it.
+
+    Parameters
+    ----------
+    path
+        The file; folders above it are made.
+    write
+        Writes the content to the name that it is given.
+    compare
+        Reads it again, and raises OSError where it is not what was to be written.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, as it was read back.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; what was there before is then untouched.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
@@ -89,6 +129,8 @@ def replace_whole(path: Path, write: Callable[[str], None]) -> None:
             write(name)
             with Path(name).open("rb") as written:
                 os.fsync(written.fileno())
+                digest = hashlib.file_digest(written, "sha256").hexdigest()
+            compare(name)
             Path(name).chmod(0o644)
             Path(name).replace(path)
         except BaseException:
@@ -98,6 +140,7 @@ def replace_whole(path: Path, write: Callable[[str], None]) -> None:
         _flush_folder(path.parent)
     except (OSError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
+    return digest
 
 
 def _flush_folder(folder: Path) -> None:
@@ -249,6 +292,26 @@ def stage(
         raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 
 
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A night's file after it was published.
+
+    Attributes
+    ----------
+    path
+        The file.
+    sha256
+        Of its content; None where the night has no rows, and no file.
+    lost_rows
+        Whether the file that was there was damaged and put aside as ``.damaged``: the rows of the
+        motors that were not published with it have to be made anew.
+    """
+
+    path: Path
+    sha256: str | None
+    lost_rows: bool
+
+
 def publish_night(
     output: Path,
     table: Table,
@@ -256,7 +319,7 @@ def publish_night(
     staged: Mapping[str, pl.DataFrame],
     run_id: str,
     finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
-) -> bool:
+) -> Published:
     """Put the rows of some motors into a night's file; those of the others stay.
 
     Parameters
@@ -274,9 +337,8 @@ def publish_night(
 
     Returns
     -------
-    bool
-        Whether the present file was damaged and put aside as ``.damaged``: the rows of the other
-        motors are then lost, and have to be made anew.
+    Published
+        What is there now, and whether rows of other motors were lost.
 
     Raises
     ------
@@ -294,12 +356,13 @@ def publish_night(
         for rows in staged.values()
     ]
     rows = finish(pl.concat(parts).sort(table.key))
+    digest = None
     if rows.height:
-        write_table(path, rows)
+        digest = write_table(path, rows)
     elif path.exists():
         path.unlink()
         _flush_folder(path.parent)
-    return existed and before is None
+    return Published(path, digest, lost_rows=existed and before is None)
 
 
 def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:
@@ -316,10 +379,13 @@ def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:
         return None
 
 
-def publish_run_table(output: Path, table: Table, started: dt.datetime, rows: pl.DataFrame) -> None:
+def publish_run_table(
+    output: Path, table: Table, started: dt.datetime, rows: pl.DataFrame
+) -> Published:
     """Write one of the tables that have a file a run."""
     name = f"{started:%Y%m%dT%H%M%S%fZ}.parquet"
-    write_table(table_folder(output, table) / f"month={started:%Y-%m}" / name, rows)
+    path = table_folder(output, table) / f"month={started:%Y-%m}" / name
+    return Published(path, write_table(path, rows), lost_rows=False)
 
 
 def remove_leftovers(folders: Sequence[Path]) -> None:

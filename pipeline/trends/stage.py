@@ -10,7 +10,7 @@ import datetime as dt
 import json
 import logging
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -347,6 +347,13 @@ def write_record(output: Path, motor_id: str, record: Mapping[str, str]) -> None
 
     if read_record(output, motor_id) != record:
         replace_whole(record_file(output, motor_id), write)
+
+
+def forget_records(output: Path, keep: Collection[str]) -> None:
+    """Let the next run make the trends of all motors but some anew."""
+    for folder in (output / "ledger").glob("*"):
+        if folder.name not in keep:
+            record_file(output, folder.name).unlink(missing_ok=True)
 
 
 def with_q_values(rows: pl.DataFrame, motor_ids: Sequence[str]) -> pl.DataFrame:
