@@ -22,13 +22,13 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import Fleet
+from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.errors import LockedError, StoreError
-from pipeline.ledger import forget_night, write_months
+from pipeline.ledger import forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor
+from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
 from pipeline.publishing import Publisher
@@ -47,6 +47,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
+from pipeline.settings_hashes import settings_of
 from pipeline.store import last_night, remove_leftovers
 from pipeline.trends.stage import (
     TrendOutcome,
@@ -79,12 +80,25 @@ class RunRequest:
         Ids of the motors to do; empty for all.
     since, until
         Labels of the first and last night to do; None: no limit.
+    force
+        Whether to make nights anew from their logs that nothing has changed of.
+    retry
+        Whether to try nights and logs again that failed.
     """
 
     fleet: Fleet
     motors: tuple[str, ...] = ()
     since: dt.date | None = None
     until: dt.date | None = None
+    force: bool = False
+    retry: bool = False
+
+    @property
+    def specs(self) -> tuple[MotorSpec, ...]:
+        """The motors that are asked for."""
+        return tuple(
+            spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,14 +166,35 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         return _run(request, staging, progress)
 
 
+def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
+    """What a run would do now, motor by motor; nothing is read of a log but its ends, or written.
+
+    Raises
+    ------
+    StoreError
+        If a published table that is needed is damaged.
+    """
+    output = request.fleet.output
+    for spec in request.specs:
+        yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
+
+
+def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
+    return MotorTask(
+        spec=spec,
+        output=request.fleet.output,
+        staging=staging,
+        since=request.since,
+        until=request.until,
+        force=request.force,
+        retry=request.retry,
+    )
+
+
 def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
-    tasks = [
-        MotorTask(spec, fleet.output, staging, request.since, request.until)
-        for spec in fleet.motors
-        if not request.motors or spec.motor_id in request.motors
-    ]
+    tasks = [_task(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
@@ -172,7 +207,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
     publisher = Publisher(fleet.output, staging, run_id)
-    n_nights = _publish(publisher, finished)
+    n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
     alarms: list[Mapping[str, Any]] = []
     if not interrupted:
         finished, alarms = _publish_trends(request, publisher, finished)
@@ -242,13 +277,18 @@ def _staging(output: Path) -> Iterator[Path]:
         shutil.rmtree(root, ignore_errors=True)
 
 
-def _publish(publisher: Publisher, outcomes: Sequence[MotorOutcome]) -> int:
+def _publish(
+    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
+) -> int:
     """Publish what the motors' tasks have staged, then what was remembered of it."""
     fresh = [outcome for outcome in outcomes if outcome.nights]
     publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh])
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
         write_months(publisher.output, outcome.motor_id, outcome.ledger)
+        if outcome.finished:
+            spec = specs[outcome.motor_id]
+            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
     for night, kept in sorted(publisher.lost.items()):
         forget_night(publisher.output, night, kept)
     return sum(len(outcome.nights) for outcome in fresh)

@@ -184,6 +184,36 @@ def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> N
         replace_whole(ledger_folder(output, motor_id) / f"{month}.json", write)
 
 
+def settings_file(output: Path, motor_id: str) -> Path:
+    """Where the settings lie that a motor's last run had."""
+    return ledger_folder(output, motor_id) / "settings"
+
+
+def read_settings(output: Path, motor_id: str) -> dict[str, str]:
+    """Settings of a motor's last run by dotted key; empty where they are not known."""
+    try:
+        document = json.loads(settings_file(output, motor_id).read_text("utf-8"))
+        return {str(key): str(value) for key, value in document.items()}
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return {}
+
+
+def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:
+    """Remember the settings of a motor's run, to name what changed in the next.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be written.
+    """
+
+    def write(name: str) -> None:
+        Path(name).write_text(json.dumps(dict(settings), indent=0, sort_keys=True), "utf-8")
+
+    if read_settings(output, motor_id) != settings:
+        replace_whole(settings_file(output, motor_id), write)
+
+
 def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
     """Let the next run make a night anew for all motors but some.
 

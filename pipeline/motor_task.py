@@ -23,7 +23,13 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.ledger import Ledger, NightRecord, changed_months, read_ledger
+from pipeline.ledger import (
+    Ledger,
+    NightRecord,
+    changed_months,
+    read_ledger,
+    read_settings,
+)
 from pipeline.log_shelf import LogShelf
 from pipeline.logs import labels_of, legible, reaches_us, slice_night
 from pipeline.motor_night import (
@@ -40,7 +46,7 @@ from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
 from pipeline.refit import REFITTED_TABLES, StoredNights
 from pipeline.schema import FITS, NIGHT_TABLES
-from pipeline.settings_hashes import SettingsHashes
+from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
 from pipeline.store import night_file, stage
 
 log = logging.getLogger(__name__)
@@ -59,6 +65,14 @@ class Work(Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Step:
+    """A night that is to be made anew: how far, and why, in words."""
+
+    work: Work
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
 class MotorTask:
     """What a worker needs to do a motor: plain data, small enough to send.
 
@@ -72,6 +86,10 @@ class MotorTask:
         Folder for this run's staged rows.
     since, until
         Labels of the first and last night to do; None: no limit.
+    force
+        Whether to make nights anew from their logs that nothing has changed of.
+    retry
+        Whether to try nights and logs again that failed.
     """
 
     spec: MotorSpec
@@ -79,6 +97,8 @@ class MotorTask:
     staging: Path
     since: dt.date | None = None
     until: dt.date | None = None
+    force: bool = False
+    retry: bool = False
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -109,6 +129,8 @@ class MotorOutcome:
         What there is to say of each file that is changed while it is read.
     n_refitted
         Nights that were fitted anew from their stored statistics, without a log.
+    reasons
+        Nights by why they were made anew.
     ledger
         What is to be remembered of the months that changed, once its rows are published.
     seconds
@@ -127,9 +149,26 @@ class MotorOutcome:
     files: Mapping[str, int] = field(default_factory=dict)
     growing: tuple[str, ...] = ()
     n_refitted: int = 0
+    reasons: Mapping[str, int] = field(default_factory=dict)
     ledger: Mapping[str, Ledger] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
+
+    @property
+    def finished(self) -> bool:
+        """Whether the task came to its end, whatever came of its nights."""
+        return self.peak_memory_mib is not None
+
+
+def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
+    """What a run would do of a motor now, night by night, and why; nothing is read or written.
+
+    Raises
+    ------
+    StoreError
+        If a published table that it needs is damaged.
+    """
+    return _Nights(task).plan()
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
@@ -173,6 +212,18 @@ def _still_published(ledger: Ledger, output: Path) -> Ledger:
     )
 
 
+def _without_failures(ledger: Ledger) -> Ledger:
+    """A ledger that knows nothing of the logs and nights that failed."""
+    nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
+    failed = ledger.nights.keys() - nights.keys()
+    files = {
+        name: one
+        for name, one in ledger.files.items()
+        if one.status == "ok" and not labels_of(one) & failed
+    }
+    return Ledger(files, nights)
+
+
 class _Nights:
     """A motor's nights while its task works through them."""
 
@@ -182,6 +233,8 @@ class _Nights:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.remembered = read_ledger(task.output, task.spec.motor_id)
         self.before = _still_published(self.remembered, task.output)
+        if task.retry:
+            self.before = _without_failures(self.before)
         with self._timed("read_s"):
             self.logs = LogShelf(self.spec, self.before.files)
         self.hashes = SettingsHashes(self.spec)
@@ -189,6 +242,7 @@ class _Nights:
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
         self.kept: set[dt.date] = set()
+        self.reasons: dict[dt.date, str] = {}
         self.by_settings = self._outdated_by_settings()
 
     def run(self) -> MotorOutcome:
@@ -196,7 +250,8 @@ class _Nights:
         while plan := self._plan():
             label = min(plan)
             before = self._model_before(label)
-            outcome = self._night(label, plan[label], before)
+            outcome = self._night(label, plan[label].work, before)
+            self.reasons[label] = plan[label].reason
             if outcome is None:
                 self.kept.add(label)
                 continue
@@ -222,47 +277,61 @@ class _Nights:
         finally:
             self.seconds[stage_name] += time.perf_counter() - begin
 
-    def _outdated_by_settings(self) -> dict[dt.date, Work]:
+    def plan(self) -> dict[dt.date, Step]:
+        """Nights that a run would do now, and why; reading may add some."""
+        return dict(sorted(self._plan().items()))
+
+    def _outdated_by_settings(self) -> dict[dt.date, Step]:
         """Nights that were made with other settings, and how far they have to be made anew."""
         present, found = self.logs.present(), {}
+        if self.task.force:
+            return dict.fromkeys(present, Step(Work.READ, "asked for"))
+        before = read_settings(self.task.output, self.spec.motor_id)
+        changed = changed_settings(before, settings_of(self.spec)) if before else ()
+        why = f"changed setting {', '.join(changed[:4])}" if changed else "changed settings"
+        why += ", …" if len(changed) > 4 else ""
         for label, record in self.before.nights.items():
             if not record.statistics_hash:
                 continue
             if record.statistics_hash != self.hashes.statistics(label):
                 # Where the logs are gone, what is published stays.
                 if label in present:
-                    found[label] = Work.READ
+                    found[label] = Step(Work.READ, why)
             elif record.figures_hash != self.hashes.figures(label):
-                found[label] = Work.REFIT if record.model else Work.READ
+                found[label] = Step(Work.REFIT if record.model else Work.READ, why)
         return found
 
-    def _plan(self) -> dict[dt.date, Work]:
+    def _plan(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
         outdated = self._outdated_by_model()
         # What is not published yet cannot be judged from the tables.
-        plan = {label: Work.READ for label in outdated if label in self.done}
+        plan = {
+            label: Step(Work.READ, step.reason)
+            for label, step in outdated.items()
+            if label in self.done
+        }
         later = outdated | self.by_settings
         present, waiting = self.logs.present(), self.logs.waiting()
         for name in self.logs.files:
-            if self.logs.news_of(name) is not None:
+            if (news := self.logs.news_of(name)) is not None:
                 # A night of which there is no log, or not yet, is none to be done.
                 reached = self.logs.touched(name) | (self.logs.reached(name) & present)
-                later |= dict.fromkeys(reached, Work.READ)
-        plan |= {label: work for label, work in later.items() if label not in self.done}
+                later |= dict.fromkeys(reached, Step(Work.READ, news))
+        plan |= {label: step for label, step in later.items() if label not in self.done}
         return {
-            label: work
-            for label, work in plan.items()
+            label: step
+            for label, step in plan.items()
             if label not in self.kept | waiting and self.task.wants(label)
         }
 
-    def _outdated_by_model(self) -> dict[dt.date, Work]:
+    def _outdated_by_model(self) -> dict[dt.date, Step]:
         """Nights with a fit that was judged with another model than the one before it now."""
         found, before = {}, _hash_of_model({})
         for label, record in sorted(self.records.items()):
             if not record.model:
                 continue
             if record.judged_with != before:
-                found[label] = Work.JUDGE
+                found[label] = Step(Work.JUDGE, "another model before it")
             before = _hash_of_model(record.model)
         return found
 
@@ -385,6 +454,7 @@ class _Nights:
             message=message,
             counts=counts,
             nights=tuple(sorted(self.done)),
+            reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
             n_refitted=sum(one.tables == REFITTED_TABLES for one in self.done.values()),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),

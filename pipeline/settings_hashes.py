@@ -8,7 +8,10 @@ log.
 from __future__ import annotations
 
 import datetime as dt
+import json
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from pipeline.config import MotorSpec
 from pipeline.night_statistics import hash_of, model_hash
@@ -24,24 +27,54 @@ WORDS = {"source", "note"}
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
 
 
+def settings_of(spec: MotorSpec) -> dict[str, str]:
+    """All settings of a motor by dotted key, as text: what a run before had, to name what changed.
+
+    Examples
+    --------
+    >>> changed_settings({"reference.speed_rpm": "30.0"}, {"reference.speed_rpm": "31.0"})
+    ('reference.speed_rpm',)
+    """
+    return dict(_flat("", _document(spec)))
+
+
+def changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """Dotted keys of the settings that differ, sorted."""
+    keys = before.keys() | now.keys()
+    return tuple(sorted(key for key in keys if before.get(key) != now.get(key)))
+
+
+def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _flat(f"{prefix}.{key}" if prefix else str(key), inner)
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for number, inner in enumerate(value):
+            yield from _flat(f"{prefix}.{inner.get('name', number)}", inner)
+    else:
+        yield prefix.removeprefix("settings.").removeprefix("motor."), json.dumps(value)
+
+
 def config_hash(spec: MotorSpec) -> str:
     """Hash of all that shapes a motor's figures; not of how the work is spread, or where."""
-    return hash_of(
-        {
-            "versions": (READING_VERSION, FIGURES_VERSION),
-            "motor": spec.file.model_dump(
-                mode="json",
-                exclude={
-                    "override": True,
-                    "events": {"__all__": {"note"}},
-                    "logs": {"settle_s"},
-                },
-            ),
-            "type": spec.motor_type.model_dump(mode="json"),
-            "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
-            "settings": spec.settings.model_dump(mode="json"),
-        }
-    )
+    return hash_of(_document(spec))
+
+
+def _document(spec: MotorSpec) -> dict[str, Any]:
+    return {
+        "versions": (READING_VERSION, FIGURES_VERSION),
+        "motor": spec.file.model_dump(
+            mode="json",
+            exclude={
+                "override": True,
+                "events": {"__all__": {"note"}},
+                "logs": {"settle_s"},
+            },
+        ),
+        "type": spec.motor_type.model_dump(mode="json"),
+        "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
+        "settings": spec.settings.model_dump(mode="json"),
+    }
 
 
 def reading_hash(spec: MotorSpec) -> str:
