@@ -23,7 +23,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import spearmanr
+from scipy.stats import binom, spearmanr
 
 from pipeline.ingest import RawChannel
 
@@ -41,9 +41,10 @@ FEWEST = 30
 SILENCE_STEPS = 3.5
 SILENT_STEPS_SHARE = 0.02
 SILENT_TIME_SHARE = 0.2
-# Changes next to zero are absent where they are so many times rarer than the smallest ones.
+# Changes next to zero are absent where they are so many times rarer than the smallest ones, and
+# chance makes them so rare less often than this.
 ABSENT = 6.0
-FEWEST_SMALLEST = 12
+CHANCE = 1e-5
 # Rank correlation of silence and change at which what is sent depends on the value.
 DRIVEN_BY_VALUE = -0.1
 # Tenth percentile over median of how far samples lie off the line between their neighbours: 0.19
@@ -174,12 +175,13 @@ def _small_ones_absent(sizes: Values) -> bool:
 
     Of a density that falls from zero, [0, m/2) holds at least half of what [m/2, 3m/2) holds.
     """
-    if sizes.size < FEWEST_SMALLEST:
+    if not sizes.size:
         return False
     edge = float(np.quantile(sizes, 0.03))
     below = int(np.sum(sizes < 0.5 * edge))
     around = int(np.sum((sizes >= 0.5 * edge) & (sizes < 1.5 * edge)))
-    return edge > 0 and around >= FEWEST_SMALLEST and ABSENT * below < around
+    by_chance = float(binom.cdf(below, below + around, 1 / 3))
+    return edge > 0 and ABSENT * below < around and by_chance < CHANCE
 
 
 def _step(changes: Values) -> float:

@@ -125,8 +125,10 @@ def swinging_door(signal: Signal, scan_s: float, resolution: float, deviation: f
 def counted(
     flow: Signal, period_s: float, volume_cm3: float, start: float = 0.0, rolls_over: float = 0.0
 ) -> Signal:
-    """Running total of whole counts of a volume, of a flow in l/min."""
-    total = start + np.cumsum(flow.value) * flow.step_s * (1000.0 / 60.0) / volume_cm3
+    """Running total of whole counts of a volume, of a flow in l/min; the meter counts one way."""
+    total = (
+        start + np.cumsum(np.maximum(flow.value, 0.0)) * flow.step_s * (1000.0 / 60.0) / volume_cm3
+    )
     count = np.floor(total)
     every = round(period_s / flow.step_s)
     time, count = flow.time_s[every - 1 :: every], count[every - 1 :: every]
