@@ -9,7 +9,7 @@ from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
 from pipeline.ledger import FileRecord
-from pipeline.logs import find_logs, labels_of, look_at, spanned
+from pipeline.logs import find_logs, labels_of, look_at, spanned, without_match
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
             *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
         ),
         channels=channels,
-        notes=() if paths or absent else (_no_match(spec),),
+        notes=without_match(spec),
     )
 
 
@@ -83,10 +83,6 @@ def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
 
 def _fault(record: FileRecord) -> str:
     return f"{record.error_code}: {record.message}"
-
-
-def _no_match(spec: MotorSpec) -> str:
-    return f"no file matches {', '.join(spec.file.logs.files)} below {spec.log_root}"
 
 
 def _absent(name: str) -> str:

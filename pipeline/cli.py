@@ -289,7 +289,8 @@ class _Reporter:
             }
             _say(json.dumps(line))
             return
-        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
+        why = f": {outcome.message}" if outcome.message and not outcome.error_code else ""
+        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}")
         if outcome.error_code:
             _say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
 

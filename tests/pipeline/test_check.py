@@ -93,6 +93,18 @@ def test_no_logs_at_all(tmp_path: Path) -> None:
     assert note.startswith("no file matches M1/*.parquet below ")
 
 
+def test_a_pattern_without_a_match_beside_one_with_a_match(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"M1/*.parquet", "M1/*/late-*.parquet"')
+    fleet = write_configs(tmp_path, {"M1": text})
+    operation = operate()
+    values = operation.channels(operation.pressure_bar)
+    write_log(tmp_path / "logs" / "M1" / "a[1].parquet", operation.time_us, values)
+    one = checks_of(fleet)["M1"]
+    assert one.n_files == 1
+    (note,) = one.notes
+    assert note.startswith("no file matches M1/*/late-*.parquet below ")
+
+
 def test_a_newest_log_that_cannot_be_read_is_a_fault(own_fleet: OwnFleet) -> None:
     """A column that is not there shows only where a log is read."""
     fleet = own_fleet("CB400-02")
