@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
 from pipeline.ingest.time_stamps import TimeStamps, example_of
-from pipeline.ingest.wall_clock import EPOCH, MICROSECOND
 from pipeline.units import to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
@@ -98,10 +97,11 @@ def canonical_channel(
     return RawChannel(_frozen(time_us), _frozen(readings.raw), _frozen(readings.missing), unparsed)
 
 
-def time_name(source: LogSource) -> str:
-    """How the time column of a table is named in messages."""
+def time_name(source: LogSource, example: str | None = None) -> str:
+    """How the time column of a table is named in messages, with a stamp that is not readable."""
     form = source.time_format
-    return f"{source.time_source!r} in format {form} (as {example_of(form)})"
+    here = f"; here is {example[:40]!r}" if example else ""
+    return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
 
 
 def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
@@ -114,21 +114,20 @@ def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
     """
     rows = stamps.readable.size
     unreadable = rows - int(np.count_nonzero(stamps.readable))
-    such = f", such as {stamps.example[:40]!r}," if stamps.example else ""
     if 2 * stamps.skipped > rows:
         raise LogError(
             "log_time",
             path,
-            f"{stamps.skipped} of {rows} time stamps{such} read as {name}, lie in an hour that "
-            "does not exist in the zone, as its clocks go forward: where the logger's clock does "
-            "not, set time_zone to a fixed one such as Etc/GMT-1",
+            f"{stamps.skipped} of {rows} time stamps, read as {name}, lie in an hour that does not "
+            "exist in the zone, as its clocks go forward: where the logger's clock does not, set "
+            "time_zone to a fixed one such as Etc/GMT-1",
         )
     if 2 * unreadable > rows:
         raise LogError(
             "log_time",
             path,
-            f"{unreadable} of {rows} time stamps{such} cannot be read as {name}, or lie before "
-            "1990 or after 2200: give the right time format, or have the logger's clock set",
+            f"{unreadable} of {rows} time stamps cannot be read as {name}, or lie before 1990 or "
+            "after 2200: give the right time format, or have the logger's clock set",
         )
     return unreadable
 
@@ -153,8 +152,7 @@ def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[
             "log_time",
             path,
             f"{ahead} of {stamps.readable.size} time stamps, read as {name}, lie more than a day "
-            f"in the future, such as {_first_time(stamps.time_us[future])} UTC: have the logger's "
-            "clock set, or give the right time format",
+            "in the future: have the logger's clock set, or give the right time format",
         )
     past = stamps if not ahead else replace(stamps, readable=stamps.readable & ~future)
     unreadable = require_time(path, past, name)
@@ -163,10 +161,6 @@ def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[
         "rows at a local time that the zone's clock change leaves out": stamps.skipped,
         "rows with a time more than a day in the future": ahead,
     }
-
-
-def _first_time(time_us: NDArray[np.int64]) -> str:
-    return str(EPOCH + int(time_us[0]) * MICROSECOND)
 
 
 def raw_log(

@@ -17,9 +17,9 @@ from pipeline.ingest.guess_times import (
     is_time_name,
     number_format,
 )
-from pipeline.ingest.mcap_fields import Topic, read_topics
 from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import NANOSECONDS, SECONDS
+from pipeline.ingest.mcap_topics import Topic, read_topics
 from pipeline.units import CHANNELS, QUANTITIES
 
 _FIELDS_SHOWN = 40

@@ -56,6 +56,8 @@ _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 _EXCEL_ZERO_MS = (datetime(1899, 12, 30) - EPOCH) // timedelta(milliseconds=1)
 _DAY_MS = 86_400_000
 _NONE, _LOCAL, _WITH_ZONE = 0, 1, 2
+
+
 _LOOKED_AT = 1000
 _EXAMPLE = datetime(2025, 3, 1, 6)
 
@@ -204,23 +206,23 @@ def written_as_numbers(
     >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
     [1740808800000000]
     """
+    written = _written_as_numbers(numbers, time_format)
+    strange = numbers[np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]].tolist()
+    # Blank cells are 0 or nan by now.
+    examples = (str(number) for number in strange if number and number == number)
+    return replace(written, example=next(examples, None))
+
+
+def _written_as_numbers(
+    numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
+) -> WrittenStamps:
     if time_format in EPOCH_UNITS:
         stamps = from_epoch(numbers, time_format)
-        kind = _kinds(stamps.readable, _WITH_ZONE)
-        return WrittenStamps(stamps.time_us, kind, _strange_number(numbers, stamps.readable))
+        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
     since_1970_ms = np.asarray(numbers, dtype=np.float64) * _DAY_MS + _EXCEL_ZERO_MS
     fits = np.abs(since_1970_ms) < LATEST_US / 1000
     local_ms = np.rint(np.where(fits, since_1970_ms, 0.0)).astype(np.int64)
-    example = _strange_number(numbers, fits)
-    return WrittenStamps(local_ms * 1000, _kinds(fits, _LOCAL), example)
-
-
-def _strange_number(
-    numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], readable: NDArray[np.bool_]
-) -> str | None:
-    # Blank cells are 0 or nan by now.
-    strange = numbers[np.flatnonzero(~readable)[:_LOOKED_AT]].tolist()
-    return next((str(number) for number in strange if number and number == number), None)
+    return WrittenStamps(local_ms * 1000, _kinds(fits, _LOCAL))
 
 
 def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
@@ -233,27 +235,33 @@ def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     zone
         Zone of stamps that carry none.
     """
+    stamps = _placed(parts, zone)
+    example = next((part.example for part in parts if part.example is not None), None)
+    return replace(stamps, example=example or _implausible(parts, stamps))
+
+
+def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | None:
+    """The first stamp that is read and cannot be, such as one of a clock that was never set."""
+    begin = 0
+    for part in parts:
+        readable = stamps.readable[begin : begin + part.kind.size]
+        rows = np.flatnonzero(~readable & (part.kind != _NONE))[:1]
+        if rows.size:
+            return str(EPOCH + timedelta(microseconds=int(part.time_us[rows[0]])))
+        begin += part.kind.size
+    return None
+
+
+def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
     kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
-    local, with_zone = kind == _LOCAL, kind == _WITH_ZONE
+    local = kind == _LOCAL
     if not local.any():
-        stamps = from_naive(time_us, with_zone, "UTC")
-    else:
-        stamps = from_naive(time_us, local, zone)
-        if with_zone.any():
-            stamps = _either(stamps, from_naive(time_us, with_zone, "UTC"))
-    example = next((part.example for part in parts if part.example is not None), None)
-    return replace(stamps, example=example or _implausible(time_us, kind, stamps.readable))
-
-
-def _implausible(
-    time_us: NDArray[np.int64], kind: NDArray[np.int8], readable: NDArray[np.bool_]
-) -> str | None:
-    """The first stamp that is read and cannot be."""
-    rows = np.flatnonzero(~readable & (kind != _NONE))[:1]
-    if not rows.size:
-        return None
-    return str(EPOCH + timedelta(microseconds=int(time_us[rows[0]])))
+        return from_naive(time_us, kind == _WITH_ZONE, "UTC")
+    stamps = from_naive(time_us, local, zone)
+    if not (kind == _WITH_ZONE).any():
+        return stamps
+    return _either(stamps, from_naive(time_us, kind == _WITH_ZONE, "UTC"))
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
