@@ -9,7 +9,15 @@ from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
 from pipeline.ledger import FileRecord
-from pipeline.logs import change_of, find_logs, growing, labels_of, look_at, spanned
+from pipeline.logs import (
+    change_of,
+    find_logs,
+    growing,
+    labels_of,
+    look_at,
+    spanned,
+    without_match,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +75,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
             *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
         ),
         channels=channels,
-        notes=(*map(_fault, written), *(() if paths or absent else (_no_match(spec),))),
+        notes=(*map(_fault, written), *without_match(spec)),
     )
 
 
@@ -87,10 +95,6 @@ def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
 
 def _fault(record: FileRecord) -> str:
     return f"{record.error_code}: {record.message}"
-
-
-def _no_match(spec: MotorSpec) -> str:
-    return f"no file matches {', '.join(spec.file.logs.files)} below {spec.log_root}"
 
 
 def _absent(name: str) -> str:

@@ -496,7 +496,8 @@ class _Reporter:
             }
             _say(json.dumps(line))
             return
-        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
+        why = f": {outcome.message}" if outcome.message and not outcome.error_code else ""
+        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}")
         if outcome.error_code:
             _say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
         for message in outcome.growing:
@@ -555,16 +556,22 @@ def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
 
 
 def _channel_line(channel: ChannelCheck) -> str:
-    """A channel in a line: rate, typical value, what is missing or refused, what looks wrong."""
+    """A channel in a line: rate, typical value, what is missing or refused, what it looks like."""
+    from pipeline.units import canonical_unit
+
     parts = [f"{channel.channel}:"]
     parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
-    parts.append("no value," if channel.median is None else f"median {channel.median:.4g},")
+    unit = canonical_unit(channel.channel).replace("degC", "°C")
+    median = f"median {channel.median:.4g} {unit},"
+    parts.append("no value," if channel.median is None else median)
     parts.append(f"{100 * channel.share_missing:.2g} % missing,")
     parts.append(f"{100 * channel.share_refused:.2g} % refused")
     rules = ", ".join(f"{name} {100 * share:.2g} %" for name, share in channel.refused_by.items())
     parts.append(f"({rules})" if rules else "")
     line = " ".join(part for part in parts if part)
-    return f"{line}; LOOK: {channel.suspicion}" if channel.suspicion else line
+    looks = f", looks {channel.looks}" if channel.looks else ""
+    line += f"; configured as {channel.configured}{looks}"
+    return line + "".join(f"; LOOK: {remark}" for remark in channel.remarks)
 
 
 def _exit_code(error: MotorLeakageError) -> int:

@@ -52,6 +52,17 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
     return names, absent
 
 
+def without_match(spec: MotorSpec) -> tuple[str, ...]:
+    """What to say of the globs of a motor's logs that match no file."""
+    return tuple(
+        f"no file matches {pattern} below {spec.log_root}"
+        for pattern in spec.file.logs.files
+        if GLOB_CHARACTERS & set(pattern)
+        and not (spec.log_root / pattern).exists()
+        and not any(not path.is_dir() for path in spec.log_root.glob(pattern))
+    )
+
+
 def legible(text: str) -> str:
     """Text that tables can hold: bytes of a file's name that are no UTF-8 become their numbers."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
@@ -256,13 +267,14 @@ def place_failed(
             continue
         named = _date_in(name)
         if name in before and before[name].nights:
-            labels, basis = before[name].nights, "as read before"
+            labels, basis = before[name].nights, "by what it held before"
         elif named is not None:
             labels, basis = ((named + lag).isoformat(),), "by its name"
         else:
             label = night_of(record.modified_ns // 1000, spec.settings.nights)
             labels, basis = (label.isoformat(),), "by when it was written"
-        message = f"{record.message} (night {', '.join(labels)} {basis})"
+        # The night itself stands beside the message wherever that is shown.
+        message = f"{record.message} (night told {basis})"
         placed[name] = replace(record, nights=labels, message=message)
     return placed
 

@@ -31,9 +31,10 @@ from pipeline.ledger import (
     read_settings,
 )
 from pipeline.log_shelf import LogShelf
-from pipeline.logs import labels_of, legible, reaches_us, slice_night
+from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
 from pipeline.motor_night import (
     FAILED,
+    INSUFFICIENT_DATA,
     NO_NEW_DATA,
     OK,
     NightOutcome,
@@ -116,7 +117,7 @@ class MotorOutcome:
     status
         failed if a night failed; else ok if a night was fitted; else what came of its nights.
     error_code, message
-        The first failure.
+        The first failure; without one, why there is no fit at all, and no code.
     counts
         Nights by outcome.
     nights
@@ -421,6 +422,15 @@ class _Nights:
             if nights := by_table[table.name]:
                 stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
 
+    def _why_nothing(self, status: str) -> str | None:
+        """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
+        if not self.logs.files:
+            return "; ".join(without_match(self.spec)) or None
+        if status != INSUFFICIENT_DATA:
+            return None
+        label = min(label for label, one in self.done.items() if one.status == status)
+        return f"night {label}: {self.done[label].reason}"
+
     def _outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
         errors: list[tuple[str | None, str | None]] = [
@@ -442,7 +452,7 @@ class _Nights:
             status = OK
         else:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
-        code, message = errors[0] if errors else (None, None)
+        code, message = errors[0] if errors else (None, self._why_nothing(status))
         after = Ledger(
             {**self.before.files, **self.logs.finished(self.done)},
             self.records,

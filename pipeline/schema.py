@@ -703,7 +703,13 @@ MOTOR_OUTCOMES = Table(
             "failed if a night failed; else ok if a night was fitted; else what came of its nights",
         ),
         Column("error_code", pl.String, "", "Code of the first failure"),
-        Column("message", pl.String, "", "The first failure in words, with its file or night"),
+        Column(
+            "message",
+            pl.String,
+            "",
+            "The first failure in words, with its file or night; without a failure, why nothing "
+            "could be fitted, or null",
+        ),
         Column("n_ok", pl.Int64, "", "Nights with a fit"),
         Column("n_stood_still", pl.Int64, "", "Nights in which the motor stood still"),
         Column("n_insufficient_data", pl.Int64, "", "Nights with too little to fit"),

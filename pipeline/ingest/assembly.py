@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
 from pipeline.ingest.quality import is_bad
-from pipeline.ingest.time_stamps import TimeStamps
+from pipeline.ingest.time_stamps import TimeStamps, example_of
 from pipeline.units import to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
@@ -124,9 +124,11 @@ def canonical_channel(
     )
 
 
-def time_name(source: LogSource) -> str:
-    """How the time column of a table is named in messages."""
-    return f"{source.time_source!r} in format {source.time_format}"
+def time_name(source: LogSource, example: str | None = None) -> str:
+    """How the time column of a table is named in messages, with a stamp that is not readable."""
+    form = source.time_format
+    here = f"; here is {example[:40]!r}" if example else ""
+    return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
 
 
 def require_time(path: Path, stamps: TimeStamps, name: str) -> int:

@@ -275,4 +275,4 @@ class Table:
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
         stamps = placed(self._written, self.source.time_zone)
-        return judged(self.path, stamps, time_name(self.source))
+        return judged(self.path, stamps, time_name(self.source, stamps.example))

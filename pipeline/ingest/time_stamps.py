@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ __all__ = [
     "EXCEL_DAYS",
     "TimeStamps",
     "WrittenStamps",
+    "example_of",
     "from_epoch",
     "from_naive",
     "from_text",
@@ -57,6 +58,10 @@ _DAY_MS = 86_400_000
 _NONE, _LOCAL, _WITH_ZONE = 0, 1, 2
 
 
+_LOOKED_AT = 1000
+_EXAMPLE = datetime(2025, 3, 1, 6)
+
+
 @dataclass(frozen=True, slots=True)
 class WrittenStamps:
     """Time stamps as they are written, before local ones are placed in their zone.
@@ -70,10 +75,13 @@ class WrittenStamps:
         Microseconds since 1970, on the wall clock or in UTC.
     kind : (n,) int8
         0 no stamp, 1 on the wall clock, 2 in UTC.
+    example
+        The first cell that holds something and no stamp, for a message.
     """
 
     time_us: NDArray[np.int64]
     kind: NDArray[np.int8]
+    example: str | None = None
 
 
 def require_time_format(time_format: str) -> None:
@@ -113,6 +121,25 @@ def require_time_format(time_format: str) -> None:
         raise UsageError("time_format", f"time format {time_format!r}: {error}") from error
 
 
+def example_of(time_format: str) -> str:
+    """A stamp as a format has it, for a message.
+
+    Examples
+    --------
+    >>> example_of("%d.%m.%Y %H:%M:%S"), example_of("epoch_ms")
+    ('01.03.2025 06:00:00', '1740808800000')
+    """
+    if time_format == "iso8601":
+        return f"{_EXAMPLE.isoformat()}Z"
+    since = _EXAMPLE - EPOCH
+    if time_format == EXCEL_DAYS:
+        return str(_EXCEL_ZERO_MS / -_DAY_MS + since / timedelta(days=1))
+    if time_format in EPOCH_UNITS:
+        per_us = 1000 if time_format == "epoch_ns" else 1
+        return str(since // MICROSECOND * per_us // EPOCH_UNITS[time_format])
+    return _EXAMPLE.replace(tzinfo=UTC).strftime(time_format)
+
+
 def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
     """Time stamps written as text.
 
@@ -143,6 +170,15 @@ def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     texts, time_format
         As for `from_text`.
     """
+    written = _written_as_text(texts, time_format)
+    strange = np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]
+    if not strange.size:
+        return written
+    cells = (cell for cell in texts.take(pa.array(strange)).to_pylist() if cell and cell.strip())
+    return replace(written, example=next(cells, None))
+
+
+def _written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if time_format == "iso8601":
         return _from_iso8601(texts)
     if time_format in EPOCH_UNITS:
@@ -170,6 +206,16 @@ def written_as_numbers(
     >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
     [1740808800000000]
     """
+    written = _written_as_numbers(numbers, time_format)
+    strange = numbers[np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]].tolist()
+    # Blank cells are 0 or nan by now.
+    examples = (str(number) for number in strange if number and number == number)
+    return replace(written, example=next(examples, None))
+
+
+def _written_as_numbers(
+    numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
+) -> WrittenStamps:
     if time_format in EPOCH_UNITS:
         stamps = from_epoch(numbers, time_format)
         return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
@@ -189,6 +235,24 @@ def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     zone
         Zone of stamps that carry none.
     """
+    stamps = _placed(parts, zone)
+    example = next((part.example for part in parts if part.example is not None), None)
+    return replace(stamps, example=example or _implausible(parts, stamps))
+
+
+def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | None:
+    """The first stamp that is read and cannot be, such as one of a clock that was never set."""
+    begin = 0
+    for part in parts:
+        readable = stamps.readable[begin : begin + part.kind.size]
+        rows = np.flatnonzero(~readable & (part.kind != _NONE))[:1]
+        if rows.size:
+            return str(EPOCH + timedelta(microseconds=int(part.time_us[rows[0]])))
+        begin += part.kind.size
+    return None
+
+
+def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
     kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
     local = kind == _LOCAL

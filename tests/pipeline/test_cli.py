@@ -162,7 +162,7 @@ def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
         path.unlink()
     code, out, err = call("fit-fleet", fleet)
     assert (code, err) == (0, "")
-    assert out.count("no_new_data (nothing to do)") == 2
+    assert out.count("no_new_data (nothing to do): no file matches CB400-0") == 2
     assert call("check", fleet)[0] == 0
 
 

@@ -267,6 +267,32 @@ def test_a_file_placed_by_guess_makes_no_holes(workshop: Workshop) -> None:
     assert len(workshop.statuses()) == 3
 
 
+# Why there is nothing
+
+
+def test_patterns_that_match_no_file_are_told(workshop: Workshop) -> None:
+    workshop.configure(files='"M1/*.parquet", "M1/old/*.csv"')
+    outcome = workshop.run()
+    below = f"below {workshop.folder / 'logs'}"
+    told = f"no file matches M1/*.parquet {below}; no file matches M1/old/*.csv {below}"
+    assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, told)
+    workshop.log(NIGHT)
+    assert workshop.run().message is None
+
+
+def test_the_reason_of_nights_without_enough_data_is_told(workshop: Workshop) -> None:
+    for label in (NIGHT, NIGHT + DAY):
+        operation, values = workshop.night(label)
+        values["speed"][::2] = 9999.0
+        write_log(workshop.logs / f"{label}.parquet", operation.time_us, values)
+    outcome = workshop.run()
+    assert (outcome.status, outcome.error_code) == ("insufficient_data", None)
+    assert (outcome.message or "").startswith(f"night {NIGHT}: only ")
+    workshop.log(NIGHT + 2 * DAY)
+    outcome = workshop.run()
+    assert (outcome.status, outcome.message) == ("ok", None)
+
+
 # Files that cannot be read
 
 
@@ -280,7 +306,8 @@ def test_an_unreadable_file_fails_the_night_of_its_name(workshop: Workshop, lag:
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_parquet")
     assert list(workshop.statuses().values()) == ["ok", "ok", "ok", "failed"]
     assert list(workshop.statuses()) == labels
-    assert "by its name" in (outcome.message or "")
+    assert (outcome.message or "").count(str(labels[3])) == 1 + (lag == 0)
+    assert "(night told by its name)" in (outcome.message or "")
     assert f"M1_{labels[3] + lag * DAY}.parquet" in (outcome.message or "")
 
 
@@ -298,7 +325,7 @@ def test_a_broken_file_keeps_the_night_as_which_it_was_read_before(workshop: Wor
     path.write_bytes(path.read_bytes()[:2000])
     outcome = workshop.run()
     assert outcome.nights == (NIGHT,)
-    assert "as read before" in (outcome.message or "")
+    assert "by what it held before" in (outcome.message or "")
     assert workshop.statuses() == {NIGHT: "failed"}
     assert workshop.rows("parameters").is_empty()
 
