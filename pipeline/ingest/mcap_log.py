@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, judged, raw_channel, raw_log, span
 from pipeline.ingest.contract import LogSource, RawChannel, RawLog
-from pipeline.ingest.mcap_cdr import cdr_decoder
+from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
 from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
@@ -34,6 +34,7 @@ from pipeline.ingest.time_stamps import (
 
 _PIECE = 8 * 2**20
 _NO_SCHEMA = Schema("", "", b"")
+_ENCODINGS = {("protobuf", "protobuf"), *(("cdr", language) for language in ROS2_LANGUAGES)}
 
 _Wanted = Mapping[str, tuple[FieldPath, ...]]
 """Fields by topic."""
@@ -270,13 +271,13 @@ def _key(
     if channel.encoding == "json":
         return channel.encoding, _NO_SCHEMA, fields
     schema = schemas.get(channel.schema_id, _NO_SCHEMA)
-    if (channel.encoding, schema.encoding) not in {("cdr", "ros2msg"), ("protobuf", "protobuf")}:
+    if (channel.encoding, schema.encoding) not in _ENCODINGS:
         raise LogError(
             "log_encoding",
             path,
             f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r} with a "
             f"schema in {schema.encoding!r}; read are 'json', 'protobuf' with descriptors, and "
-            "'cdr' with 'ros2msg'",
+            "'cdr' with 'ros2msg' or 'ros2idl'",
             channel.topic,
         )
     return channel.encoding, schema, fields
