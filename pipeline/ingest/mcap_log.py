@@ -8,16 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings, judged, raw_channel, raw_log, span
+from pipeline.ingest.assembly import judged, judged_together, raw_channel, raw_log, span
 from pipeline.ingest.contract import LogSource, RawChannel, RawLog
 from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
+from pipeline.ingest.mcap_columns import ReadingsColumn, StampsColumn
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
 from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
@@ -25,7 +25,6 @@ from pipeline.ingest.mcap_paths import FieldPath, field_path
 from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
 from pipeline.ingest.time_stamps import (
-    TimeStamps,
     WrittenStamps,
     from_epoch,
     placed,
@@ -47,8 +46,8 @@ _Key = tuple[str, Schema, tuple[FieldPath, ...]]
 class _Parts:
     """What the pieces hold of one topic, in the order of the file."""
 
-    stamps: list[WrittenStamps]
-    fields: dict[FieldPath, list[Readings]]
+    stamps: StampsColumn
+    fields: dict[FieldPath, ReadingsColumn]
 
 
 @dataclass(slots=True)
@@ -87,16 +86,16 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
     wanted = _wanted(source)
     content = _content(path, source, wanted)
     _require_topics(path, wanted, content)
-    stamps, slices = _all_stamps(content.parts, source.time_zone)
-    judged_stamps, refused = judged(path, stamps, _time_name(source))
+    written = [placed([parts.stamps.taken()], source.time_zone) for parts in content.parts.values()]
+    stamps, refused = judged_together(path, written, _time_name(source))
+    del written
     channels: dict[str, RawChannel] = {}
-    for topic, fields in wanted.items():
-        readable = judged_stamps.readable[slices[topic]]
-        time_us = judged_stamps.time_us[slices[topic]]
+    for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
+        readable, time_us = judged_stamps.readable, judged_stamps.time_us
         time_us = time_us if readable.all() else time_us[readable]
         for one in fields:
-            # The parts are given up, so that a long log is not held twice.
-            readings = Readings.joined(content.parts[topic].fields.pop(one)).rows(readable)
+            # The columns are given up, so that a long log is not held twice.
+            readings = content.parts[topic].fields.pop(one).taken().rows(readable)
             if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
                 _require_field(path, source, topic, one)
             channels |= {
@@ -105,7 +104,7 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
                 if channel.source == topic and field_path(channel.field, topic) == one
             }
     in_order = {channel.channel: channels[channel.channel] for channel in source.channels}
-    rows = int(np.count_nonzero(judged_stamps.readable))
+    rows = sum(int(np.count_nonzero(judged_stamps.readable)) for judged_stamps in stamps)
     refused = {reason.replace("rows", "messages", 1): n for reason, n in refused.items()}
     return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
 
@@ -146,8 +145,14 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
     if statistics is None or not statistics.message_count:
         return None
     log_times = [statistics.first_log_time, statistics.last_log_time]
-    stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
-    return span(path, [stamps.time_us]) if stamps.readable.all() else None
+    try:
+        stamps, refused = judged(
+            path, from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns"), _time_name(source)
+        )
+    except LogError:
+        return None
+    # A single stamp may be wrong that the messages themselves would show to be so.
+    return None if any(refused.values()) else span(path, [stamps.time_us])
 
 
 def _time_name(source: LogSource) -> str:
@@ -171,7 +176,10 @@ def _wanted(source: LogSource) -> _Wanted:
 def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
     names = tuple(wanted)
     content = _Content(
-        {name: _Parts([], {one: [] for one in fields}) for name, fields in wanted.items()}
+        {
+            name: _Parts(StampsColumn(), {one: ReadingsColumn() for one in fields})
+            for name, fields in wanted.items()
+        }
     )
     decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1
@@ -233,17 +241,7 @@ def _decode(
         parts = content.parts[names[topic]]
         parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows]))
         for one, readings in decoded.fields.items():
-            parts.fields[one].append(_compact(readings.rows(rows)))
-
-
-def _compact(readings: Readings) -> Readings:
-    """The same readings without the room that a parser has left, or marks that mark nothing."""
-    marks = [
-        mark if mark.any() else np.broadcast_to(np.False_, mark.shape)
-        for mark in (readings.missing, readings.unparsed)
-    ]
-    raw = readings.raw if readings.raw.flags.owndata else readings.raw.copy()
-    return Readings(raw, marks[0], marks[1], readings.example)
+            parts.fields[one].append(readings.rows(rows))
 
 
 def _add_decoders(
@@ -308,20 +306,3 @@ def _require_field(path: Path, source: LogSource, topic: str, one: FieldPath) ->
         channels = [c for c in messages.channels.values() if c.topic == topic]
     if all(channel.encoding == "json" for channel in channels):
         require_json_field(path, topic, one, salvage=source.salvage)
-
-
-def _all_stamps(parts: Mapping[str, _Parts], zone: str) -> tuple[TimeStamps, dict[str, slice]]:
-    """Stamps of all topics one after the other, and where each topic's are; the parts give theirs
-    up."""
-    by_topic: list[TimeStamps] = []
-    for of_topic in parts.values():
-        by_topic.append(placed(of_topic.stamps, zone))
-        of_topic.stamps.clear()
-    ends = np.cumsum([0, *(stamps.readable.size for stamps in by_topic)]).tolist()
-    slices = [slice(start, end) for start, end in pairwise(ends)]
-    skipped = sum(stamps.skipped for stamps in by_topic)
-    readable = np.concatenate([stamps.readable for stamps in by_topic])
-    times = [stamps.time_us for stamps in by_topic]
-    del by_topic
-    time_us = times[0] if len(times) == 1 else np.concatenate(times)
-    return TimeStamps(time_us, readable, skipped), dict(zip(parts, slices, strict=True))

@@ -10,7 +10,7 @@ which a 0 is never written. Truth values and members of an enum are their number
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -38,7 +38,7 @@ _Step = Callable[[Any], Any]
 _NUMBERS = {1: "i4", 2: "i8", 3: "u4", 4: "u8", 5: "f8", 6: "f4", 7: "?", 8: "i4"}
 """NumPy's names by the runtime's ``CPPTYPE_INT32`` and so on, truth values and enums included."""
 
-_KEYS = {1: 0, 2: 0, 3: 0, 4: 0, 7: "true", 9: "KEY"}
+_KEYS: Mapping[int, str | int] = {1: 0, 2: 0, 3: 0, 4: 0, 7: "true", 9: "KEY"}
 """Keys that a map may have, by the runtime's name of their type."""
 
 _TRUTH = {"true": True, "false": False}

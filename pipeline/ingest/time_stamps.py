@@ -189,8 +189,11 @@ def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     zone
         Zone of stamps that carry none.
     """
-    time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
-    kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
+    if len(parts) == 1:
+        time_us, kind = parts[0].time_us, parts[0].kind
+    else:
+        time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
+        kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
     local = kind == _LOCAL
     if not local.any():
         return from_naive(time_us, kind == _WITH_ZONE, "UTC")
