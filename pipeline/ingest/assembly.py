@@ -124,21 +124,23 @@ def judged_together(
 ) -> tuple[list[TimeStamps], dict[str, int]]:
     """Stamps of a log that come in parts, judged as one; otherwise as `judged`."""
     latest_us = time.time_ns() // 1000 + _DAY_US
-    futures = [part.readable & (part.time_us > latest_us) for part in parts]
     rows = sum(part.readable.size for part in parts)
-    ahead = sum(int(np.count_nonzero(future)) for future in futures)
+    ahead = sum(int(np.count_nonzero(_future(part, latest_us))) for part in parts)
     skipped = sum(part.skipped for part in parts)
     unreadable = rows - sum(int(np.count_nonzero(part.readable)) for part in parts)
     _require_time(path, rows, {"ahead": ahead, "skipped": skipped, "unreadable": unreadable}, name)
-    past = [
-        replace(part, readable=part.readable & ~future) if ahead else part
-        for part, future in zip(parts, futures, strict=True)
-    ]
+    past = list(parts)
+    if ahead:
+        past = [replace(p, readable=p.readable & ~_future(p, latest_us)) for p in parts]
     return past, {
         "rows without a readable time": unreadable - skipped,
         "rows at a local time that the zone's clock change leaves out": skipped,
         "rows with a time more than a day in the future": ahead,
     }
+
+
+def _future(stamps: TimeStamps, latest_us: int) -> NDArray[np.bool_]:
+    return stamps.readable & (stamps.time_us > latest_us)
 
 
 def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -> None:

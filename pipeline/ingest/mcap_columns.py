@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.ingest.assembly import Readings
-from pipeline.ingest.time_stamps import WrittenStamps
+from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
 
 _T = TypeVar("_T", bound=np.generic)
 
 _FIRST_ROOM = 2**12
+_MOST_ROOM = 2**18
 
 
 class Column(Generic[_T]):
@@ -25,10 +26,10 @@ class Column(Generic[_T]):
 
     def append(self, values: NDArray[_T]) -> None:
         """Add values."""
-        end = self._size + values.size
-        if end > self._values.size:
-            # The memory of a large array is moved by its pages, not copied.
-            self._values.resize(max(end, self._values.size * 9 // 8), refcheck=False)
+        end, room = self._size + values.size, self._values.size
+        if end > room:
+            # Small steps cost little: a large array is moved by its pages, not copied.
+            self._values.resize(max(end, room + min(room // 8, _MOST_ROOM)), refcheck=False)
         self._values[self._size : end] = values
         self._size = end
 
@@ -40,28 +41,28 @@ class Column(Generic[_T]):
         return values
 
 
-class Marks:
-    """Truth values one after the other, which take no memory as long as none is true."""
+class Marks(Generic[_T]):
+    """Values one after the other, which take no memory as long as all are the same."""
 
-    def __init__(self) -> None:
-        self._values: Column[np.bool_] | None = None
+    def __init__(self, usual: _T) -> None:
+        self._usual = usual
+        self._values: Column[_T] | None = None
         self._size = 0
 
-    def append(self, values: NDArray[np.bool_]) -> None:
-        """Add marks."""
-        if self._values is None and values.any():
-            self._values = Column(np.bool_)
-            self._values.append(np.zeros(self._size, np.bool_))
+    def append(self, values: NDArray[_T]) -> None:
+        """Add values."""
+        if self._values is None and (values != self._usual).any():
+            self._values = Column(type(self._usual))
+            self._values.append(np.full(self._size, self._usual))
         if self._values is not None:
             self._values.append(values)
         self._size += values.size
 
-    def taken(self) -> NDArray[np.bool_]:
-        """All marks, to be given up."""
+    def taken(self) -> NDArray[_T]:
+        """All values, to be given up; where all are the same they cannot be written."""
         if self._values is not None:
             return self._values.taken()
-        # Zeros that are never written take no memory either.
-        return np.zeros(self._size, np.bool_)
+        return np.broadcast_to(self._usual, self._size)
 
 
 @dataclass(slots=True)
@@ -69,8 +70,8 @@ class ReadingsColumn:
     """Readings of a field."""
 
     raw: Column[np.float64] = field(default_factory=lambda: Column(np.float64))
-    missing: Marks = field(default_factory=Marks)
-    unparsed: Marks = field(default_factory=Marks)
+    missing: Marks[np.bool_] = field(default_factory=lambda: Marks(np.False_))
+    unparsed: Marks[np.bool_] = field(default_factory=lambda: Marks(np.False_))
     example: str | None = None
 
     def append(self, readings: Readings) -> None:
@@ -90,7 +91,7 @@ class StampsColumn:
     """Time stamps of a topic."""
 
     time_us: Column[np.int64] = field(default_factory=lambda: Column(np.int64))
-    kind: Column[np.int8] = field(default_factory=lambda: Column(np.int8))
+    kind: Marks[np.int8] = field(default_factory=lambda: Marks(np.int8(WITH_ZONE)))
 
     def append(self, stamps: WrittenStamps) -> None:
         """Add stamps."""

@@ -7,7 +7,7 @@ a piece only the readings and time stamps are kept.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,7 @@ from pipeline.ingest.mcap_paths import FieldPath, field_path
 from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
 from pipeline.ingest.time_stamps import (
+    TimeStamps,
     WrittenStamps,
     from_epoch,
     placed,
@@ -86,9 +87,9 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
     wanted = _wanted(source)
     content = _content(path, source, wanted)
     _require_topics(path, wanted, content)
-    written = [placed([parts.stamps.taken()], source.time_zone) for parts in content.parts.values()]
-    stamps, refused = judged_together(path, written, _time_name(source))
-    del written
+    placed_stamps = [_placed(parts, source.time_zone) for parts in content.parts.values()]
+    stamps, refused = judged_together(path, placed_stamps, _time_name(source))
+    del placed_stamps
     channels: dict[str, RawChannel] = {}
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
         readable, time_us = judged_stamps.readable, judged_stamps.time_us
@@ -288,6 +289,14 @@ def _decoder(path: Path, source: LogSource, topic: str, key: _Key) -> Decoder:
         return json_decoder(fields, stamp, source.time_format)
     made = cdr_decoder if encoding == "cdr" else protobuf_decoder
     return made(path, topic, schema, fields, stamp, source.time_format)
+
+
+def _placed(parts: _Parts, zone: str) -> TimeStamps:
+    """Stamps of a topic, which gives its own up; marks that mark all alike take no memory."""
+    stamps = placed([parts.stamps.taken()], zone)
+    if not stamps.readable.all():
+        return stamps
+    return replace(stamps, readable=np.broadcast_to(np.True_, stamps.readable.shape))
 
 
 def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:

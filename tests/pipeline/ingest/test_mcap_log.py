@@ -559,7 +559,7 @@ def test_an_index_is_believed_only_as_far_as_it_is_true(
     inner = record(0x05, bytes(3))
     messages = [message_record(1, T0_NS, (inner * 4)[:size]) for size in sizes]
     records = memoryview(b"".join([DP, *messages, DP]))
-    offsets, end = record_offsets(records)
+    offsets, _ = record_offsets(records)
     positions = np.array(offsets[1:-1], np.int64)
     for which, step in lies:
         if which < positions.size:
