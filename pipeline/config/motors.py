@@ -64,7 +64,7 @@ class Channel(Section):
         "value",
         min_length=1,
         description="Field in the message of an MCAP topic: a key, or a path such as "
-        "`hydraulics.pressure.a` or `pressures[0].value`",
+        "`hydraulics.pressure.a`, `pressures[0].value` or, in a map, `temperatures.oil`",
     )
     unit: str = Field(description="Unit in the log")
     quality_source: str = Field(

@@ -131,34 +131,6 @@ def time_name(source: LogSource, example: str | None = None) -> str:
     return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
 
 
-def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
-    """Number of rows without a time; more than half of them is an error ``log_time``.
-
-    Parameters
-    ----------
-    name
-        What the stamps are called and how they were read.
-    """
-    rows = stamps.readable.size
-    unreadable = rows - int(np.count_nonzero(stamps.readable))
-    if 2 * stamps.skipped > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{stamps.skipped} of {rows} time stamps, read as {name}, lie in an hour that does not "
-            "exist in the zone, as its clocks go forward: where the logger's clock does not, set "
-            "time_zone to a fixed one such as Etc/GMT-1",
-        )
-    if 2 * unreadable > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{unreadable} of {rows} time stamps cannot be read as {name}, or lie before 1990 or "
-            "after 2200: give the right time format, or have the logger's clock set",
-        )
-    return unreadable
-
-
 def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[str, int]]:
     """Stamps without those in the future, and how many rows have no good time, by reason.
 
@@ -172,22 +144,59 @@ def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[
     LogError
         ``log_time``: more than half of the rows have no good time.
     """
-    future = stamps.readable & (stamps.time_us > time.time_ns() // 1000 + _DAY_US)
-    ahead = int(np.count_nonzero(future))
-    if 2 * ahead > stamps.readable.size:
+    (past,), refused = judged_together(path, [stamps], name)
+    return past, refused
+
+
+def judged_together(
+    path: Path, parts: Sequence[TimeStamps], name: str
+) -> tuple[list[TimeStamps], dict[str, int]]:
+    """Stamps of a log that come in parts, judged as one; otherwise as `judged`."""
+    latest_us = time.time_ns() // 1000 + _DAY_US
+    rows = sum(part.readable.size for part in parts)
+    ahead = sum(int(np.count_nonzero(_future(part, latest_us))) for part in parts)
+    skipped = sum(part.skipped for part in parts)
+    unreadable = rows - sum(int(np.count_nonzero(part.readable)) for part in parts)
+    _require_time(path, rows, {"ahead": ahead, "skipped": skipped, "unreadable": unreadable}, name)
+    past = list(parts)
+    if ahead:
+        past = [replace(p, readable=p.readable & ~_future(p, latest_us)) for p in parts]
+    return past, {
+        "rows without a readable time": unreadable - skipped,
+        "rows at a local time that the zone's clock change leaves out": skipped,
+        "rows with a time more than a day in the future": ahead,
+    }
+
+
+def _future(stamps: TimeStamps, latest_us: int) -> NDArray[np.bool_]:
+    return stamps.readable & (stamps.time_us > latest_us)
+
+
+def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -> None:
+    """More than half of the rows without a good time are an error ``log_time``."""
+    if 2 * counts["ahead"] > rows:
         raise LogError(
             "log_time",
             path,
-            f"{ahead} of {stamps.readable.size} time stamps, read as {name}, lie more than a day "
-            "in the future: have the logger's clock set, or give the right time format",
+            f"{counts['ahead']} of {rows} time stamps, read as {name}, lie more than a day in the "
+            "future: have the logger's clock set, or give the right time format",
         )
-    past = stamps if not ahead else replace(stamps, readable=stamps.readable & ~future)
-    unreadable = require_time(path, past, name)
-    return past, {
-        "rows without a readable time": unreadable - stamps.skipped - ahead,
-        "rows at a local time that the zone's clock change leaves out": stamps.skipped,
-        "rows with a time more than a day in the future": ahead,
-    }
+    if 2 * counts["skipped"] > rows:
+        raise LogError(
+            "log_time",
+            path,
+            f"{counts['skipped']} of {rows} time stamps, read as {name}, lie in an hour that does "
+            "not exist in the zone, as its clocks go forward: where the logger's clock does not, "
+            "set time_zone to a fixed one such as Etc/GMT-1",
+        )
+    without = counts["unreadable"] + counts["ahead"]
+    if 2 * without > rows:
+        raise LogError(
+            "log_time",
+            path,
+            f"{without} of {rows} time stamps cannot be read as {name}, lie before 1990 or after "
+            "2200, or in the future: give the right time format, or have the logger's clock set",
+        )
 
 
 def raw_log(

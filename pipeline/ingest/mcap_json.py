@@ -152,6 +152,9 @@ def _at_once(
 ) -> Decoded | None:
     """Readings, where every line is one object and every wanted value of its type or null; else
     None."""
+    # A stamp may be a reading too, but not where it is text.
+    if any(stamp_types.get(field) == pa.string() for field in fields):
+        return None
     types = {**dict.fromkeys(fields, pa.float64()), **stamp_types}
     if any(types.get(path, kind) != kind for path, kind in quality_types.items()):
         return None
@@ -233,7 +236,8 @@ def _element(lists: pa.ListArray, position: int) -> pa.Array:
 
 def _readings(column: pa.Array) -> Readings:
     missing = column.is_null().to_numpy(zero_copy_only=False)
-    raw: NDArray[np.float64] = pc.fill_null(column, np.nan).to_numpy(zero_copy_only=False)
+    numbers = pc.fill_null(column.cast(pa.float64(), safe=False), np.nan)
+    raw: NDArray[np.float64] = numbers.to_numpy(zero_copy_only=False)
     return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
 
 

@@ -69,7 +69,7 @@ Decoder = Callable[[Payloads], Decoded]
 
 def payloads_of(
     messages: Messages,
-    chosen: NDArray[np.bool_],
+    chosen: NDArray[np.intp],
     topic: NDArray[np.int16],
     time_ns: NDArray[np.uint64],
 ) -> Payloads:
@@ -79,14 +79,16 @@ def payloads_of(
     ----------
     messages
         n messages.
-    chosen : (n,) bool
+    chosen : (m,) intp
+        Positions of those that are wanted, one at least, in the order of the file.
     topic : (n,) int16
     time_ns : (n,) uint64
         Their topics, and the times that go with them.
     """
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
     length = ends - starts
-    text = _as_lines(messages.buffer, starts, ends)
+    low, high = int(starts[0]), int(ends[-1])
+    text = _as_lines(messages.buffer[low:high], starts - low, ends - low)
     return Payloads(text, _starts(length), length, topic[chosen], time_ns[chosen])
 
 

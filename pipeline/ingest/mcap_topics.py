@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import LogError
-from pipeline.ingest.mcap_cdr import cdr_decoder
+from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder, ros2_definitions
 from pipeline.ingest.mcap_json import json_decoder
 from pipeline.ingest.mcap_layout import Channel, Schema, Summary, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
 from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
-from pipeline.ingest.mcap_ros2msg import NUMBERS, Definitions, ros2_definitions
+from pipeline.ingest.mcap_ros2_types import Array, Definitions, Message, Number, Type
 
 MESSAGES_READ = 50
 _MOST_BYTES = 64 * 2**20
@@ -108,9 +108,8 @@ def _take(
         wanted = MESSAGES_READ - len(topic.log_ns)
         rows = np.flatnonzero(np.isin(messages.channel_id, ids))[: max(wanted, 0)]
         if rows.size:
-            chosen = np.isin(np.arange(messages.channel_id.size), rows)
             numbers = np.zeros(messages.channel_id.size, np.int16)
-            taken = payloads_of(messages, chosen, numbers, messages.log_time)
+            taken = payloads_of(messages, rows, numbers, messages.log_time)
             payloads.setdefault(name, []).append(taken)
             topic.log_ns += messages.log_time[rows].tolist()
             topic.publish_ns += messages.publish_time[rows].tolist()
@@ -124,8 +123,8 @@ def _decode(path: Path, topic: Topic, schema: Schema, payloads: Payloads) -> Non
             texts = [leaf for one in objects[:1] for leaf in _leaves(one, _is_text)]
             topic.texts = dict(texts)
             decoder = json_decoder(paths[:_MOST_FIELDS], None, "epoch_ns")
-        elif (topic.encoding, schema.encoding) == ("cdr", "ros2msg"):
-            definitions = ros2_definitions(path, schema)
+        elif topic.encoding == "cdr" and schema.encoding in ROS2_LANGUAGES:
+            definitions = ros2_definitions(path, topic.name, schema)
             paths = list(_ros2_paths(definitions, definitions.root, ()))
             decoder = _made(cdr_decoder, path, topic, schema, paths)
         elif (topic.encoding, schema.encoding) == ("protobuf", "protobuf"):
@@ -188,15 +187,20 @@ def _leaves(
 
 
 def _ros2_paths(definitions: Definitions, message: str, path: FieldPath) -> Iterator[FieldPath]:
-    for one in definitions.fields[message]:
-        count = 1 if one.count == 0 else one.count
-        places = [()] if count is None else [(i,) for i in range(min(count, _MOST_ELEMENTS))]
-        for place in places:
-            inner = (*path, one.name, *place)
-            if one.type in NUMBERS:
-                yield inner
-            elif one.type in definitions.fields and len(inner) < 2 * _DEEPEST:
-                yield from _ros2_paths(definitions, one.type, inner)
+    for name, kind in definitions.fields[message].items():
+        yield from _ros2_paths_of(definitions, kind, (*path, name))
+
+
+def _ros2_paths_of(definitions: Definitions, kind: Type, path: FieldPath) -> Iterator[FieldPath]:
+    if isinstance(kind, Number):
+        yield path
+    elif isinstance(kind, Array):
+        # Of a sequence of any length the first element stands for all.
+        count = 1 if kind.count is None else min(kind.count, _MOST_ELEMENTS)
+        for place in range(count):
+            yield from _ros2_paths_of(definitions, kind.element, (*path, place))
+    elif isinstance(kind, Message) and len(path) < 2 * _DEEPEST:
+        yield from _ros2_paths(definitions, kind.name, path)
 
 
 def _protobuf_paths(path: Path, schema: Schema) -> Iterator[FieldPath]:

@@ -55,7 +55,7 @@ _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
 _EXCEL_ZERO_MS = (datetime(1899, 12, 30) - EPOCH) // timedelta(milliseconds=1)
 _DAY_MS = 86_400_000
-_NONE, _LOCAL, _WITH_ZONE = 0, 1, 2
+_NONE, _LOCAL, WITH_ZONE = 0, 1, 2
 
 
 _LOOKED_AT = 1000
@@ -218,7 +218,7 @@ def _written_as_numbers(
 ) -> WrittenStamps:
     if time_format in EPOCH_UNITS:
         stamps = from_epoch(numbers, time_format)
-        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
+        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, WITH_ZONE))
     since_1970_ms = np.asarray(numbers, dtype=np.float64) * _DAY_MS + _EXCEL_ZERO_MS
     fits = np.abs(since_1970_ms) < LATEST_US / 1000
     local_ms = np.rint(np.where(fits, since_1970_ms, 0.0)).astype(np.int64)
@@ -253,15 +253,18 @@ def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | No
 
 
 def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
-    time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
-    kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
+    if len(parts) == 1:
+        time_us, kind = parts[0].time_us, parts[0].kind
+    else:
+        time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
+        kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
     local = kind == _LOCAL
     if not local.any():
-        return from_naive(time_us, kind == _WITH_ZONE, "UTC")
+        return from_naive(time_us, kind == WITH_ZONE, "UTC")
     stamps = from_naive(time_us, local, zone)
-    if not (kind == _WITH_ZONE).any():
+    if not (kind == WITH_ZONE).any():
         return stamps
-    return _either(stamps, from_naive(time_us, kind == _WITH_ZONE, "UTC"))
+    return _either(stamps, from_naive(time_us, kind == WITH_ZONE, "UTC"))
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
@@ -331,7 +334,7 @@ def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
     stamps
         As for `from_arrow_timestamps`.
     """
-    kind = _WITH_ZONE if stamps.type.tz else _LOCAL
+    kind = WITH_ZONE if stamps.type.tz else _LOCAL
     readable = stamps.is_valid().to_numpy().astype(bool)
     counts = pc.fill_null(stamps.cast(pa.int64()), 0).to_numpy()
     unit = stamps.type.unit
@@ -352,7 +355,7 @@ def _from_iso8601_cell_by_cell(texts: list[str | None]) -> WrittenStamps:
         except ValueError:
             continue
         offset = stamp.utcoffset()
-        kind[i] = _LOCAL if offset is None else _WITH_ZONE
+        kind[i] = _LOCAL if offset is None else WITH_ZONE
         time_us[i] = (stamp.replace(tzinfo=None) - EPOCH - (offset or timedelta())) // MICROSECOND
     return WrittenStamps(time_us, kind)
 
@@ -374,7 +377,7 @@ def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> Writte
     parsed = cells.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
     as_float = from_epoch(np.where(whole.is_null().to_numpy(), parsed, np.nan), time_format)
     stamps = _either(as_whole, as_float)
-    return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
+    return WrittenStamps(stamps.time_us, _kinds(stamps.readable, WITH_ZONE))
 
 
 def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
@@ -386,7 +389,7 @@ def _from_strptime(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if ",%f" in time_format:
         texts = pc.replace_substring(texts, ",", ".")
     stamps = _strptime(pl.Series("time", texts), time_format)
-    kind = _WITH_ZONE if "%z" in time_format else _LOCAL
+    kind = WITH_ZONE if "%z" in time_format else _LOCAL
     readable = stamps.is_not_null().to_numpy()
     return WrittenStamps(stamps.to_physical().fill_null(0).to_numpy(), _kinds(readable, kind))
 
