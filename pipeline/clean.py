@@ -36,6 +36,10 @@ MAD_TO_SD = 1.482602218505602
 TEMPERATURE_FROZEN_AFTER_S = 900.0
 # Windows compared at a time by the Hampel filter: bounds its memory, changes no figure.
 HAMPEL_CHUNK = 65_536
+# A limit is not crossed by less than this share of it: a conversion of units leaves that much.
+ROUNDING = 1e-6
+# Nor is a distance in steps of the sensor by less than this share of one.
+STEP_ROUNDING = 0.25
 # A sample that comes within this share of a period after it was due is late, not missing.
 LATE_SHARE = 0.75
 
@@ -269,7 +273,8 @@ def _frozen_in_sight(
     seen_us = np.cumsum(np.where(steps > longest_gap_us, 0, steps))
     stuck = frozen(seen_us, value, rules.resolution, rules.frozen_after_s * SECOND_US)
     # As many counts in each period are a steady flow; none for long is a counter that stopped.
-    counting = (value != 0.0) if rules.sampling.counts else np.abs(value) < rules.at_rest_below
+    at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
+    counting = (value != 0.0) if rules.sampling.counts else np.abs(value) < at_rest_below
     mask: Mask = stuck & ~counting
     return mask
 
@@ -321,7 +326,8 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
 
 def out_of_range(value: Values, valid_range: tuple[float, float]) -> Mask:
     """Values outside the valid range; NaN is not, it has its own reason."""
-    mask: Mask = (value < valid_range[0]) | (value > valid_range[1])
+    low, high = valid_range
+    mask: Mask = (value < low - ROUNDING * abs(low)) | (value > high + ROUNDING * abs(high))
     return mask
 
 
@@ -362,7 +368,7 @@ def spike(value: Values, rules: ChannelRules) -> Mask:
         return mask
     padded = np.pad(value, half, mode="reflect")
     windows = sliding_window_view(padded, rules.hampel_window)
-    floor = rules.hampel_threshold * rules.resolution
+    floor = (rules.hampel_threshold + STEP_ROUNDING) * rules.resolution
     for begin in range(0, len(value), HAMPEL_CHUNK):
         part = windows[begin : begin + HAMPEL_CHUNK]
         middle = np.partition(part, half, axis=1)[:, half]
@@ -462,7 +468,7 @@ def transient(value: Values, present: Mask, period_s: float, limit_per_s: float)
     pairs = present[1:] & present[:-1]
     rate = np.zeros(len(pairs))
     rate[pairs] = np.abs(np.diff(value)[pairs]) / period_s
-    fast = rate > limit_per_s
+    fast = rate > (1.0 + ROUNDING) * limit_per_s
     mask = np.zeros(len(value), dtype=np.bool_)
     mask[1:] |= fast
     mask[:-1] |= fast

@@ -13,7 +13,16 @@ from math import ceil
 
 import numpy as np
 
-from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
+from pipeline.clean import (
+    ROUNDING,
+    SECOND_US,
+    CleanChannel,
+    Mask,
+    Times,
+    Values,
+    near,
+    transient,
+)
 from pipeline.config import Cleaning, TimeBase, TransportDelay
 from pipeline.transport_delay import Delay, delay_inputs
 
@@ -289,7 +298,8 @@ def _joint_masks(
     cleaning: Cleaning,
 ) -> dict[str, Mask]:
     speed, pressure = values["speed"], values["pressure_difference"]
-    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < cleaning.standstill_rpm)
+    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
+    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
     events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))

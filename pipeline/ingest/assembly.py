@@ -161,6 +161,55 @@ def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[
     }
 
 
+def without_rows_of_others(
+    channels: Mapping[str, RawChannel], columns: Mapping[str, str]
+) -> dict[str, RawChannel]:
+    """Channels of a table without those blank cells that tell of no missing reading.
+
+    Where each channel is logged at times of its own, a table has a row for each of them, which is
+    blank for the others. So is a channel most of whose readings stand alone in their rows; one that
+    shares them was to have a reading there.
+
+    Parameters
+    ----------
+    channels
+        By name, all of the same rows.
+    columns
+        Column of each channel; several may have the same.
+
+    Examples
+    --------
+    >>> def channel(*value):
+    ...     return RawChannel(np.arange(4), np.array(value), np.isnan(value), 0)
+    >>> one, other = channel(1.0, np.nan, 2.0, np.nan), channel(np.nan, 7.0, np.nan, 8.0)
+    >>> apart = without_rows_of_others({"a": one, "b": other}, {"a": "x", "b": "y"})
+    >>> apart["a"].time_us.tolist(), apart["b"].time_us.tolist()
+    ([0, 2], [1, 3])
+    """
+    by_column = {columns[name]: channel.missing for name, channel in channels.items()}
+    if len(by_column) < 2 or not any(missing.any() for missing in by_column.values()):
+        return dict(channels)
+    readings = np.zeros(next(iter(by_column.values())).size, dtype=np.int16)
+    for missing in by_column.values():
+        readings += ~missing
+    apart: dict[str, RawChannel] = {}
+    for name, channel in channels.items():
+        of_its_rows = readings[~channel.missing]
+        alone = 2 * np.count_nonzero(of_its_rows == 1) > of_its_rows.size
+        apart[name] = _rows(channel, ~channel.missing) if alone else channel
+    return apart
+
+
+def _rows(channel: RawChannel, kept: NDArray[np.bool_]) -> RawChannel:
+    arrays = {name: getattr(channel, name) for name in channel.__slots__}
+    chosen = {
+        name: _frozen(array[kept])
+        for name, array in arrays.items()
+        if isinstance(array, np.ndarray)
+    }
+    return replace(channel, **chosen)
+
+
 def raw_log(
     channels: Mapping[str, RawChannel],
     rows: int,

@@ -22,6 +22,7 @@ from pipeline.ingest.assembly import (
     raw_log,
     span,
     time_name,
+    without_rows_of_others,
 )
 from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
 from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
@@ -190,6 +191,9 @@ class Table:
             if self._column(channel) is not None:
                 readings, here = readings.rows(stamps.readable), time_us
             channels[channel.channel] = canonical_channel(self.path, channel, here, readings)
+        if self.source.layout == "wide":
+            columns = {channel.channel: channel.source for channel in self.source.channels}
+            channels = without_rows_of_others(channels, columns)
         return raw_log(channels, time_us.size, refused)
 
     def _column(self, channel: ChannelSource) -> str | None:
