@@ -39,7 +39,7 @@ HAMPEL_CHUNK = 65_536
 # A limit is not crossed by less than this share of it: a conversion of units leaves that much.
 ROUNDING = 1e-6
 # Nor is a distance in steps of the sensor by less than this share of one.
-STEP_ROUNDING = 0.25
+STEP_ROUNDING = 0.01
 # A sample that comes within this share of a period after it was due is late, not missing.
 LATE_SHARE = 0.75
 

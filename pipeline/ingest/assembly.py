@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -201,11 +201,12 @@ def without_rows_of_others(
 
 
 def _rows(channel: RawChannel, kept: NDArray[np.bool_]) -> RawChannel:
-    arrays = {name: getattr(channel, name) for name in channel.__slots__}
-    chosen = {
-        name: _frozen(array[kept])
-        for name, array in arrays.items()
-        if isinstance(array, np.ndarray)
+    """Some rows of everything that a channel has of each."""
+    values = {one.name: getattr(channel, one.name) for one in fields(channel)}
+    chosen: dict[str, Any] = {
+        name: _frozen(value[kept])
+        for name, value in values.items()
+        if isinstance(value, np.ndarray)
     }
     return replace(channel, **chosen)
 

@@ -113,7 +113,7 @@ COLUMNS: tuple[Dialect, ...] = (
     ),
     Parquet("decimals", numbers=decimals(15), finite=True),
     Parquet("whole numbers with a scale", numbers=counts(1e-12), scale=1e-12, finite=True),
-    Parquet("float32", numbers=singles, precision=SINGLE),
+    Parquet("nested float32", numbers=singles, precision=SINGLE, within=("winch",)),
     Parquet(
         "spreadsheet days, kPa, °F",
         {"time_format": "excel_days", "time_zone": "Asia/Tokyo"},
@@ -152,3 +152,7 @@ MESSAGES: tuple[Dialect, ...] = (
     Mcap("ROS 2 float32", precision=SINGLE, encoding=Ros2(single=True)),
 )
 DIALECTS: tuple[Dialect, ...] = (*TEXT, *COLUMNS, *MESSAGES)
+OVER_A_CLOCK_CHANGE: tuple[Dialect, ...] = tuple(
+    dialect for dialect in DIALECTS if str(dialect.logs.get("time_zone", "")).startswith("Europe/")
+)
+"""In the local time of zones whose clocks go back on the last Sunday of October."""

@@ -21,8 +21,9 @@ MICROSECOND = dt.timedelta(microseconds=1)
 EXCEL_ZERO = dt.datetime(1899, 12, 30)
 DOUBLE = 1e-9
 """Relative: what the fits of two logs may differ by whose readings have all their digits."""
-SINGLE = 2e-5
-"""The same for readings in float32, whose own step is 6e-8 of the reading."""
+SINGLE = 1e-4
+"""The same for readings in float32: some 1e-6, twenty times a reading's own step; more where the
+pressure hardly moves, so that what is estimated is the small difference of large figures."""
 
 
 @dataclass(frozen=True)

@@ -76,11 +76,11 @@ class Json:
 
     def place(self, channel: str) -> tuple[str, str]:
         topic = TOPIC if self.together else f"{TOPIC}/{channel}"
-        return topic, f"hydraulics.{channel}[1].value"
+        return topic, f"hydraulics.{channel}.readings[1]"
 
     def payload(self, time_us: int, reading: Reading) -> bytes:
         parts = {
-            name: ["as configured", {"value": None if math.isnan(value) else value}]
+            name: {"unit": "as configured", "readings": [0, None if math.isnan(value) else value]}
             for name, value in reading.items()
         }
         stamp = seconds_and_nanoseconds(time_us)
