@@ -7,6 +7,7 @@ import sys
 
 BENCHMARKS = (
     "coverage",
+    "demo_dialects",
     "demo_run",
     "demo_truth",
     "mcap_reading",
