@@ -15,7 +15,7 @@ from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.channel_rules import ChannelRules
 from pipeline.clocks import jittered, typical_period_us
 from pipeline.ingest import RawChannel
-from pipeline.masks import at_maximum, frozen, out_of_range, spike
+from pipeline.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
 from pipeline.order import carried_over, in_order, samples_of
 from pipeline.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 
@@ -192,7 +192,8 @@ def _frozen_in_sight(
     seen_us = np.cumsum(np.where(steps > longest_gap_us, 0, steps))
     stuck = frozen(seen_us, value, rules.resolution, rules.frozen_after_s * SECOND_US)
     # As many counts in each period are a steady flow; none for long is a counter that stopped.
-    counting = (value != 0.0) if rules.sampling.counts else np.abs(value) < rules.at_rest_below
+    at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
+    counting = (value != 0.0) if rules.sampling.counts else np.abs(value) < at_rest_below
     mask: Mask = stuck & ~counting
     return mask
 

@@ -14,6 +14,10 @@ MAD_TO_SD = 1.482602218505602
 HAMPEL_CHUNK = 65_536
 # A sample that comes within this share of a period after it was due is late, not missing.
 LATE_SHARE = 0.75
+# A limit is not crossed by less than this share of it: a conversion of units leaves that much.
+ROUNDING = 1e-6
+# Nor is a distance in steps of the sensor by less than this share of one.
+STEP_ROUNDING = 0.01
 
 
 def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask:
@@ -57,7 +61,8 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
 
 def out_of_range(value: Values, valid_range: tuple[float, float]) -> Mask:
     """Values outside the valid range; NaN is not, it has its own reason."""
-    mask: Mask = (value < valid_range[0]) | (value > valid_range[1])
+    low, high = valid_range
+    mask: Mask = (value < low - ROUNDING * abs(low)) | (value > high + ROUNDING * abs(high))
     return mask
 
 
@@ -102,7 +107,7 @@ def spike(value: Values, window: int, threshold: float, resolution: float) -> Ma
         return mask
     padded = np.pad(value, half, mode="reflect")
     windows = sliding_window_view(padded, window)
-    floor = threshold * resolution
+    floor = (threshold + STEP_ROUNDING) * resolution
     for begin in range(0, len(value), HAMPEL_CHUNK):
         part = windows[begin : begin + HAMPEL_CHUNK]
         middle = np.partition(part, half, axis=1)[:, half]
@@ -202,7 +207,7 @@ def transient(value: Values, present: Mask, period_s: float, limit_per_s: float)
     pairs = present[1:] & present[:-1]
     rate = np.zeros(len(pairs))
     rate[pairs] = np.abs(np.diff(value)[pairs]) / period_s
-    fast = rate > limit_per_s
+    fast = rate > (1.0 + ROUNDING) * limit_per_s
     mask = np.zeros(len(value), dtype=np.bool_)
     mask[1:] |= fast
     mask[:-1] |= fast

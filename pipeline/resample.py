@@ -18,7 +18,7 @@ from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.clean import CleanChannel
 from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
 from pipeline.halts import Halts, settled_halts
-from pipeline.masks import near, transient
+from pipeline.masks import ROUNDING, near, transient
 from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
@@ -326,7 +326,8 @@ def _joint_masks(
     cleaning: Cleaning,
 ) -> dict[str, Mask]:
     speed, pressure = values["speed"], values["pressure_difference"]
-    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < cleaning.standstill_rpm)
+    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
+    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
     events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))

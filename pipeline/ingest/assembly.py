@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -197,6 +197,62 @@ def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -
             f"{without} of {rows} time stamps cannot be read as {name}, lie before 1990 or after "
             "2200, or in the future: give the right time format, or have the logger's clock set",
         )
+
+
+def without_rows_of_others(
+    channels: Mapping[str, RawChannel], columns: Mapping[str, str]
+) -> dict[str, RawChannel]:
+    """Channels of a table without those blank cells that tell of no missing reading.
+
+    Where each channel is logged at times of its own, a table has a row for each of them, which is
+    blank for the others. So is a channel most of whose readings stand alone in their rows; one that
+    shares them was to have a reading there.
+
+    Parameters
+    ----------
+    channels
+        By name, all of the same rows.
+    columns
+        Column of each channel; several may have the same.
+
+    Examples
+    --------
+    >>> def channel(*value):
+    ...     return RawChannel(np.arange(4), np.array(value), np.isnan(value), 0)
+    >>> one, other = channel(1.0, np.nan, 2.0, np.nan), channel(np.nan, 7.0, np.nan, 8.0)
+    >>> apart = without_rows_of_others({"a": one, "b": other}, {"a": "x", "b": "y"})
+    >>> apart["a"].time_us.tolist(), apart["b"].time_us.tolist()
+    ([0, 2], [1, 3])
+    """
+    by_column = {columns[name]: channel.missing for name, channel in channels.items()}
+    if len(by_column) < 2 or not any(missing.any() for missing in by_column.values()):
+        return dict(channels)
+    readings = np.zeros(next(iter(by_column.values())).size, dtype=np.int16)
+    for missing in by_column.values():
+        readings += ~missing
+    apart: dict[str, RawChannel] = {}
+    for name, channel in channels.items():
+        of_its_rows = readings[~channel.missing]
+        alone = 2 * np.count_nonzero(of_its_rows == 1) > of_its_rows.size
+        # What a row says of a reading's quality counts though the reading is blank.
+        told = (
+            ~channel.missing
+            if channel.bad_quality is None
+            else (~channel.missing | channel.bad_quality)
+        )
+        apart[name] = _rows(channel, told) if alone else channel
+    return apart
+
+
+def _rows(channel: RawChannel, kept: NDArray[np.bool_]) -> RawChannel:
+    """Some rows of everything that a channel has of each."""
+    values = {one.name: getattr(channel, one.name) for one in fields(channel)}
+    chosen: dict[str, Any] = {
+        name: _frozen(value[kept])
+        for name, value in values.items()
+        if isinstance(value, np.ndarray)
+    }
+    return replace(channel, **chosen)
 
 
 def raw_log(

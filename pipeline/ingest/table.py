@@ -23,6 +23,7 @@ from pipeline.ingest.assembly import (
     raw_log,
     span,
     time_name,
+    without_rows_of_others,
 )
 from pipeline.ingest.contract import (
     ChannelSource,
@@ -235,6 +236,9 @@ class Table:
             channels[channel.channel] = canonical_channel(
                 self.path, channel, here, readings, quality
             )
+        if self.source.layout == "wide":
+            columns = {channel.channel: channel.source for channel in self.source.channels}
+            channels = without_rows_of_others(channels, columns)
         return raw_log(channels, time_us.size, refused)
 
     def _column(self, channel: ChannelSource) -> str | None:

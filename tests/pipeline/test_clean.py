@@ -232,7 +232,9 @@ def slow_hampel(value: Floats, window: int, threshold: float, resolution: float)
         around = [float(one) for one in value[centre - half : centre + half + 1]]
         middle = statistics.median(around)
         scaled_mad = statistics.median(abs(one - middle) for one in around) * 1.4826022185056018
-        flags.append(abs(value[centre] - middle) > threshold * max(scaled_mad, resolution))
+        # A distance in steps of the sensor is not exceeded by a hundredth of one.
+        limit = max(threshold * scaled_mad, (threshold + 0.01) * resolution)
+        flags.append(abs(value[centre] - middle) > limit)
     return flags
 
 
