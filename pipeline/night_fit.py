@@ -22,6 +22,7 @@ from leakage.identifiability import (
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from leakage.uncertainty import Bootstrap, block_bootstrap, lengthened
 from pipeline.config import MotorSpec
+from pipeline.night_residuals import ROUNDING, PartResiduals, night_residuals
 from pipeline.night_statistics import NightStatistics, condition
 from pipeline.transport_delay import estimated_delay_s
 from pipeline.windows import TRAINING
@@ -30,8 +31,6 @@ Array = NDArray[np.float64]
 
 # Longest memory of the errors that is looked for; beyond it there are no intervals.
 LONGEST_MEMORY_S = 600.0
-# Errors below this share of the flow are rounding.
-ROUNDING = 1e-9
 # Means over this time show a slow error under a larger fast one.
 MEMORY_CELL_S = 30.0
 PA_PER_BAR = 1e5
@@ -60,6 +59,8 @@ class FittedMode:
     budget
         Effects of the stated tolerances on θ, the reference leakage and the own leakage; empty
         where none is stated, or one leads where the model does not hold.
+    residuals
+        Residual analyses of training and validation samples.
     """
 
     name: str
@@ -72,6 +73,7 @@ class FittedMode:
     own: LeakageJudgement
     bootstrap: Bootstrap
     budget: ErrorBudget
+    residuals: tuple[PartResiduals, ...]
 
 
 def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
@@ -144,6 +146,12 @@ def _fit_mode(
             resamples=estimation.bootstrap_resamples,
         ),
         budget=_budget(spec, statistics, fitted, rows, night, at),
+        residuals=night_residuals(
+            statistics,
+            fitted.coefficients,
+            excitation.correlation_time_s,
+            spec.settings.smoothing,
+        ),
     )
 
 

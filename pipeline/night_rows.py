@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.uncertainty import Interval
 from leakage.validation import (
+    Agreement,
     agreement,
     criteria,
     effective_sample_count,
@@ -22,6 +23,7 @@ from pipeline.night_fit import FittedMode, own_conditions, transport_delays_s
 from pipeline.night_statistics import NightStatistics
 from pipeline.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.resample import Quality
+from pipeline.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.windows import TRAINING, VALIDATION
 
@@ -124,12 +126,20 @@ def fit_rows(
     modes: Sequence[FittedMode],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
-    """Rows of `fits`, `parameters`, `sensitivities` and `starts` for all modes of flushing."""
+    """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
     figures = [_mode_columns(spec, statistics, mode, previous.get(mode.name)) for mode in modes]
     on_validation = [row["validation_fit_percent"] for row in figures]
     best = max((fit for fit in on_validation if fit is not None), default=None)
-    rows: Rows = {"fits": [], "parameters": [], "sensitivities": [], "starts": []}
+    period_s = statistics.samples.period_us / 1e6
+    rows: Rows = {
+        "fits": [],
+        "parameters": [],
+        "sensitivities": [],
+        "starts": [],
+        "residual_tests": [],
+        "residual_verdicts": [],
+    }
     for mode, own in zip(modes, figures, strict=True):
         key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
         own["is_primary"] = mode.name == spec.file.flushing.mode
@@ -140,6 +150,11 @@ def fit_rows(
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
         rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
         rows["starts"] += [key | row for row in start_rows(mode.fit)]
+        for name, made in (
+            ("residual_tests", residual_test_rows),
+            ("residual_verdicts", residual_verdict_rows),
+        ):
+            rows[name] += [key | row for row in made(mode.residuals, period_s)]
     return rows
 
 
@@ -186,9 +201,9 @@ def _mode_columns(
     resolution = spec.file.channels["leakage_flow"].resolution
     training = agreement(statistics.judged_on(TRAINING), fit.coefficients, resolution)
     validation = agreement(statistics.judged_on(VALIDATION), fit.coefficients, resolution)
-    before = None
+    before = Agreement(0, None, None, None)
     if previous is not None and len(previous) == len(fit.coefficients):
-        before = agreement(statistics.judged_on(), np.array(previous), resolution).fit_percent
+        before = agreement(statistics.judged_on(), np.array(previous), resolution)
     condition = certificate.condition_number
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
@@ -196,9 +211,13 @@ def _mode_columns(
         "estimated_transport_delay_s": estimated_delay,
         "training_fit_percent": training.fit_percent,
         "validation_fit_percent": validation.fit_percent,
-        "previous_model_fit_percent": before,
+        "previous_model_fit_percent": before.fit_percent,
+        "previous_model_rmse_l_per_min": before.rmse_l_per_min,
+        "previous_model_mean_error_l_per_min": before.mean_error_l_per_min,
         "training_rmse_l_per_min": training.rmse_l_per_min,
         "validation_rmse_l_per_min": validation.rmse_l_per_min,
+        "training_mean_error_l_per_min": training.mean_error_l_per_min,
+        "validation_mean_error_l_per_min": validation.mean_error_l_per_min,
         "cost": certificate.cost,
         "certificate_gap": fit.certificate_gap,
         "dual_residual": certificate.dual_residual,
@@ -211,6 +230,7 @@ def _mode_columns(
         "interval_status": mode.identification.interval_status,
         "n_interval_blocks": mode.identification.n_blocks,
         **_criteria_columns(statistics, mode, training.n),
+        **residual_columns(mode.residuals),
         **_leakage_columns(mode),
     }
 
