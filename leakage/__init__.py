@@ -48,6 +48,7 @@ from leakage.motor import (
 from leakage.multi_start import Parametrisation, SearchSettings, Start
 from leakage.oil import FilmPressure, Oil, density_kg_per_m3, dynamic_viscosity_pa_s
 from leakage.paths import Constant, Laminar, LeakagePath
+from leakage.residual_analysis import LagTest, ResidualAnalysis, analyse_residuals
 from leakage.robust import huber_weights
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from leakage.simulated_curves import fit_deformation_pressure, fit_speed_curve
@@ -74,6 +75,7 @@ __all__ = [
     "Identification",
     "Interval",
     "Judgement",
+    "LagTest",
     "Laminar",
     "LeakageError",
     "LeakageJudgement",
@@ -84,6 +86,7 @@ __all__ = [
     "Parameter",
     "ParameterError",
     "Parametrisation",
+    "ResidualAnalysis",
     "SearchSettings",
     "ShapeError",
     "SpeedCurve",
@@ -92,6 +95,7 @@ __all__ = [
     "Tolerances",
     "ValidityError",
     "agreement",
+    "analyse_residuals",
     "autocorrelation",
     "block_bootstrap",
     "certify",

@@ -16,19 +16,22 @@ are the form for series with gaps [3]_,
 
 .. math:: Q = \frac{N + 2}{N} \sum_{k=1}^{25} N_k\, \hat\rho_k^2 \sim \chi^2 .
 
-**Independence.** If ε and u are independent, the variance of a correlation [1]_ [4]_ is that of
-:math:`P = \sum_\tau R_\varepsilon(\tau) R_u(\tau)` over N, and of two of them the covariance is
-:math:`\Pi(j - k) = \sum_\tau w(\tau) R_\varepsilon(\tau) R_u(\tau + j - k)` over N. With r the
+**Independence.** If ε and u are independent, the variance of a cross-correlation is
+:math:`P = \sum_\tau R_\varepsilon(\tau) R_u(\tau)` over N [1]_ [4]_, and the covariance of two is
+:math:`\Pi(j - k) = \sum_\tau w(\tau) R_\varepsilon(\tau) R_u(\tau + j - k)` over N. Let r be the
 correlations at lags −25 to 25 over the N samples that are 25 or more from the ends of their
 segment, so that each lag has the same ones, and w(τ) the share of those samples that another one
-follows after τ,
+follows after τ. Then
 
-.. math:: T = N \sum_{i=1}^{m} \frac{(v_i^T r)^2}{\lambda_i} \sim \chi^2_m ,
+.. math:: T = N \sum_{i=1}^{m} \frac{(v_i^T r)^2}{\kappa_i \lambda_i} \sim \chi^2_m ,
 
-λ and v the eigenvalues and eigenvectors of Π that are not below 10⁻³ of the largest. Without the
-covariances, as for series that are made white beforehand [5]_, T would be N Σ r²; an input that
-changes little within 25 samples has 51 correlations that are nearly one and the same, and what a
-delay leaves is in how they *differ*: the bands do not see it and T does.
+λ and v the eigenvalues, above 10⁻³ of the largest, and eigenvectors of Π. Errors that are larger
+when the input moves make correlations scatter more; with :math:`f_i` the weighted input of which
+:math:`v_i^T r` is the mean product with ε, the factor
+:math:`\kappa_i = \overline{\varepsilon^2 f_i^2} / (\overline{\varepsilon^2}\,\overline{f_i^2})`,
+at least 1, makes up for it [6]_. For two white series of even variance T is N Σ r² [5]_. An input
+that changes little within 25 samples has 51 correlations that are nearly one and the same, and what
+a delay leaves is in how they *differ*: the bands do not see it, T does.
 
 References
 ----------
@@ -41,6 +44,8 @@ References
    significance", *Journal of the Royal Statistical Society*, 98(3), 1935.
 .. [5] L. D. Haugh, "Checking the independence of two covariance-stationary time series: a
    univariate residual cross-correlation approach", *JASA*, 71(354), 1976.
+.. [6] H. White, "A heteroskedasticity-consistent covariance matrix estimator and a direct test for
+   heteroskedasticity", *Econometrica*, 48(4), 1980.
 """
 
 from __future__ import annotations
@@ -50,28 +55,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import eigh, toeplitz
 from scipy.special import chdtrc
 
-from leakage.errors import ShapeError
-from leakage.lagged_products import Places, Segments, lagged_products
+from leakage.errors import ShapeError, StatisticsError
+from leakage.lagged_products import Array, Mask, Places
+from leakage.residual_moments import LONGEST_LAG, ResidualMoments
 from leakage.validation import ROUNDING, summed_effective_sample_count
 
-Array = NDArray[np.float64]
-
-# Lags that are looked at: −25 to 25 of cross-correlations, 1 to 25 of the autocorrelation.
-LONGEST_LAG = 25
 # Half-width of a normal 99 % band, and the probability beyond it.
 BAND, LEVEL = 2.576, 0.01
-# P is summed over this many lags, or this many correlation times of the errors.
-SHORTEST_SUM, CORRELATION_TIMES = 300, 10.0
-# Longer sums than this share of the samples are noise.
-LONGEST_SUM_SHARE = 0.25
 # P is not below this share of its first term.
 LEAST_VARIANCE = 0.1
-# A lag with fewer pairs than this share of the samples goes into no sum and no statistic.
-LEAST_PAIR_SHARE = 0.2
 # The independence statistic needs this share of samples with 25 others on either side.
 LEAST_INNER_SHARE = 0.5
 # Eigenvalues below this share of the largest are not known well enough to divide by.
@@ -95,10 +90,10 @@ class LagTest:
         Shape (k,), in samples; at a positive one the input is the past one. Empty where nothing
         could be computed.
     values
-        Correlations, shape (k,); nan where no pair of samples has that lag.
+        Correlations, shape (k,); nan at a lag with fewer pairs than a fifth of the samples.
     bounds
         99 % of correlations of independent errors lie within ± this, each by itself; nan where
-        there is no value, and at lag 0 of the autocorrelation.
+        there is no value, and at lag 0 of the autocorrelation, which is 1.
     statistic, degrees_of_freedom, p_value
         Q or T, of its chi-square distribution the degrees of freedom, and the probability that
         independent errors give a larger one; None where not tested.
@@ -122,9 +117,9 @@ class LagTest:
         return FAILED if self.p_value < LEVEL else PASSED
 
     @property
-    def outside(self) -> NDArray[np.bool_]:
+    def outside(self) -> Mask:
         """Which correlations lie outside of the band, shape (k,)."""
-        result: NDArray[np.bool_] = np.abs(self.values) > self.bounds
+        result: Mask = np.abs(self.values) > self.bounds
         return result
 
     @property
@@ -199,6 +194,8 @@ def analyse_residuals(
     ------
     ShapeError
         If the arrays differ in shape (``shape``).
+    StatisticsError
+        If a value is not finite (``not_finite``).
 
     Notes
     -----
@@ -220,6 +217,8 @@ def analyse_residuals(
     shapes = {np.shape(one) for one in (error, index, *inputs.values())}
     if len(shapes) > 1 or np.ndim(error) != 1:
         raise ShapeError("shape", f"error, index and inputs must be of one length, got {shapes}")
+    if not all(np.isfinite(one).all() for one in (error, *inputs.values())):
+        raise StatisticsError("not_finite", "errors or inputs hold a value that is not finite")
     n = len(error)
     mean = float(error.mean()) if n else math.nan
     reason = _untestable(error, mean, rounding)
@@ -227,7 +226,7 @@ def analyse_residuals(
         nothing = _untested(reason)
         return ResidualAnalysis(n, mean, nothing, dict.fromkeys(inputs, nothing), None)
     varying = {name: one for name, one in inputs.items() if _varies(one)}
-    moments = _Moments.of(error, list(varying.values()), index, correlation_time)
+    moments = ResidualMoments.of(error, list(varying.values()), index, correlation_time)
     tested = {name: _independence(moments, place) for place, name in enumerate(varying)}
     constant = _untested("the input does not vary")
     return ResidualAnalysis(
@@ -257,74 +256,7 @@ def _varies(values: Array) -> bool:
     return bool(np.ptp(values) > CONSTANT * np.abs(values).max())
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Moments:
-    """Correlations of errors and inputs within segments, all scaled to variances of 1.
-
-    Attributes
-    ----------
-    pairs
-        N_k, shape (longest sum + 51,).
-    told
-        Whether enough pairs tell of a lag, shape (longest sum + 51,).
-    error, inputs
-        Autocorrelations at lags from 0, 0 where too few pairs tell; shapes (longest sum + 51,) and
-        (inputs, longest sum + 51).
-    crossed, crossed_inside
-        Sums of ε(t) u(t − k), k = −25 … 25, over all pairs and over the inner samples alone; shape
-        (inputs, 51).
-    inner
-        Number of inner samples that another inner one follows after 0 to 50, shape (51,).
-    longest_sum
-        Largest lag of the sums over lags.
-    """
-
-    pairs: Array
-    told: NDArray[np.bool_]
-    error: Array
-    inputs: Array
-    crossed: Array
-    crossed_inside: Array
-    inner: Array
-    longest_sum: int
-
-    @classmethod
-    def of(cls, error: Array, inputs: list[Array], index: Places, memory: float) -> _Moments:
-        n = len(error)
-        longest_sum = int(min(max(SHORTEST_SUM, CORRELATION_TIMES * memory), n * LONGEST_SUM_SHARE))
-        longest = longest_sum + 2 * LONGEST_LAG
-        segments = Segments.of(index)
-        inner = segments.without_ends(LONGEST_LAG)
-        count = len(inputs) + 1
-        series = np.empty((count + 1, n))
-        for row, values in enumerate((error, *inputs)):
-            np.subtract(values, values.mean(), out=series[row])
-            series[row] /= math.sqrt(float(series[row] @ series[row]) / n)
-        np.multiply(series[0], inner.mask(n), out=series[count])
-        columns = range(1, count)
-        places = [(one, one) for one in range(count)]
-        for whose in (0, count):
-            places += [(whose, u) for u in columns] + [(u, whose) for u in columns]
-        sums = lagged_products(series, segments, longest, places)
-        pairs = segments.pair_counts(longest)
-        told = pairs >= LEAST_PAIR_SHARE * n
-        own = np.where(told, sums[:count] / np.maximum(pairs, 1.0), 0.0)
-        future, past, inner_future, inner_past = sums[count:].reshape(4, len(inputs), longest + 1)[
-            :, :, : LONGEST_LAG + 1
-        ]
-        return cls(
-            pairs=pairs,
-            told=told,
-            error=own[0],
-            inputs=own[1:],
-            crossed=np.hstack([future[:, :0:-1], past]),
-            crossed_inside=np.hstack([inner_future[:, :0:-1], inner_past]),
-            inner=inner.pair_counts(2 * LONGEST_LAG),
-            longest_sum=longest_sum,
-        )
-
-
-def _whiteness(moments: _Moments) -> LagTest:
+def _whiteness(moments: ResidualMoments) -> LagTest:
     lags = np.arange(LONGEST_LAG + 1)
     n, pairs = moments.pairs[0], moments.pairs[lags]
     judged = moments.told[lags] & (lags > 0)
@@ -337,7 +269,7 @@ def _whiteness(moments: _Moments) -> LagTest:
     return LagTest(lags, values, bounds, statistic, freedom, float(chdtrc(freedom, statistic)))
 
 
-def _independence(moments: _Moments, place: int) -> LagTest:
+def _independence(moments: ResidualMoments, place: int) -> LagTest:
     lags = np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
     n, pairs = moments.pairs[0], np.maximum(moments.pairs[np.abs(lags)], 1.0)
     told = moments.told[np.abs(lags)]
@@ -349,19 +281,29 @@ def _independence(moments: _Moments, place: int) -> LagTest:
     size, axes = eigh(toeplitz(_covariances(moments, place)))
     known = size > LEAST_EIGENVALUE * size[-1]
     components = axes[:, known].T @ moments.crossed_inside[place]
-    statistic = float(np.sum(components**2 / size[known]) / inner)
+    scatter = size[known] * _uneven_variance(moments, place, axes[:, known])
+    statistic = float(np.sum(components**2 / scatter) / inner)
     freedom = int(known.sum())
     return LagTest(lags, values, bounds, statistic, freedom, float(chdtrc(freedom, statistic)))
 
 
-def _variance(moments: _Moments, place: int) -> float:
+def _uneven_variance(moments: ResidualMoments, place: int, axes: Array) -> Array:
+    """κ of each component: its scatter where errors are larger as it is, shape (m,)."""
+    squares = (moments.thinned_inputs[place] @ axes) ** 2
+    errors = moments.thinned_error**2
+    apart = errors.mean() * squares.sum(axis=0)
+    together: Array = np.divide(errors @ squares, apart, out=np.ones(len(apart)), where=apart > 0)
+    return np.maximum(together, 1.0)
+
+
+def _variance(moments: ResidualMoments, place: int) -> float:
     """P, of errors and input scaled to variances of 1."""
     within = slice(1, moments.longest_sum + 1)
     later = float(moments.error[within] @ moments.inputs[place, within])
     return max(1.0 + 2.0 * later, LEAST_VARIANCE)
 
 
-def _covariances(moments: _Moments, place: int) -> Array:
+def _covariances(moments: ResidualMoments, place: int) -> Array:
     """Π(0) to Π(50), of errors and input scaled to variances of 1."""
     longest = 2 * LONGEST_LAG
     lags = np.arange(-moments.longest_sum, moments.longest_sum + 1)
