@@ -184,5 +184,5 @@ def _cross_spectrum(
             values[not_owned] = 0.0
             owned.append(rfft(values).conj())
         for row, (a, b) in enumerate(pairs):
-            spectrum[row] += np.einsum("cf,cf->f", owned[a], seen[b])
+            spectrum[row] += (owned[a] * seen[b]).sum(axis=0)
     return spectrum

@@ -289,7 +289,8 @@ def _independence(moments: ResidualMoments, place: int) -> LagTest:
 
 def _uneven_variance(moments: ResidualMoments, place: int, axes: Array) -> Array:
     """κ of each component: its scatter where errors are larger as it is, shape (m,)."""
-    squares = (moments.thinned_inputs[place] @ axes) ** 2
+    # Lag −25 is the input 25 samples later, which stands last.
+    squares = (moments.thinned_inputs[place] @ np.ascontiguousarray(axes[::-1])) ** 2
     errors = moments.thinned_error**2
     apart = errors.mean() * squares.sum(axis=0)
     together: Array = np.divide(errors @ squares, apart, out=np.ones(len(apart)), where=apart > 0)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from leakage.lagged_products import Array, Mask, Places, Segments, lagged_products
 
@@ -22,7 +23,7 @@ LONGEST_SUM_SHARE = 0.25
 # A lag with fewer pairs than this share of the samples goes into no sum and no statistic.
 LEAST_PAIR_SHARE = 0.2
 # Samples that tell whether errors are larger where an input moves; evenly thinned.
-THINNED_SAMPLES = 5_000
+THINNED_SAMPLES = 2_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,8 +45,8 @@ class ResidualMoments:
     inner
         Number of inner samples that another inner one follows after 0 to 50, shape (51,).
     thinned_error, thinned_inputs
-        Errors at some inner samples, shape (c,), and inputs 25 samples after to 25 before each of
-        them, shape (inputs, c, 51).
+        Errors at some inner samples, shape (c,), and inputs from 25 samples before to 25 after each
+        of them, shape (inputs, c, 51).
     longest_sum
         Largest lag of the sums over lags.
     """
@@ -91,7 +92,6 @@ class ResidualMoments:
         is_inner = inner.mask(n)
         np.multiply(series[0], is_inner, out=series[count])
         thinned = _thinned(np.flatnonzero(is_inner))
-        around = thinned[:, None] - np.arange(-LONGEST_LAG, LONGEST_LAG + 1)
         columns = range(1, count)
         places = [(one, one) for one in range(count)]
         for whose in (0, count):
@@ -112,7 +112,7 @@ class ResidualMoments:
             crossed_inside=np.hstack([inner_future[:, :0:-1], inner_past]),
             inner=inner.pair_counts(2 * LONGEST_LAG),
             thinned_error=series[0, thinned],
-            thinned_inputs=series[1:count, around],
+            thinned_inputs=_surroundings(series[1:count], thinned),
             longest_sum=longest_sum,
         )
 
@@ -121,3 +121,12 @@ def _thinned(places: Places) -> Places:
     if len(places) <= THINNED_SAMPLES:
         return places
     return places[np.linspace(0, len(places) - 1, THINNED_SAMPLES).round().astype(np.int64)]
+
+
+def _surroundings(inputs: Array, places: Places) -> Array:
+    """Inputs from 25 samples before each place to 25 after it, shape (inputs, c, 51)."""
+    width = 2 * LONGEST_LAG + 1
+    found = np.empty((len(inputs), len(places), width))
+    for row, values in zip(found, inputs, strict=True):
+        row[:] = sliding_window_view(values, width)[places - LONGEST_LAG]
+    return found

@@ -113,8 +113,8 @@ class NightStatistics:
 
     def rows_of(self, part: str) -> NDArray[np.bool_]:
         """Which of the kept samples belong to a part, shape (n,)."""
-        chosen: NDArray[np.bool_] = self.parts() == part
-        return chosen
+        chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
+        return np.repeat(chosen, [block.n for block in self.blocks])
 
 
 def night_statistics(
