@@ -17,6 +17,7 @@ from leakage.identifiability import (
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from pipeline.block_fit import BlockFit, fit_blocks
 from pipeline.config import MotorSpec
+from pipeline.night_residuals import ROUNDING, PartResiduals, night_residuals
 from pipeline.night_statistics import NightStatistics, condition
 from pipeline.transport_delay import estimated_delay_s
 from pipeline.windows import TRAINING
@@ -25,8 +26,6 @@ Array = NDArray[np.float64]
 
 # Longest memory of the errors that is looked for; beyond it there are no intervals.
 LONGEST_MEMORY_S = 600.0
-# Errors below this share of the flow are rounding.
-ROUNDING = 1e-9
 # Means over this time show a slow error under a larger fast one.
 MEMORY_CELL_S = 30.0
 PA_PER_BAR = 1e5
@@ -43,16 +42,26 @@ class FittedMode(BlockFit):
     budget
         Effects of the stated tolerances on θ, the reference leakage and the own leakage; empty
         where none is stated, or one leads where the model does not hold.
+    residuals
+        Residual analyses of training and validation samples.
     """
 
     error: Array
     budget: ErrorBudget
+    residuals: tuple[PartResiduals, ...]
 
     @classmethod
-    def of(cls, found: BlockFit, *, error: Array, budget: ErrorBudget) -> FittedMode:
+    def of(
+        cls,
+        found: BlockFit,
+        *,
+        error: Array,
+        budget: ErrorBudget,
+        residuals: tuple[PartResiduals, ...],
+    ) -> FittedMode:
         """A fit from blocks with what samples add to it."""
         shared = {field.name: getattr(found, field.name) for field in fields(found)}
-        return cls(**shared, error=error, budget=budget)
+        return cls(**shared, error=error, budget=budget, residuals=residuals)
 
 
 def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
@@ -104,6 +113,12 @@ def _fit_mode(
         found,
         error=_error(statistics, rows, found.fit),
         budget=_budget(spec, statistics, found.fit, rows, night, at),
+        residuals=night_residuals(
+            statistics,
+            found.fit.coefficients,
+            found.excitation.correlation_time_s,
+            spec.settings.smoothing,
+        ),
     )
 
 

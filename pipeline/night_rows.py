@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.uncertainty import Interval
 from leakage.validation import (
+    Agreement,
     agreement,
     criteria,
     effective_sample_count,
@@ -24,6 +25,7 @@ from pipeline.night_statistics import NightStatistics
 from pipeline.operation_rows import coarse_histogram
 from pipeline.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.resample import Quality
+from pipeline.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.windows import TRAINING, VALIDATION
 
@@ -123,9 +125,17 @@ def fit_rows(
     modes: Sequence[FittedMode],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
-    """Rows of `fits`, `parameters`, `sensitivities` and `starts` for all modes of flushing."""
+    """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
-    rows: Rows = {"fits": [], "parameters": [], "sensitivities": [], "starts": []}
+    period_s = statistics.samples.period_us / 1e6
+    rows: Rows = {
+        "fits": [],
+        "parameters": [],
+        "sensitivities": [],
+        "starts": [],
+        "residual_tests": [],
+        "residual_verdicts": [],
+    }
     for mode in modes:
         key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
         own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
@@ -133,6 +143,11 @@ def fit_rows(
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
         rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
         rows["starts"] += [key | row for row in start_rows(mode.fit)]
+        for name, made in (
+            ("residual_tests", residual_test_rows),
+            ("residual_verdicts", residual_verdict_rows),
+        ):
+            rows[name] += [key | row for row in made(mode.residuals, period_s)]
     mark_modes(rows["fits"], spec.file.flushing.mode)
     return rows
 
@@ -220,6 +235,7 @@ def _mode_columns(
         **agreement_columns(spec, statistics.judged_on, mode),
         **previous_model_columns(spec, statistics.judged_on(), previous),
         **block_fit_columns(mode),
+        **residual_columns(mode.residuals),
         **leakage_columns(mode),
     }
 
@@ -248,6 +264,8 @@ def agreement_columns(
         "validation_fit_percent": validation.fit_percent,
         "training_rmse_l_per_min": training.rmse_l_per_min,
         "validation_rmse_l_per_min": validation.rmse_l_per_min,
+        "training_mean_error_l_per_min": training.mean_error_l_per_min,
+        "validation_mean_error_l_per_min": validation.mean_error_l_per_min,
     }
 
 
@@ -265,11 +283,15 @@ def previous_model_columns(
     previous
         θ of the model before; None where there is none.
     """
-    percent = None
+    found = Agreement(0, None, None, None)
     if previous is not None and len(previous) == len(night_factor) - 2:
         resolution = spec.file.channels["leakage_flow"].resolution
-        percent = agreement(night_factor, np.array(previous), resolution).fit_percent
-    return {"previous_model_fit_percent": percent}
+        found = agreement(night_factor, np.array(previous), resolution)
+    return {
+        "previous_model_fit_percent": found.fit_percent,
+        "previous_model_rmse_l_per_min": found.rmse_l_per_min,
+        "previous_model_mean_error_l_per_min": found.mean_error_l_per_min,
+    }
 
 
 def block_fit_columns(mode: BlockFit) -> Row:

@@ -255,6 +255,60 @@ FITS = Table(
             "needs samples (`sensitivities`, `starts`, `predictions`, `residual_tests`, ± from "
             "tolerances, correlation_time_s, n_effective, delays) is of the settings before",
         ),
+        Column(
+            "training_mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Mean of measured less predicted flow on the training samples",
+        ),
+        Column(
+            "validation_mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "The same on the validation samples",
+        ),
+        Column(
+            "previous_model_rmse_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Root mean squared error of the motor's model before, on all of tonight's samples",
+        ),
+        Column(
+            "previous_model_mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Mean of measured flow less that of the motor's model before, on all of tonight's "
+            "samples",
+        ),
+        Column(
+            "n_effective_summed",
+            pl.Float64,
+            "",
+            "As n_effective, by the sum of all correlations: N/(1 + 2Σρ(k)); smaller where white "
+            "noise hides a slow error; null where the errors remember longer than can be told",
+        ),
+        Column("validation_n_effective", pl.Float64, "", "n_effective of the validation samples"),
+        Column(
+            "validation_n_effective_summed",
+            pl.Float64,
+            "",
+            "n_effective_summed of the validation samples",
+        ),
+        Column(
+            "training_whiteness",
+            pl.String,
+            "",
+            "Whether the unsmoothed training errors tell of one another: passed, failed or "
+            "not_tested; see residual_verdicts",
+        ),
+        Column(
+            "training_independence",
+            pl.String,
+            "",
+            "Whether an input tells of the unsmoothed training errors: failed if any does",
+        ),
+        Column("validation_whiteness", pl.String, "", "The same of the validation errors"),
+        Column("validation_independence", pl.String, "", "The same of the validation errors"),
     ),
 )
 
@@ -333,6 +387,99 @@ STARTS = Table(
         Column("parameters", NAMES, "", "Names of the free parameters"),
         Column("initial_values", NUMBERS, "µm, 1, l/min", "In that order"),
         Column("final_values", NUMBERS, "µm, 1, l/min", "In that order"),
+        RUN_ID,
+    ),
+)
+
+PART_OF_RESIDUALS = (
+    Column("part", pl.String, "", "training, validation or guard"),
+    Column(
+        "smoothed", pl.Boolean, "", "On the smoothed columns, as the fit; else before smoothing"
+    ),
+    Column("test", pl.String, "", "whiteness: autocorrelation (27); independence: (26)"),
+    Column(
+        "input",
+        pl.String,
+        "",
+        "pressure_difference and speed (magnitudes), oil_temperature; none for whiteness",
+    ),
+)
+RESIDUAL_KEY_NAMES = (*FIT_KEY_NAMES, "part", "smoothed", "test", "input")
+
+RESIDUAL_TESTS = Table(
+    "residual_tests",
+    "a fit, a part, a test (and input), a lag",
+    (*RESIDUAL_KEY_NAMES, "lag"),
+    (
+        *FIT_KEY,
+        *PART_OF_RESIDUALS,
+        Column("lag", pl.Int64, "", "In samples; positive: past input on present error"),
+        Column("lag_s", pl.Float64, "s", "The same as time"),
+        Column(
+            "value",
+            pl.Float64,
+            "",
+            "Correlation, over pairs of samples without a gap between them; null where they are "
+            "too few",
+        ),
+        Column(
+            "bound",
+            pl.Float64,
+            "",
+            "99 % of the correlations of independent errors lie within ± this; null at lag 0 of "
+            "whiteness",
+        ),
+        Column("outside", pl.Boolean, "", "The correlation is larger than its bound"),
+        RUN_ID,
+    ),
+)
+
+RESIDUAL_VERDICTS = Table(
+    "residual_verdicts",
+    "a fit, a part, a test (and input)",
+    RESIDUAL_KEY_NAMES,
+    (
+        *FIT_KEY,
+        *PART_OF_RESIDUALS,
+        Column(
+            "verdict",
+            pl.String,
+            "",
+            "failed where p_value is below 0.01, else passed; not_tested",
+        ),
+        Column("reason", pl.String, "", "Why it was not tested; null where it was"),
+        Column("n", pl.Int64, "", "Samples"),
+        Column(
+            "mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Mean of measured less predicted flow, which the tests leave out",
+        ),
+        Column(
+            "statistic",
+            pl.Float64,
+            "",
+            "Of all lags together: Ljung and Box's Q, or the squares of the correlations over "
+            "their covariances",
+        ),
+        Column("degrees_of_freedom", pl.Int64, "", "Of the statistic's chi-square distribution"),
+        Column(
+            "p_value",
+            pl.Float64,
+            "",
+            "Probability that independent errors give a larger statistic by chance",
+        ),
+        Column("n_lags", pl.Int64, "", "Lags with a bound"),
+        Column("n_outside", pl.Int64, "", "Lags whose correlation is larger than its bound"),
+        Column(
+            "n_expected_outside",
+            pl.Float64,
+            "",
+            "How many of independent errors would be, on average: one in a hundred",
+        ),
+        Column("largest_value", pl.Float64, "", "The correlation that is largest in size"),
+        Column("largest_lag", pl.Int64, "", "Its lag, in samples"),
+        Column("largest_lag_s", pl.Float64, "s", "Its lag as time"),
         RUN_ID,
     ),
 )
@@ -764,6 +911,8 @@ NIGHT_TABLES = (
     PARAMETERS,
     SENSITIVITIES,
     STARTS,
+    RESIDUAL_TESTS,
+    RESIDUAL_VERDICTS,
     PREDICTIONS,
     QUALITY,
     OPERATION,
