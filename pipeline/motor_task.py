@@ -51,7 +51,7 @@ from pipeline.store import night_file, stage
 log = logging.getLogger(__name__)
 
 # Raise it when the code makes other figures of the same statistics: everything is then done anew.
-FIGURES_VERSION = 1
+FIGURES_VERSION = 2
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the

@@ -12,7 +12,7 @@ from typing import Any
 
 import polars as pl
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 TIMESTAMP = pl.Datetime("us", "UTC")
 NUMBERS = pl.List(pl.Float64)
@@ -256,6 +256,13 @@ PARAMETERS = Table(
             "Largest minus smallest value over the starts at the minimum",
         ),
         RUN_ID,
+        Column(
+            "geometry_is_placeholder",
+            pl.Boolean,
+            "",
+            "The value is made from a placeholder of the path's geometry and means nothing; null "
+            "where no geometry is in it, and in rows of before version 3",
+        ),
     ),
 )
 
@@ -301,7 +308,7 @@ STARTS = Table(
 
 PREDICTIONS = Table(
     "predictions",
-    "a fit, a point in time (thinned for plots)",
+    "a fit, a point in time (thinned for plots: extremes are kept, so means are not the night's)",
     (*FIT_KEY_NAMES, "time"),
     (
         *FIT_KEY,

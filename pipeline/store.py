@@ -69,23 +69,40 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
     replace_whole(path, write)
 
 
-def replace_whole(path: Path, write: Callable[[str], None]) -> None:
-    """Write a file beside its final name, flush it to the disk, then rename it."""
+def replace_whole(path: Path, write: Callable[[str], None], *, durable: bool = True) -> None:
+    """Write a file beside its final name, flush it to the disk, then rename it.
+
+    Parameters
+    ----------
+    path
+        The file; folders above it are made.
+    write
+        Writes the content to the name that it is given.
+    durable
+        Whether the file must outlive a power cut; one that can be made again need not.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; what was there before is then untouched.
+    """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
         os.close(handle)
         try:
             write(name)
-            with Path(name).open("rb") as written:
-                os.fsync(written.fileno())
+            if durable:
+                with Path(name).open("rb") as written:
+                    os.fsync(written.fileno())
             Path(name).chmod(0o644)
             Path(name).replace(path)
         except BaseException:
             with suppress(OSError):
                 Path(name).unlink()
             raise
-        _flush_folder(path.parent)
+        if durable:
+            _flush_folder(path.parent)
     except (OSError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
 

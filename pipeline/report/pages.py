@@ -1,0 +1,134 @@
+"""The HTML of the pages, from templates that escape whatever is put into them."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from pipeline.report.attention import STATES
+from pipeline.report.encoding import script_json
+from pipeline.report.fleet_page import FleetRow
+from pipeline.report.history import MotorHistory
+from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
+from pipeline.report.words import STATUSES
+
+FOLDER = Path(__file__).parent
+ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
+ABSENT = "–"
+
+
+@dataclass(frozen=True, slots=True)
+class FleetFacts:
+    """What all pages say of the fleet.
+
+    Attributes
+    ----------
+    first, newest
+        The fleet's first and newest night.
+    has_trends
+        Whether a run has judged trends.
+    faults
+        Table files that could not be read.
+    """
+
+    name: str
+    first: dt.date | None
+    newest: dt.date | None
+    has_trends: bool
+    faults: tuple[str, ...]
+
+
+def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow]) -> str:
+    """The fleet's page."""
+    counts = Counter(row.attention.code for row in rows)
+    return (
+        _environment()
+        .get_template("fleet.html")
+        .render(
+            facts=facts,
+            rows=rows,
+            states=[(code, words, counts[code]) for code, words in STATES.items() if counts[code]],
+            types=sorted({row.motor_type for row in rows if row.motor_type}),
+        )
+    )
+
+
+def motor_html(
+    facts: FleetFacts, row: FleetRow, motor: MotorHistory, payload: dict[str, Any]
+) -> str:
+    """The page of one motor."""
+    last = motor.fits.row(-1, named=True) if motor.nights else None
+    return (
+        _environment()
+        .get_template("motor.html")
+        .render(
+            facts=facts,
+            row=row,
+            last=last,
+            # Escaped for a script element by `script_json`; entities would not be read back there.
+            payload=Markup(script_json(payload)),  # noqa: S704
+            conditions=payload["conditions"],
+            has_trend=bool(payload["trend"]["indicators"]),
+        )
+    )
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(FOLDER / "templates"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {"figure": figure, "signed": signed, "status": _status}
+    environment.globals |= {
+        "absent": ABSENT,
+        "spark_width": WIDTH,
+        "spark_height": HEIGHT,
+        "strip_height": STRIP_HEIGHT,
+    }
+    return environment
+
+
+def _status(code: str) -> str:
+    return STATUSES.get(code, code)
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A figure with a number of significant digits, never in powers of ten above that.
+
+    Examples
+    --------
+    >>> figure(1.2345), figure(0.05), figure(123456.0), figure(None)
+    ('1.23', '0.0500', '123456', '–')
+    """
+    if value is None:
+        return ABSENT
+    if abs(value) >= 10**digits:
+        return f"{value:.0f}"
+    text = f"{value:#.{digits}g}"
+    return text.removesuffix(".").replace("-", "−")
+
+
+def signed(value: float | None, decimals: int = 1) -> str:
+    """A change with its sign.
+
+    Examples
+    --------
+    >>> signed(-3.21), signed(None)
+    ('−3.2', '–')
+    """
+    if value is None:
+        return ABSENT
+    rounded = round(value, decimals) + 0.0  # no minus before a zero
+    return f"{rounded:+.{decimals}f}".replace("-", "−")
