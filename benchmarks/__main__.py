@@ -12,6 +12,7 @@ BENCHMARKS = (
     "mcap_reading",
     "model_choices",
     "multi_start",
+    "report",
     "table_reading",
 )
 

@@ -206,7 +206,9 @@ def report(
 
     fleet = None if config is None else _loaded(config)
     if motors and to is None:
-        raise UsageError("motors", "--motors needs --to: the fleet's own report shows all motors")
+        raise UsageError(
+            "report_motors", "--motors needs --to: the fleet's own report shows all motors"
+        )
     tables = (output or (fleet.output if fleet else Path("out"))).resolve()
     result = build_report(
         ReportRequest(

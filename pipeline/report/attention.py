@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.report.history import FIRST_NIGHTS, LAST_NIGHTS, Change, MotorHistory
 from pipeline.report.trends import Standing
-from pipeline.report.words import plain
+from pipeline.report.words import plain, signed
 
 # As the levels of model.md, section 7: a path's leakage 15 % above where it began.
 TELLING_RATIO: Final = 1.15
@@ -160,16 +160,16 @@ def _unjudged(motor: MotorHistory, changed: Changes) -> Attention:
     path, gap = changed.gap if changed.gap and _is_telling(changed.gap[1]) else ("", None)
     told = []
     if leakage is not None:
-        told.append(f"reference leakage {leakage.percent:+.0f} %")
+        told.append(f"reference leakage {signed(leakage.percent, 0)} %")
     if gap is not None:
-        told.append(f"{plain(path)} gap {gap.gap_percent:+.0f} %")
+        told.append(f"{plain(path)} gap {signed(gap.gap_percent, 0)} %")
     if not told:
         return Attention(
             "unchanged", "nothing has clearly moved by 15 % since the first good nights"
         )
-    code = "gap" if leakage is None else "grown" if leakage.ratio > 1 else "fallen"
+    state = "gap" if leakage is None else "grown" if leakage.ratio > 1 else "fallen"
     size = max(abs(np.log(one.ratio)) for one in (leakage, gap) if one is not None)
-    return Attention(code, f"{', '.join(told)} since the first good nights", float(size))
+    return Attention(state, f"{', '.join(told)} since the first good nights", float(size))
 
 
 def _is_telling(change: Change) -> bool:

@@ -30,7 +30,7 @@ def file_names(motor_ids: Iterable[str]) -> dict[str, str]:
     Examples
     --------
     >>> file_names(["CB560-01", "../x"])
-    {'CB560-01': 'CB560-01', '../x': 'motor-d6b96a97d147'}
+    {'../x': 'motor-d6b96a97d147', 'CB560-01': 'CB560-01'}
     """
     ids = sorted(motor_ids)
     sharing = Counter(motor_id.casefold() for motor_id in ids)

@@ -11,18 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from pipeline.report.attention import STATES
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
-from pipeline.report.words import STATUSES
+from pipeline.report.words import ABSENT, STATUSES, figure, signed
 
 FOLDER = Path(__file__).parent
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
-ABSENT = "–"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +71,7 @@ def motor_html(
             facts=facts,
             row=row,
             last=last,
-            # Escaped for a script element by `script_json`; entities would not be read back there.
-            payload=Markup(script_json(payload)),  # noqa: S704
+            payload=script_json(payload),
             conditions=payload["conditions"],
             has_trend=bool(payload["trend"]["indicators"]),
         )
@@ -102,33 +99,3 @@ def _environment() -> Environment:
 
 def _status(code: str) -> str:
     return STATUSES.get(code, code)
-
-
-def figure(value: float | None, digits: int = 3) -> str:
-    """A figure with a number of significant digits, never in powers of ten above that.
-
-    Examples
-    --------
-    >>> figure(1.2345), figure(0.05), figure(123456.0), figure(None)
-    ('1.23', '0.0500', '123456', '–')
-    """
-    if value is None:
-        return ABSENT
-    if abs(value) >= 10**digits:
-        return f"{value:.0f}"
-    text = f"{value:#.{digits}g}"
-    return text.removesuffix(".").replace("-", "−")
-
-
-def signed(value: float | None, decimals: int = 1) -> str:
-    """A change with its sign.
-
-    Examples
-    --------
-    >>> signed(-3.21), signed(None)
-    ('−3.2', '–')
-    """
-    if value is None:
-        return ABSENT
-    rounded = round(value, decimals) + 0.0  # no minus before a zero
-    return f"{rounded:+.{decimals}f}".replace("-", "−")

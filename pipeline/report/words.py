@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
+ABSENT: Final = "–"
 STATUSES: Final[Mapping[str, str]] = {
     "ok": "fitted",
     "stood_still": "stood still",
@@ -100,3 +101,33 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "tests": TESTS,
         "events": EVENTS,
     }
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A figure with a number of significant digits, never in powers of ten above that.
+
+    Examples
+    --------
+    >>> figure(1.2345), figure(0.05), figure(123456.0), figure(None)
+    ('1.23', '0.0500', '123456', '–')
+    """
+    if value is None:
+        return ABSENT
+    if abs(value) >= 10**digits:
+        return f"{value:.0f}"
+    text = f"{value:#.{digits}g}"
+    return text.removesuffix(".").replace("-", "−")
+
+
+def signed(value: float | None, decimals: int = 1) -> str:
+    """A change with its sign.
+
+    Examples
+    --------
+    >>> signed(-3.21), signed(None)
+    ('−3.2', '–')
+    """
+    if value is None:
+        return ABSENT
+    rounded = round(value, decimals) + 0.0  # no minus before a zero
+    return f"{rounded:+.{decimals}f}".replace("-", "−")

@@ -244,15 +244,23 @@ const motorLeakage = (() => {
   document.querySelectorAll(".chart .plot").forEach((plot) => plot.addEventListener("keydown", onKey));
   document.querySelectorAll(".chart details").forEach((details) => details.addEventListener("toggle", () => fill(details)));
 
-  /* On paper a chart is as wide as its column, whatever the window was. */
+  /* On paper all charts have one width, whatever the window had; their column may be narrower. */
+  const PAPER_WIDTH = 720;
+  const drawn = () => [...document.querySelectorAll("[data-drawn=chart] .plot")];
   window.addEventListener("beforeprint", () => {
     drawAll();
-    document.querySelectorAll(".plot .main-svg").forEach((svg) => {
-      if (!svg.getAttribute("viewBox")) svg.setAttribute("viewBox", `0 0 ${svg.width.baseVal.value} ${svg.height.baseVal.value}`);
-    });
+    for (const plot of drawn()) {
+      Plotly.relayout(plot, { width: PAPER_WIDTH });
+      for (const svg of plot.querySelectorAll(".main-svg")) {
+        svg.setAttribute("viewBox", `0 0 ${PAPER_WIDTH} ${svg.height.baseVal.value}`);
+      }
+    }
   });
   window.addEventListener("afterprint", () => {
-    document.querySelectorAll(".plot .main-svg").forEach((svg) => svg.removeAttribute("viewBox"));
+    for (const plot of drawn()) {
+      plot.querySelectorAll(".main-svg").forEach((svg) => svg.removeAttribute("viewBox"));
+      Plotly.relayout(plot, { width: null, autosize: true });
+    }
   });
 
   const page = JSON.parse(document.getElementById("payload").textContent);

@@ -87,6 +87,7 @@
   const interval = (figure, at) => [figure.value[at], figure.lower[at], figure.upper[at]];
 
   show("course-leakage", () => {
+    if (!known(reference.value) && !known(own.value)) return { absent: "No night of this motor has a leakage: none was fitted, or its logs determine none." };
     const traces = [];
     if (known(reference.value)) {
       traces.push(band(nights, reference.lower, reference.upper, COLOURS.blue, "reference"));
@@ -107,7 +108,6 @@
         marker: { color: COLOURS.vermilion, symbol: "x-thin-open", size: 7, line: { width: 1.5 } },
       });
     }
-    if (!traces.length) return { absent: "No night of this motor has a fit." };
     return {
       traces,
       height: 340,

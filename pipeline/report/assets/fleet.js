@@ -57,6 +57,7 @@
     button.addEventListener("click", () => sort(header));
   }
   form.addEventListener("input", filter);
+  form.addEventListener("change", filter); /* not every browser says input of a select */
   form.addEventListener("submit", (event) => event.preventDefault());
   form.addEventListener("reset", () => setTimeout(filter));
   document.getElementById("reset").addEventListener("click", () => form.reset());

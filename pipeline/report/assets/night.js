@@ -352,13 +352,14 @@
   /* What the residual tests come to, one row each. */
   function verdicts(night) {
     if (!night.verdicts.length) return [];
-    const rows = night.verdicts.map((one) => [
+    const ordered = [...night.verdicts].sort((a, b) => a.part.localeCompare(b.part) || a.smoothed - b.smoothed || b.test.localeCompare(a.test));
+    const rows = ordered.map((one) => [
       one.part,
       one.smoothed ? "smoothed" : "before smoothing",
       one.test === "independence" ? `with ${plain(one.input)}` : word("tests", one.test),
       word("tests", one.verdict),
       one.n_lags ? `${one.n_outside} of ${one.n_lags} (${format(one.n_expected_outside, 2)} by chance)` : ABSENT,
-      one.p_value ?? null,
+      one.p_value === undefined ? ABSENT : one.p_value < 1e-4 ? "< 0.0001" : format(one.p_value, 2),
       one.largest_value === undefined ? ABSENT : `${format(one.largest_value, 2)} at ${format(one.largest_lag_s, 3)} s`,
       one.reason ?? "",
     ]);
