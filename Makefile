@@ -10,7 +10,7 @@ DEMO   := demo
 # Only what was said is passed on: the config decides the rest.
 OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
-.PHONY: help install fit-fleet check demo-logs lint format test test-full bench docs clean
+.PHONY: help install fit-fleet report check demo-logs lint format test test-full bench docs clean
 
 help:            ## what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -27,11 +27,15 @@ $(READY): requirements.txt pyproject.toml
 ifdef CONFIG
 fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=2 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
 	$(BIN)/motor-leakage fit-fleet $(CONFIG) $(OPTIONS)
+report: $(READY) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
+	$(BIN)/motor-leakage report $(CONFIG) --jobs $(JOBS)
 check: $(READY)  ## check a fleet's config and the head of its logs: CONFIG=...
 	$(BIN)/motor-leakage check $(CONFIG)
 else
 fit-fleet: demo-logs
 	$(BIN)/motor-leakage fit-fleet $(DEMO)/configs/fleet.toml $(OPTIONS)
+report: fit-fleet
+	$(BIN)/motor-leakage report $(DEMO)/configs/fleet.toml --jobs $(JOBS)
 check: demo-logs
 	$(BIN)/motor-leakage check $(DEMO)/configs/fleet.toml
 endif

@@ -15,6 +15,7 @@ BENCHMARKS = (
     "mcap_reading",
     "model_choices",
     "multi_start",
+    "report",
     "table_reading",
 )
 

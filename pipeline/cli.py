@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pipeline.config import Fleet
     from pipeline.fleet import RunResult
     from pipeline.motor_task import MotorOutcome
+    from pipeline.report import KnownMotor
 
 EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
@@ -190,6 +191,61 @@ def fit(
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+@app.command()
+def report(
+    config: Annotated[
+        Path | None,
+        typer.Argument(metavar="CONFIG", help="The fleet file; the tables alone will do."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder with the tables, instead of the config's.")
+    ] = None,
+    to: Annotated[
+        Path | None, typer.Option(help="Folder of the report, instead of report/ in the output.")
+    ] = None,
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors to show, with blanks between; needs --to.")
+    ] = "",
+    nights: Annotated[
+        int | None, typer.Option(min=1, help="Newest nights to show one by one; all if left out.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Nights made at the same time.")] = 2,
+) -> None:
+    """Write the report: pages for the fleet and each motor that open without a server.
+
+    Example: motor-leakage report configs/fleet.toml
+
+    Then open out/report/index.html. A further run makes only what has changed. Exit code 1: a
+    table file could not be read; the rest is there.
+    """
+    from pipeline.report import ReportRequest, build_report
+
+    fleet = None if config is None else _loaded(config)
+    if motors and to is None:
+        raise UsageError(
+            "report_motors", "--motors needs --to: the fleet's own report shows all motors"
+        )
+    tables = (output or (fleet.output if fleet else Path("out"))).resolve()
+    result = build_report(
+        ReportRequest(
+            output=tables,
+            folder=to.resolve() if to else tables / "report",
+            fleet=fleet.name if fleet else "",
+            known=_known_to_report(fleet) if fleet else {},
+            motors=tuple(motors.split()),
+            nights=nights,
+            workers=jobs,
+        )
+    )
+    typer.echo(
+        f"{result.n_motors} motors, {result.n_nights} nights made anew, {result.n_written} files "
+        f"written, {result.n_removed} removed; open {result.index}"
+    )
+    for fault in result.faults:
+        typer.echo(f"motor-leakage: store_read: {fault}", err=True)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.faults else EXIT_OK)
 
 
 @app.command()
@@ -394,10 +450,29 @@ def baseline_reset(
     typer.echo(f"{motor}: {indicator or 'every'} baseline begins anew with the night {label}")
 
 
-def _load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
-    from pipeline.config import ConfigError, Fault, load_fleet
+def _loaded(config: Path) -> Fleet:
+    from pipeline.config import load_fleet
 
-    fleet = load_fleet(config)
+    return load_fleet(config)
+
+
+def _known_to_report(fleet: Fleet) -> Mapping[str, KnownMotor]:
+    """What the report is told of the config's motors: type and dated events."""
+    from pipeline.report import KnownMotor
+
+    return {
+        spec.motor_id: KnownMotor(
+            spec.file.motor_type,
+            tuple(event.model_dump(exclude={"oil"}) for event in spec.file.events),
+        )
+        for spec in fleet.motors
+    }
+
+
+def _load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
+    from pipeline.config import ConfigError, Fault
+
+    fleet = _loaded(config)
     if logs and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])

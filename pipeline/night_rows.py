@@ -27,6 +27,7 @@ from pipeline.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.resample import Quality
 from pipeline.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
+from pipeline.thinning import keep_extremes
 from pipeline.windows import TRAINING, VALIDATION
 
 Array = NDArray[np.float64]
@@ -34,7 +35,7 @@ Row = dict[str, Any]
 Rows = dict[str, list[Row]]
 
 # Points a night in the table of predictions: enough for a plot, not for an analysis.
-PREDICTION_POINTS = 400
+PREDICTION_POINTS = 720
 
 
 def utc(microseconds: int) -> dt.datetime:
@@ -399,10 +400,19 @@ def start_rows(fit: Fit) -> list[Row]:
 def prediction_rows(
     motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[FittedMode]
 ) -> list[Row]:
-    """Rows of `predictions`: evenly thinned kept samples, measured and predicted."""
+    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
     samples = statistics.samples
-    n = len(samples.time_us)
-    chosen = np.unique(np.linspace(0, n - 1, min(PREDICTION_POINTS, n)).round().astype(np.int64))
+    measured = statistics.z[:, -1]
+    primary = statistics.z[:, :-1] @ np.append(modes[0].fit.coefficients, 1.0)
+    seen = np.column_stack(
+        [
+            measured,
+            measured - primary,
+            np.abs(samples.pressure_difference_bar),
+            np.abs(samples.speed_rpm),
+        ]
+    )
+    chosen = keep_extremes(seen, PREDICTION_POINTS)
     parts = statistics.parts()[chosen].tolist()
     z = statistics.z[chosen]
     times = [utc(stamp) for stamp in samples.time_us[chosen].tolist()]

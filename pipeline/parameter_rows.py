@@ -98,6 +98,7 @@ def _gap_rows(
     for row in rows:
         row["spread_over_starts"] = spreads.get(row["parameter"])
         row |= _gap_verdict(path, coefficient)
+        row["geometry_is_placeholder"] = path.geometry_is_placeholder
     e_is_known = e_range[0] == e_range[1]
     if "lower" in coefficient and e_is_known and _is_free(path.gap):
         # Alone in its loss factor, a gap is known as well as that: h goes with its cube root.

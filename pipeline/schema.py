@@ -348,6 +348,13 @@ PARAMETERS = Table(
             "Largest minus smallest value over the starts at the minimum",
         ),
         RUN_ID,
+        Column(
+            "geometry_is_placeholder",
+            pl.Boolean,
+            "",
+            "The value is made from a placeholder of the path's geometry and means nothing; null "
+            "where no geometry is in it, and in rows of before version 3",
+        ),
     ),
 )
 
@@ -486,7 +493,7 @@ RESIDUAL_VERDICTS = Table(
 
 PREDICTIONS = Table(
     "predictions",
-    "a fit, a point in time (thinned for plots)",
+    "a fit, a point in time (thinned for plots: extremes are kept, so means are not the night's)",
     (*FIT_KEY_NAMES, "time"),
     (
         *FIT_KEY,

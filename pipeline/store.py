@@ -99,6 +99,8 @@ def replace_whole(
     path: Path,
     write: Callable[[str], None],
     compare: Callable[[str], None] = lambda _: None,
+    *,
+    durable: bool = True,
 ) -> str:
     """Write a file beside its final name, flush it, read it back, then rename it.
 
@@ -110,6 +112,8 @@ def replace_whole(
         Writes the content to the name that it is given.
     compare
         Reads it again, and raises OSError where it is not what was to be written.
+    durable
+        Whether the file must outlive a power cut; one that can be made again need not.
 
     Returns
     -------
@@ -128,7 +132,8 @@ def replace_whole(
         try:
             write(name)
             with Path(name).open("rb") as written:
-                os.fsync(written.fileno())
+                if durable:
+                    os.fsync(written.fileno())
                 digest = hashlib.file_digest(written, "sha256").hexdigest()
             compare(name)
             Path(name).chmod(0o644)
@@ -137,7 +142,8 @@ def replace_whole(
             with suppress(OSError):
                 Path(name).unlink()
             raise
-        _flush_folder(path.parent)
+        if durable:
+            _flush_folder(path.parent)
     except (OSError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
     return digest

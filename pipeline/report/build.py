@@ -1,0 +1,366 @@
+"""The report as a whole: read the tables, make what has changed, leave the rest."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+from joblib import Parallel, delayed, parallel_config
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.report.encoding import script_json
+from pipeline.report.fleet_page import FleetRow, fleet_rows
+from pipeline.report.history import MotorHistory, motor_histories
+from pipeline.report.manifest import (
+    Manifest,
+    content_hash,
+    is_as_left,
+    read_manifest,
+    remove_stale,
+    write_changed,
+    write_manifest,
+)
+from pipeline.report.motor_page import motor_payload
+from pipeline.report.names import file_names
+from pipeline.report.night import night_payloads
+from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
+from pipeline.report.tables import History, night_paths, night_tables, read_history, read_night
+from pipeline.report.trends import standings
+from pipeline.schema import FITS, SCHEMA_VERSION
+from pipeline.store import remove_leftovers, table_folder
+
+INDEX = "index.html"
+CHART_LIBRARY = "assets/plotly.min.js"
+# Fewer nights than this are made in this very process: starting others takes longer.
+WORTH_WORKERS = 8
+
+Entries = dict[str, tuple[str, int]]
+
+
+@dataclass(frozen=True, slots=True)
+class KnownMotor:
+    """What a config says of a motor, and no table.
+
+    Attributes
+    ----------
+    motor_type
+        Its type.
+    events
+        Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
+    """
+
+    motor_type: str
+    events: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def event_dates(self) -> list[dt.date]:
+        """Dates at which a new baseline starts."""
+        return [event["date"] for event in self.events]
+
+
+@dataclass(frozen=True, slots=True)
+class ReportRequest:
+    """What is asked for.
+
+    Attributes
+    ----------
+    output
+        Output folder of the runs, in which `tables/` lies.
+    folder
+        Folder of the report.
+    fleet
+        Name of the fleet; where empty, that of the newest run.
+    known
+        Motors of the config by id, those without any night too.
+    motors
+        Ids of the motors to show; empty for all.
+    nights
+        Newest nights that get a file of their own; None for all.
+    workers
+        Nights made at the same time.
+    """
+
+    output: Path
+    folder: Path
+    fleet: str = ""
+    known: Mapping[str, KnownMotor] = field(default_factory=dict)
+    motors: tuple[str, ...] = ()
+    nights: int | None = None
+    workers: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ReportResult:
+    """What came of it.
+
+    Attributes
+    ----------
+    index
+        The page to open.
+    n_motors, n_nights
+        Motors shown, and nights of the fleet that were made anew.
+    n_written, n_removed
+        Files that were written and removed; all others were as they had to be.
+    faults
+        Table files that could not be read, in words.
+    """
+
+    index: Path
+    n_motors: int
+    n_nights: int
+    n_written: int
+    n_removed: int
+    faults: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class NightTask:
+    """A night to make: plain data, small enough to send to a worker.
+
+    Attributes
+    ----------
+    before
+        Entries of the night's files in the manifest, by path.
+    names
+        Names of the motors' folders; other motors are left out.
+    """
+
+    output: Path
+    folder: Path
+    night: dt.date
+    names: Mapping[str, str]
+    before: Mapping[str, tuple[str, int]]
+
+
+def build_report(request: ReportRequest) -> ReportResult:
+    """Write the report, or of a present one what has changed.
+
+    Parameters
+    ----------
+    request
+        What is asked for.
+
+    Returns
+    -------
+    ReportResult
+
+    Raises
+    ------
+    StoreError
+        If there are no tables, one is of a newer version of the program, or the folder cannot be
+        written or holds something else.
+    UsageError
+        If a motor is asked for that neither the config nor a table knows.
+    """
+    if not table_folder(request.output, FITS).is_dir() and not request.known:
+        raise StoreError(
+            "report_tables", f"{request.output} holds no table of fits; run fit-fleet first"
+        )
+    before = read_manifest(request.folder)
+    if before is None:
+        before = Manifest("")
+        write_manifest(request.folder, before)
+    remove_leftovers([request.folder])
+    history = read_history(request.output)
+    names = _names(request, history)
+    nights = _nights_by_motor(history.fits, names)
+    now = Manifest(_program_hash())
+    made, faults = _make_nights(request, _wanted(nights, request.nights), names, before, now)
+    n_motors = _make_pages(request, history, names, faults, before, now)
+    n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
+    n_removed = remove_stale(request.folder, before, now)
+    write_manifest(request.folder, now)
+    return ReportResult(
+        index=request.folder / INDEX,
+        n_motors=n_motors,
+        n_nights=made,
+        n_written=n_written,
+        n_removed=n_removed,
+        faults=(*history.faults, *faults),
+    )
+
+
+def _names(request: ReportRequest, history: History) -> dict[str, str]:
+    """Names of the pages of all motors that are shown."""
+    ids = {*request.known, *history.fits["motor_id"].unique()}
+    strangers = sorted(set(request.motors) - ids)
+    if strangers:
+        raise UsageError(
+            "unknown_motor",
+            f"--motors: no motor {', '.join(strangers)}; there are {', '.join(sorted(ids))}",
+        )
+    names = file_names(ids)
+    return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}
+
+
+def _nights_by_motor(fits: pl.DataFrame, names: Mapping[str, str]) -> dict[dt.date, list[str]]:
+    """Motors that have a row, by night in time order."""
+    shown = fits.filter(pl.col("motor_id").is_in(list(names)))
+    groups = shown.group_by("night").agg(pl.col("motor_id").sort()).sort("night")
+    return dict(groups.iter_rows())
+
+
+def _wanted(nights: Mapping[dt.date, list[str]], newest: int | None) -> dict[dt.date, list[str]]:
+    labels = list(nights) if newest is None else list(nights)[-newest:]
+    return {label: nights[label] for label in labels}
+
+
+def night_file_name(motor_name: str, night: dt.date) -> str:
+    """Path of a night's file within the report."""
+    return f"data/{motor_name}/{night}.js"
+
+
+def _make_nights(
+    request: ReportRequest,
+    nights: Mapping[dt.date, list[str]],
+    names: Mapping[str, str],
+    before: Manifest,
+    now: Manifest,
+) -> tuple[int, list[str]]:
+    """Make the files of nights that are new or changed; enter all into the new manifest."""
+    states = _table_states(request.output, nights)
+    tasks = []
+    for night, motors in nights.items():
+        files = [night_file_name(names[motor_id], night) for motor_id in motors]
+        kept = {name: before.files[name] for name in files if name in before.files}
+        label = night.isoformat()
+        is_current = (
+            before.program == now.program
+            and before.nights.get(label) == states[night]
+            and len(kept) == len(files)
+            and all(is_as_left(request.folder, name, entry) for name, entry in kept.items())
+        )
+        if is_current:
+            now.files |= kept
+            now.nights[label] = states[night]
+        else:
+            tasks.append(NightTask(request.output, request.folder, night, names, kept))
+    faults = []
+    for night, entries, found in _made(tasks, request.workers):
+        now.files |= entries
+        faults += found
+        if not found:
+            now.nights[night.isoformat()] = states[night]
+    return len(tasks), sorted(faults)
+
+
+def _table_states(output: Path, nights: Mapping[dt.date, object]) -> dict[dt.date, str]:
+    """Hash of size and time of each night's table files, taken before they are read."""
+    states = {night: hashlib.sha256() for night in nights}
+    for table in night_tables():
+        for night, path in night_paths(output, table).items():
+            if night in states:
+                status = path.stat()
+                state = f"{table.name} {status.st_size} {status.st_mtime_ns};"
+                states[night].update(state.encode())
+    return {night: state.hexdigest()[:16] for night, state in states.items()}
+
+
+def _made(tasks: Sequence[NightTask], workers: int) -> Iterator[tuple[dt.date, Entries, list[str]]]:
+    if workers == 1 or len(tasks) < WORTH_WORKERS:
+        yield from map(make_night, tasks)
+        return
+    os.environ.setdefault("POLARS_MAX_THREADS", "1")
+    with parallel_config(backend="loky", inner_max_num_threads=1):
+        pool = Parallel(n_jobs=workers, return_as="generator_unordered")
+        yield from pool(delayed(make_night)(task) for task in tasks)
+
+
+def make_night(task: NightTask) -> tuple[dt.date, Entries, list[str]]:
+    """Make the files of one night for all its motors.
+
+    Returns
+    -------
+    night, entries, faults
+        What the manifest is to say of each file, and which table files could not be read.
+    """
+    read = read_night(task.output, task.night)
+    entries: Entries = {}
+    for motor_id, payload in night_payloads(task.night, read):
+        if motor_id in task.names:
+            name = night_file_name(task.names[motor_id], task.night)
+            content = f"motorLeakage.night({script_json(payload)});\n".encode()
+            entries[name] = write_changed(task.folder, name, content, task.before.get(name))
+    return task.night, entries, [fault for part in read.values() for fault in part.faults]
+
+
+def _make_pages(
+    request: ReportRequest,
+    history: History,
+    names: Mapping[str, str],
+    faults: Sequence[str],
+    before: Manifest,
+    now: Manifest,
+) -> int:
+    """Make the fleet's page, the motors' pages, and what they share."""
+
+    def write(name: str, content: bytes) -> None:
+        now.files[name] = write_changed(request.folder, name, content, before.files.get(name))
+
+    dates = {motor_id: one.event_dates for motor_id, one in request.known.items()}
+    motors = list(motor_histories(history, list(names), dates))
+    newest = max((motor.nights[-1] for motor in motors if motor.nights), default=None)
+    types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
+    rows = fleet_rows(motors, names, types, standings(history.trends), newest)
+    facts = FleetFacts(
+        name=request.fleet or history.fleet or "Fleet",
+        first=min((motor.nights[0] for motor in motors if motor.nights), default=None),
+        newest=newest,
+        has_trends="trends" in history.trends,
+        faults=(*history.faults, *faults),
+    )
+    for asset in ASSETS:
+        write(f"assets/{asset.name}", asset.read_bytes())
+    _write_chart_library(request.folder, before, now)
+    write(INDEX, fleet_html(facts, rows).encode())
+    by_id: dict[str, FleetRow] = {row.motor_id: row for row in rows}
+    for motor in motors:
+        name = names[motor.motor_id]
+        page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)
+        write(f"motors/{name}.html", page.encode())
+    return len(motors)
+
+
+def _motor_page(
+    request: ReportRequest,
+    history: History,
+    motor: MotorHistory,
+    name: str,
+    row: FleetRow,
+    facts: FleetFacts,
+    now: Manifest,
+) -> str:
+    detailed = {night for night in motor.nights if night_file_name(name, night) in now.files}
+    known = request.known.get(motor.motor_id, KnownMotor(""))
+    events = [
+        {**event, "date": event["date"].isoformat()}
+        for event in sorted(known.events, key=lambda event: event["date"])
+    ]
+    payload = motor_payload(motor, name, detailed, history.trends, events)
+    return motor_html(facts, row, motor, payload)
+
+
+def _write_chart_library(folder: Path, before: Manifest, now: Manifest) -> None:
+    """One copy of the chart library for all pages; it is read only where it has to be written."""
+    entry = before.files.get(CHART_LIBRARY)
+    if before.program == now.program and entry and is_as_left(folder, CHART_LIBRARY, entry):
+        now.files[CHART_LIBRARY] = entry
+        return
+    from plotly.offline import get_plotlyjs
+
+    now.files[CHART_LIBRARY] = write_changed(folder, CHART_LIBRARY, get_plotlyjs().encode(), entry)
+
+
+def _program_hash() -> str:
+    """Hash of the report's own files and of what else shapes its content."""
+    sources = sorted(path for path in Path(__file__).parent.rglob("*") if path.is_file())
+    own = [path.read_bytes() for path in sources if "__pycache__" not in path.parts]
+    packages = [version(name).encode() for name in ("motor-leakage", "jinja2", "plotly")]
+    return content_hash(b"|".join((*own, *packages, str(SCHEMA_VERSION).encode())))

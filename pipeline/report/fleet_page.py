@@ -1,0 +1,176 @@
+"""The rows of the fleet page: every motor, the one that needs attention most first."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.report.attention import GOOD, RECENT_NIGHTS, Attention, attention, changes
+from pipeline.report.history import Course, MotorHistory
+from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
+from pipeline.report.trends import Standing
+from pipeline.report.words import STATUSES, plain
+
+ONE_DAY = dt.timedelta(days=1)
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRow:
+    """A motor on the fleet page.
+
+    Attributes
+    ----------
+    attention
+        How it stands, and why.
+    leakage_kind
+        Whether the leakage is that at `reference` or at `own` conditions.
+    leakage
+        Newest value with its interval, l/min; None where there never was one.
+    leakage_night
+        Night of that value.
+    leakage_change, gap_change
+        Percent since the first good nights; None where that cannot be told.
+    gap_path
+        Path of the gap that has changed most.
+    last_good
+        Newest night with a fit.
+    kept_percent
+        Median share of samples kept in the recent fitted nights.
+    strip, strip_words
+        What came of the recent nights of the fleet's calendar, as pictures and as words.
+    """
+
+    motor_id: str
+    page: str
+    motor_type: str
+    attention: Attention
+    leakage_kind: str
+    leakage: tuple[float, float | None, float | None] | None
+    leakage_night: dt.date | None
+    line: Sparkline | None
+    leakage_change: float | None
+    gap_change: float | None
+    gap_path: str
+    validation_fit: float | None
+    previous_fit: float | None
+    kept_percent: float | None
+    n_recent_good: int
+    n_recent: int
+    strip: Mapping[str, str]
+    strip_width: int
+    strip_words: str
+    last_good: dt.date | None
+
+
+def fleet_rows(
+    motors: Iterable[MotorHistory],
+    pages: Mapping[str, str],
+    types: Mapping[str, str],
+    standings: Mapping[str, Standing],
+    newest: dt.date | None,
+) -> list[FleetRow]:
+    """All motors, the most urgent first.
+
+    Parameters
+    ----------
+    motors
+        Their histories.
+    pages
+        Name of each motor's page, without ending.
+    types
+        Type of each motor whose config is known, for those without any night.
+    standings
+        What trends say, by motor.
+    newest
+        The newest night of the fleet.
+    """
+    rows = [
+        _row(motor, pages[motor.motor_id], types, standings.get(motor.motor_id), newest)
+        for motor in motors
+    ]
+    return sorted(rows, key=lambda row: (*row.attention.rank, row.motor_id))
+
+
+def _row(
+    motor: MotorHistory,
+    page: str,
+    types: Mapping[str, str],
+    standing: Standing | None,
+    newest: dt.date | None,
+) -> FleetRow:
+    changed = changes(motor)
+    kind, course = motor.leakage
+    good = motor.fits.filter(status=GOOD)
+    last = good.row(-1, named=True) if good.height else {}
+    known = np.flatnonzero(course.is_known)
+    days = np.array([night.toordinal() for night in motor.nights], dtype=np.int64)
+    recent = _calendar(motor, newest)
+    told = [status for status in recent if status is not None]
+    path, gap = changed.gap or ("", None)
+    kept = good["kept_share"].tail(RECENT_NIGHTS).median() if good.height else None
+    return FleetRow(
+        motor_id=motor.motor_id,
+        page=page,
+        motor_type=_motor_type(motor, types),
+        attention=attention(motor, changed, standing, newest),
+        leakage_kind=kind,
+        leakage=_newest(course, known),
+        leakage_night=motor.nights[known[-1]] if len(known) else None,
+        line=sparkline(days, course) if len(days) else None,
+        leakage_change=changed.leakage.percent if changed.leakage else None,
+        gap_change=gap.gap_percent if gap else None,
+        gap_path=plain(path),
+        validation_fit=last.get("validation_fit_percent"),
+        previous_fit=last.get("previous_model_fit_percent"),
+        kept_percent=100.0 * kept if isinstance(kept, float) else None,
+        n_recent_good=told.count(GOOD),
+        n_recent=len(told),
+        strip=strip(recent),
+        strip_width=STEP * RECENT_NIGHTS,
+        strip_words=_in_words(told),
+        last_good=last.get("night"),
+    )
+
+
+def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:
+    named = motor.fits["motor_type"].drop_nulls()
+    return types.get(motor.motor_id) or (named[-1] if len(named) else "")
+
+
+def _newest(
+    course: Course, known: NDArray[np.int64]
+) -> tuple[float, float | None, float | None] | None:
+    if not len(known):
+        return None
+    place = known[-1]
+    lower, upper = (
+        float(end[place]) if np.isfinite(end[place]) else None
+        for end in (course.lower, course.upper)
+    )
+    return float(course.value[place]), lower, upper
+
+
+def _calendar(motor: MotorHistory, newest: dt.date | None) -> list[str | None]:
+    """What came of each of the fleet's recent nights; None where the motor has no row."""
+    if newest is None:
+        return []
+    by_night = dict(zip(motor.nights, motor.statuses, strict=True))
+    first = newest - (RECENT_NIGHTS - 1) * ONE_DAY
+    return [by_night.get(first + place * ONE_DAY) for place in range(RECENT_NIGHTS)]
+
+
+def _in_words(statuses: list[str]) -> str:
+    """How many nights came to what.
+
+    Examples
+    --------
+    >>> _in_words(["ok", "ok", "failed"])
+    '2 fitted, 1 failed'
+    """
+    counts = Counter(STATUSES.get(status, status) for status in statuses)
+    return ", ".join(f"{n} {words}" for words, n in counts.most_common()) or "none"

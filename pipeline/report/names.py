@@ -1,0 +1,48 @@
+"""Names of pages and folders, one a motor, on any file system, whatever the motor is called."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections import Counter
+from collections.abc import Iterable
+
+# What every file system takes; the ids of a config match it, those of a stranger's table may not.
+PLAIN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+# Names of devices on Windows, whatever their ending.
+DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
+
+
+def file_names(motor_ids: Iterable[str]) -> dict[str, str]:
+    """A name without ending for each motor: its id, wherever that is a safe one.
+
+    Parameters
+    ----------
+    motor_ids
+        Ids, each once.
+
+    Returns
+    -------
+    dict
+        By id. Names differ in more than the case of letters, which file shares do not see, and
+        hold nothing that means anything in a path, a URL or a page.
+
+    Examples
+    --------
+    >>> file_names(["CB560-01", "../x"])
+    {'../x': 'motor-d6b96a97d147', 'CB560-01': 'CB560-01'}
+    """
+    ids = sorted(motor_ids)
+    sharing = Counter(motor_id.casefold() for motor_id in ids)
+    return {
+        motor_id: motor_id
+        if _is_safe(motor_id) and sharing[motor_id.casefold()] == 1
+        else f"motor-{hashlib.sha256(motor_id.encode()).hexdigest()[:12]}"
+        for motor_id in ids
+    }
+
+
+def _is_safe(motor_id: str) -> bool:
+    return bool(
+        PLAIN.fullmatch(motor_id) and not DEVICES.match(motor_id) and not motor_id.endswith(".")
+    )

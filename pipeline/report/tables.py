@@ -1,0 +1,192 @@
+"""The published tables as the report reads them: a night's rows of all motors, or all nights'.
+
+A file that is damaged costs its own rows and is named; one of a newer version of the program ends
+the report. Tables that a later version of the schema brings are read as soon as it has them.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import polars as pl
+
+from pipeline.errors import StoreError
+from pipeline.schema import FIT_KEY_NAMES, FITS, PARAMETERS, RUNS, TABLES, Table
+from pipeline.store import night_file, read_table, table_folder
+
+# Tables of a night that its page shows; those that the schema does not have yet are left out.
+NIGHT_NAMES = (
+    "fits",
+    "parameters",
+    "sensitivities",
+    "starts",
+    "predictions",
+    "residual_tests",
+    "residual_verdicts",
+    "quality",
+    "block_statistics",
+    "input_files",
+)
+# Tables whose every row belongs to a motor's history.
+TREND_NAMES = ("trends", "alarms", "baselines", "change_points")
+KNOWN = {table.name: table for table in TABLES}
+READING_THREADS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """Rows, and in words which files could not be read."""
+
+    rows: pl.DataFrame
+    faults: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class History:
+    """All nights of all motors.
+
+    Attributes
+    ----------
+    fits
+        The primary fit of each motor and night, sorted by motor and night.
+    parameters
+        Parameters of those fits.
+    trends
+        Tables of trends and alarms by name, as far as they are there.
+    fleet
+        Name of the fleet in the newest run; empty where there is none.
+    faults
+        Files that could not be read, in words.
+    """
+
+    fits: pl.DataFrame
+    parameters: pl.DataFrame
+    trends: Mapping[str, pl.DataFrame] = field(default_factory=dict)
+    fleet: str = ""
+    faults: tuple[str, ...] = ()
+
+
+def night_paths(output: Path, table: Table) -> dict[dt.date, Path]:
+    """Files of a table by the night's label, in time order."""
+    paths = {}
+    for path in table_folder(output, table).glob("month=*/*.parquet"):
+        try:
+            paths[dt.date.fromisoformat(path.stem)] = path
+        except ValueError:
+            continue  # a stranger's file, which no night of ours is in
+    return dict(sorted(paths.items()))
+
+
+def night_tables() -> list[Table]:
+    """Tables that a night's page shows, as far as the schema has them."""
+    return [KNOWN[name] for name in NIGHT_NAMES if name in KNOWN]
+
+
+def read_night(output: Path, night: dt.date) -> dict[str, Read]:
+    """Rows of one night by table, sorted by key; of fits' child tables those of primary fits.
+
+    Raises
+    ------
+    StoreError
+        If a file is of a newer version of the program.
+    """
+    found: dict[str, Read] = {}
+    for table in night_tables():
+        path = night_file(output, table, night)
+        found[table.name] = _read([path] if path.exists() else [], table)
+    fits = found["fits"].rows
+    if fits["is_primary"].all():
+        return found
+    primary = fits.filter("is_primary").select(FIT_KEY_NAMES)
+    return {
+        name: Read(_children(read.rows, primary), read.faults) if name != "fits" else read
+        for name, read in found.items()
+    }
+
+
+def _children(rows: pl.DataFrame, fits: pl.DataFrame) -> pl.DataFrame:
+    """Rows that belong to some fits; all rows of a table that has no key of fits."""
+    if not set(FIT_KEY_NAMES) <= set(rows.columns):
+        return rows
+    return rows.join(fits, on=FIT_KEY_NAMES, how="semi", maintain_order="left")
+
+
+def read_history(output: Path) -> History:
+    """All that is known of all nights, but for what only one night's figures need.
+
+    Raises
+    ------
+    StoreError
+        If a file is of a newer version of the program.
+    """
+    fits = _read(night_paths(output, FITS).values(), FITS)
+    wanted = pl.col("parameter").str.contains("^(K_|C_|scale_|share_)")
+    columns = [*FIT_KEY_NAMES, "parameter", "value", "unit", "lower", "upper", "verdict"]
+    parameters = _read(night_paths(output, PARAMETERS).values(), PARAMETERS, columns, wanted)
+    runs = _read(_all_files(output, RUNS), RUNS, ["started_at", "fleet"])
+    trends = {
+        name: _read(_all_files(output, KNOWN[name]), KNOWN[name])
+        for name in TREND_NAMES
+        if name in KNOWN
+    }
+    primary = fits.rows.filter("is_primary").sort("motor_id", "night")
+    newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
+    return History(
+        fits=primary,
+        parameters=parameters.rows.join(
+            primary.select(FIT_KEY_NAMES), on=FIT_KEY_NAMES, how="semi"
+        ).sort("motor_id", "parameter", "night"),
+        trends={name: read.rows for name, read in trends.items() if read.rows.height},
+        fleet=newest[-1] if len(newest) else "",
+        faults=tuple(
+            fault for read in (fits, parameters, runs, *trends.values()) for fault in read.faults
+        ),
+    )
+
+
+def _all_files(output: Path, table: Table) -> list[Path]:
+    return sorted(table_folder(output, table).rglob("*.parquet"))
+
+
+def _read(
+    paths: Iterable[Path],
+    table: Table,
+    columns: Sequence[str] | None = None,
+    wanted: pl.Expr | None = None,
+) -> Read:
+    """Rows of some files of a table one below the other; damaged files are left out and named."""
+    columns = list(table.schema) if columns is None else columns
+
+    def part(path: Path) -> pl.DataFrame | str:
+        try:
+            rows = read_table(path, table)
+        except StoreError as error:
+            if error.code != "store_read":
+                raise
+            return error.message
+        return (rows if wanted is None else rows.filter(wanted)).select(columns)
+
+    paths = list(paths)
+    if len(paths) < READING_THREADS:
+        parts = list(map(part, paths))
+    else:
+        with ThreadPoolExecutor(READING_THREADS) as pool:
+            parts = list(pool.map(part, paths))
+    empty = pl.DataFrame(schema=table.schema).select(columns)
+    frames = [found for found in parts if isinstance(found, pl.DataFrame)]
+    faults = tuple(found for found in parts if isinstance(found, str))
+    return Read(_finite(pl.concat([empty, *frames])), faults)
+
+
+def _finite(rows: pl.DataFrame) -> pl.DataFrame:
+    """NaN and infinity as null: no page can show them, and JSON has none."""
+    floats = [name for name, kind in rows.schema.items() if kind == pl.Float64]
+    return rows.with_columns(
+        pl.when(pl.col(name).is_finite()).then(pl.col(name)).alias(name)
+        for name in floats
+        if not rows[name].is_finite().all()
+    )

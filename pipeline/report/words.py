@@ -1,0 +1,133 @@
+"""What codes, names and units of the tables are called on the pages. The only place."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+ABSENT: Final = "–"
+STATUSES: Final[Mapping[str, str]] = {
+    "ok": "fitted",
+    "stood_still": "stood still",
+    "no_new_data": "no log",
+    "insufficient_data": "too little data",
+    "failed": "failed",
+}
+VERDICTS: Final[Mapping[str, str]] = {
+    "identified": "determined by the data",
+    "only_in_combination": "known only together with others",
+    "not_excited": "not seen: the motor did not run where it would show",
+    "at_bound": "at its bound",
+    "fixed": "held fixed",
+    "too_little_data": "too little data to say",
+    "not_identified": "not determined by the data",
+    "outside_fitted_range": "outside what the night's data cover",
+}
+UNITS: Final[Mapping[str, str]] = {
+    "m3": "m³",
+    "um": "µm",
+    "l_per_min": "l/min",
+    "1": "",
+    "percent": "%",
+}
+CHANNELS: Final[Mapping[str, str]] = {
+    "time_base": "all channels together",
+    "leakage_flow": "drain flow",
+}
+RULES: Final[Mapping[str, str]] = {
+    "any": "refused by any rule",
+    "missing": "no value",
+    "not_finite": "not a finite number",
+    "out_of_range": "out of its valid range",
+    "at_maximum": "sensor at its maximum",
+    "spike": "spike",
+    "frozen": "sensor frozen",
+    "duplicate_time": "time stamp twice",
+    "backward_time": "time running backward",
+    "jitter": "off its period",
+    "no_interval": "count without an interval",
+    "counter_reset": "counter set back",
+    "standstill": "motor at standstill",
+    "guard": "guard time around a halt or back-flow",
+    "transient": "speed or pressure changing fast",
+    "gap": "gap in the log",
+    "incomplete": "a channel without a value",
+    "thin_block": "block with too few samples",
+    "short_stretch": "stretch too short",
+    "outside_periods": "outside the periods chosen by hand",
+    "transport_delay": "flow too small to say when it arrives",
+}
+FLUSHING: Final[Mapping[str, str]] = {
+    "none": "no flushing",
+    "fixed": "fixed flushing",
+    "estimated": "estimated flushing",
+}
+TESTS: Final[Mapping[str, str]] = {
+    "whiteness": "with itself",
+    "independence": "with an input",
+    "passed": "passed",
+    "failed": "failed",
+    "not_tested": "not tested",
+    "none": "",
+}
+EVENTS: Final[Mapping[str, str]] = {
+    "overhaul": "overhaul",
+    "oil_change": "oil change",
+    "flushing_change": "change of flushing",
+    "motor_exchanged": "motor exchanged",
+}
+
+
+def plain(name: str) -> str:
+    """A name of the tables with blanks for underscores.
+
+    Examples
+    --------
+    >>> plain("piston_ring")
+    'piston ring'
+    """
+    return name.replace("_", " ")
+
+
+def for_scripts() -> dict[str, Mapping[str, str]]:
+    """All words that the scripts of a page need, as they are handed to it."""
+    return {
+        "statuses": STATUSES,
+        "verdicts": VERDICTS,
+        "units": UNITS,
+        "channels": CHANNELS,
+        "rules": RULES,
+        "flushing": FLUSHING,
+        "tests": TESTS,
+        "events": EVENTS,
+    }
+
+
+def figure(value: float | None, digits: int = 3) -> str:
+    """A figure with a number of significant digits, never in powers of ten above that.
+
+    Examples
+    --------
+    >>> figure(1.2345), figure(0.05), figure(123456.0), figure(None)
+    ('1.23', '0.0500', '123456', '–')
+    """
+    if value is None:
+        return ABSENT
+    if abs(value) >= 10**digits:
+        return f"{value:.0f}"
+    text = f"{value:#.{digits}g}"
+    return text.removesuffix(".").replace("-", "−")
+
+
+def signed(value: float | None, decimals: int = 1) -> str:
+    """A change with its sign.
+
+    Examples
+    --------
+    >>> signed(-3.21), signed(None)
+    ('−3.2', '–')
+    """
+    if value is None:
+        return ABSENT
+    rounded = round(value, decimals) + 0.0  # no minus before a zero
+    return f"{rounded:+.{decimals}f}".replace("-", "−")

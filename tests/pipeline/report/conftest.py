@@ -1,0 +1,46 @@
+"""The demo's report, and a copy of its tables to change at will."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from pipeline.report import ReportRequest, build_report
+from pipeline.schema import TABLES
+from pipeline.store import read_table, write_table
+from tests.conftest import made_once
+
+BY_NAME = {table.name: table for table in TABLES}
+Change = Callable[[pl.DataFrame], pl.DataFrame]
+
+
+@pytest.fixture(scope="session")
+def report(shared_folder: Path, fitted_output: Path) -> Path:
+    """The report of the fitted demo; only to be read."""
+
+    def make(folder: Path) -> None:
+        build_report(ReportRequest(fitted_output, folder))
+
+    return made_once(shared_folder / "report", make)
+
+
+@pytest.fixture
+def output(fitted_output: Path, tmp_path: Path) -> Path:
+    """Tables of the demo of one's own."""
+    shutil.copytree(fitted_output / "tables", tmp_path / "out" / "tables")
+    return tmp_path / "out"
+
+
+def change_table(output: Path, name: str, change: Change, night: str = "*") -> None:
+    """Write the files of a table anew with other rows; one without rows goes."""
+    table = BY_NAME[name]
+    for path in (output / "tables" / name).rglob(f"{night}.parquet"):
+        rows = change(read_table(path, table))
+        if rows.height:
+            write_table(path, rows.select(table.schema.keys()))
+        else:
+            path.unlink()

@@ -1,0 +1,78 @@
+"""Rows of `fits` and `parameters` made by hand, and the history that they come to."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from pipeline.report.history import MotorHistory, motor_histories
+from pipeline.report.tables import History
+from pipeline.schema import FITS, PARAMETERS, frame
+
+Row = dict[str, Any]
+FIRST = dt.date(2026, 1, 1)
+ONE_DAY = dt.timedelta(days=1)
+
+
+def fit(number: int, leakage: float | None = 1.4, **values: Any) -> Row:
+    """A fitted night, the first one being number 0."""
+    return {
+        "motor_id": "M",
+        "motor_type": "CB560",
+        "night": FIRST + number * ONE_DAY,
+        "flushing_mode": "none",
+        "is_primary": True,
+        "status": "ok",
+        "reference_leakage_l_per_min": leakage,
+        "reference_leakage_lower": None if leakage is None else 0.99 * leakage,
+        "reference_leakage_upper": None if leakage is None else 1.01 * leakage,
+        "kept_share": 0.97,
+    } | values
+
+
+def unfitted(number: int, status: str, reason: str) -> Row:
+    """A night without a fit."""
+    row = fit(number, None, status=status, reason=reason)
+    return row | {"kept_share": None}
+
+
+def parameter(number: int, name: str, value: float, half: float | None = None, **more: Any) -> Row:
+    """A parameter of a fitted night, with an interval of ± `half`."""
+    return {
+        "motor_id": "M",
+        "night": FIRST + number * ONE_DAY,
+        "flushing_mode": "none",
+        "parameter": name,
+        "value": value,
+        "lower": None if half is None else value - half,
+        "upper": None if half is None else value + half,
+        "verdict": "fixed" if half is None else "identified",
+    } | more
+
+
+def history(
+    fits: Sequence[Row], parameters: Sequence[Row] = (), events: Sequence[dt.date] = ()
+) -> MotorHistory:
+    """The history of the one motor that the rows are of."""
+    tables = History(
+        fits=frame(FITS, fits).sort("motor_id", "night"),
+        parameters=frame(PARAMETERS, parameters).sort("motor_id", "parameter", "night"),
+    )
+    (motor,) = motor_histories(tables, ["M"], {"M": events})
+    return motor
+
+
+def scattered(n: int, level: float, seed: int, sd: float = 0.01) -> list[float]:
+    """Leakage of n nights that scatters around a level."""
+    noise = np.random.default_rng(seed).standard_normal(n)
+    values: list[float] = (level * (1 + sd * noise)).tolist()
+    return values
+
+
+def without(rows: pl.DataFrame) -> pl.DataFrame:
+    """None of the rows."""
+    return rows.clear()

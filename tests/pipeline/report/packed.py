@@ -1,0 +1,34 @@
+"""Reads what the report packs, apart from the code that packs it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def unpacked(column: dict[str, str]) -> np.ndarray:
+    """Numbers as a script sees them."""
+    ((kind, text),) = column.items()
+    return np.frombuffer(base64.b64decode(text), dtype=f"<{kind}")
+
+
+def night_file(path: Path) -> dict[str, Any]:
+    """The payload that a night's script hands over."""
+    found = re.fullmatch(r"motorLeakage\.night\((.*)\);\n", path.read_text("utf-8"), re.DOTALL)
+    assert found
+    document: dict[str, Any] = json.loads(found[1])
+    return document
+
+
+def page_payload(page: Path) -> dict[str, Any]:
+    """The payload within a motor's page."""
+    pattern = r'<script type="application/json" id="payload">(.*?)</script>'
+    found = re.search(pattern, page.read_text("utf-8"), re.DOTALL)
+    assert found
+    document: dict[str, Any] = json.loads(found[1])
+    return document

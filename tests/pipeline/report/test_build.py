@@ -1,0 +1,333 @@
+"""The folder of the report: complete, small, made anew only where something has changed."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+
+import pipeline.report.build as build_module
+from pipeline.errors import StoreError, UsageError
+from pipeline.report import KnownMotor, ReportRequest, ReportResult, build_report
+from pipeline.schema import FITS, PARAMETERS, PREDICTIONS
+from pipeline.store import VERSION_KEY, night_file, read_table, write_table
+from tests.pipeline.report.conftest import change_table
+from tests.pipeline.report.packed import night_file as read_night_file
+from tests.pipeline.report.packed import page_payload, unpacked
+
+MOTORS = [f"CB{n}-0{i}" for n in (1120, 400, 560) for i in (1, 2)]
+NIGHTS = [dt.date(2026, 1, 2), dt.date(2026, 1, 3), dt.date(2026, 1, 4)]
+MOTOR = "CB560-01"
+
+
+def build(output: Path, **more: object) -> ReportResult:
+    return build_report(replace(ReportRequest(output, output / "report"), **more))  # type: ignore[arg-type]
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def times(folder: Path) -> dict[str, int]:
+    return {name: (folder / name).stat().st_mtime_ns for name in contents(folder)}
+
+
+class Links(HTMLParser):
+    """What a page loads and leads to."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.targets: list[str] = []
+        self.feed(page.read_text("utf-8"))
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:  # noqa: ARG002
+        self.targets += [value or "" for name, value in attrs if name in ("href", "src")]
+
+
+# What is there
+
+
+def test_the_folder_is_complete_and_leads_nowhere_else(report: Path) -> None:
+    pages = sorted(report.rglob("*.html"))
+    assert [page.stem for page in pages] == ["index", *MOTORS]
+    assert sorted((report / "data").rglob("*.js")) == [
+        report / "data" / motor / f"{night}.js" for motor in MOTORS for night in NIGHTS
+    ]
+    for page in pages:
+        for target in Links(page).targets:
+            if not target.startswith(("#", "data:,")):
+                assert (page.parent / target.split("#")[0]).resolve().is_relative_to(report)
+                assert (page.parent / target.split("#")[0]).exists(), target
+
+
+def test_pages_and_nights_are_small(report: Path) -> None:
+    for path in report.rglob("*.html"):
+        assert path.stat().st_size < 1_000_000
+    for path in (report / "data").rglob("*.js"):
+        assert path.stat().st_size < 300_000
+    (library,) = report.rglob("plotly*.js")
+    assert library.stat().st_size > 1_000_000
+
+
+def test_pages_of_ten_years_are_small(output: Path) -> None:
+    before = NIGHTS[0] - dt.timedelta(days=1)
+    for table in (FITS, PARAMETERS):
+        # All in one file: it is the page that is looked at, not the reading.
+        rows = read_table(night_file(output, table, NIGHTS[0]), table).filter(motor_id=MOTOR)
+        labels = pl.DataFrame({"night": [before - dt.timedelta(days=n) for n in range(3650)]})
+        many = rows.drop("night").join(labels, how="cross").select(table.schema.keys())
+        write_table(night_file(output, table, before), many)
+    build(output, motors=(MOTOR,), nights=1)
+    page = output / "report" / "motors" / f"{MOTOR}.html"
+    assert page.stat().st_size < 1_000_000
+    payload = page_payload(page)
+    assert len(payload["nights"]) == 3653
+    assert 500 < len(unpacked(payload["reference"]["value"])) <= 1500
+
+
+def test_no_clock_and_no_path_of_the_machine_stands_in_a_page(report: Path) -> None:
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    for path in [*report.rglob("*.html"), *(report / "data").rglob("*.js")]:
+        text = path.read_text("utf-8")
+        assert today not in text
+        assert str(report.parent) not in text
+
+
+def test_workers_and_the_time_of_making_change_no_byte(
+    output: Path, report: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(build_module, "WORTH_WORKERS", 1)
+    build(output, workers=2)
+    made, before = contents(output / "report"), contents(report)
+    for folder in (made, before):
+        document = json.loads(folder.pop("manifest.json"))
+        assert document["files"].keys() == folder.keys()
+    assert made == before
+
+
+# What is made anew
+
+
+def test_nothing_new_nothing_written(output: Path) -> None:
+    first = build(output)
+    assert (first.n_motors, first.n_nights) == (6, 3)
+    before = times(output / "report")
+    second = build(output)
+    assert (second.n_nights, second.n_written, second.n_removed) == (0, 0, 0)
+    assert {
+        name: time for name, time in times(output / "report").items() if time != before[name]
+    } == {"manifest.json": (output / "report" / "manifest.json").stat().st_mtime_ns}
+
+
+def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(output: Path) -> None:
+    build(output)
+    before = times(output / "report")
+
+    def more(rows: pl.DataFrame) -> pl.DataFrame:
+        mine = pl.col("motor_id") == MOTOR
+        column = "reference_leakage_l_per_min"
+        return rows.with_columns(pl.when(mine).then(1.5).otherwise(column).alias(column))
+
+    change_table(output, "fits", more, str(NIGHTS[1]))
+    result = build(output)
+    assert result.n_nights == 1
+    changed = {name for name, time in times(output / "report").items() if time != before[name]}
+    assert changed == {
+        f"data/{MOTOR}/{NIGHTS[1]}.js",
+        f"motors/{MOTOR}.html",
+        "index.html",
+        "manifest.json",
+    }
+    assert contents(output / "report") != before
+
+
+def test_a_new_night_is_added(output: Path) -> None:
+    change_table(output, "fits", lambda rows: rows.clear(), str(NIGHTS[2]))
+    build(output)
+    assert not list((output / "report").rglob(f"{NIGHTS[2]}.js"))
+    rows = read_table(night_file(output, FITS, NIGHTS[1]), FITS)
+    write_table(night_file(output, FITS, NIGHTS[2]), rows.with_columns(night=pl.lit(NIGHTS[2])))
+    assert build(output).n_nights == 1
+    assert len(list((output / "report").rglob(f"{NIGHTS[2]}.js"))) == 6
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"cut")])
+def test_what_was_lost_or_cut_is_made_again(output: Path, harm: Callable[[Path], None]) -> None:
+    build(output)
+    before = contents(output / "report")
+    for name in (f"data/{MOTOR}/{NIGHTS[0]}.js", f"motors/{MOTOR}.html", "assets/plotly.min.js"):
+        harm(output / "report" / name)
+    build(output)
+    assert contents(output / "report") == before
+
+
+def test_another_version_of_the_program_makes_all_anew(
+    output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build(output)
+    monkeypatch.setattr(build_module, "_program_hash", lambda: "another")
+    assert build(output).n_nights == 3
+
+
+def test_a_broken_manifest_is_no_more_than_lost_time(output: Path) -> None:
+    build(output)
+    before = contents(output / "report")
+    for text in ("{", "[]", '{"format": 1}', '{"format": 99, "files": {}}'):
+        (output / "report" / "manifest.json").write_text(text)
+        assert build(output).n_nights == 3
+        assert contents(output / "report") == before
+
+
+def test_nights_and_motors_that_are_gone_leave_and_files_of_others_stay(output: Path) -> None:
+    build(output)
+    own = output / "report" / "data" / MOTOR / "notes.txt"
+    own.write_text("mine")
+    change_table(output, "fits", lambda rows: rows.filter(pl.col("motor_id") != MOTOR))
+    change_table(output, "fits", lambda rows: rows.clear(), str(NIGHTS[0]))
+    result = build(output)
+    left = contents(output / "report")
+    assert own.read_text() == "mine"
+    assert not [name for name in left if MOTOR in name and name != f"data/{MOTOR}/notes.txt"]
+    assert not [name for name in left if str(NIGHTS[0]) in name]
+    assert result.n_removed == 1 + 3 + 5
+
+
+def test_a_manifest_cannot_have_other_files_removed(output: Path) -> None:
+    build(output)
+    mine = output / "mine.txt"
+    mine.write_text("mine")
+    path = output / "report" / "manifest.json"
+    document = json.loads(path.read_text())
+    document["files"]["../mine.txt"] = ["0", 4]
+    path.write_text(json.dumps(document))
+    build(output)
+    assert mine.exists()
+
+
+def test_a_folder_that_holds_something_else_is_left_alone(output: Path, tmp_path: Path) -> None:
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "index.html").write_text("mine")
+    with pytest.raises(StoreError, match=r"holds index\.html and no report") as refused:
+        build(output, folder=tmp_path / "home")
+    assert refused.value.code == "report_folder"
+    assert contents(tmp_path / "home") == {"index.html": b"mine"}
+    with pytest.raises(StoreError, match="is no folder"):
+        build(output, folder=tmp_path / "home" / "index.html")
+
+
+# Part of it
+
+
+def test_only_the_newest_nights_have_a_file(output: Path) -> None:
+    build(output)
+    result = build(output, nights=1)
+    assert (result.n_nights, result.n_removed) == (0, 12)
+    payload = page_payload(output / "report" / "motors" / f"{MOTOR}.html")
+    assert payload["nights"] == [str(night) for night in NIGHTS]
+    assert payload["detailed"] == [0, 0, 1]
+
+
+def test_only_some_motors(output: Path, tmp_path: Path) -> None:
+    build(output, folder=tmp_path / "one", motors=(MOTOR,))
+    assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
+    assert "CB400" not in (tmp_path / "one" / "index.html").read_text("utf-8")
+    with pytest.raises(UsageError, match="no motor other; there are CB1120-01"):
+        build(output, folder=tmp_path / "none", motors=("other",))
+
+
+# Bad input
+
+
+def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> None:
+    def fail(rows: pl.DataFrame) -> pl.DataFrame:
+        mine = pl.col("motor_id") == MOTOR
+        return rows.with_columns(
+            status=pl.when(mine).then(pl.lit("failed")).otherwise("status"),
+            error_code=pl.when(mine).then(pl.lit("log_truncated")).otherwise("error_code"),
+            reason=pl.when(mine).then(pl.lit("a.csv: its end is missing")).otherwise("reason"),
+            reference_leakage_l_per_min=pl.when(~mine).then("reference_leakage_l_per_min"),
+        )
+
+    change_table(output, "fits", fail)
+    known = {"CB560-09": KnownMotor("CB560")}
+    build(output, known=known)
+    text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
+    assert "last night failed" in text
+    assert "could be fitted. The newest, 2026-01-04: failed (log_truncated): a.csv: its end" in text
+    night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[2]}.js")
+    assert night["fit"]["error_code"] == "log_truncated"
+    index = (output / "report" / "index.html").read_text("utf-8")
+    # The one that failed comes first, the one of which nothing is known yet second.
+    order = re.findall(r'<a href="motors/([\w-]+)\.html">', index)
+    assert order[:2] == [MOTOR, "CB560-09"]
+    empty = (output / "report" / "motors" / "CB560-09.html").read_text("utf-8")
+    assert "No night of this motor is in the tables yet" in empty
+    assert "plotly" not in empty
+
+
+def test_a_damaged_table_is_named_costs_its_own_rows_and_is_tried_again(output: Path) -> None:
+    build(output)
+    whole = contents(output / "report")
+    path = night_file(output, PREDICTIONS, NIGHTS[1])
+    good = path.read_bytes()
+    path.write_bytes(good[: len(good) // 2])
+    for _ in range(2):
+        result = build(output)
+        assert result.n_nights == 1
+        (fault,) = result.faults
+        assert "2026-01-03.parquet of predictions is damaged" in fault
+        assert fault[:40] in (output / "report" / "index.html").read_text("utf-8")
+        night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
+        assert night["faults"] == [fault]
+        assert night["samples"] is None
+        assert night["parameters"]
+    path.write_bytes(good)
+    assert build(output).faults == ()
+    now = contents(output / "report")
+    assert {name for name in now if now[name] != whole[name]} <= {"manifest.json"}
+
+
+def test_a_table_of_a_newer_version_is_refused_by_name(output: Path) -> None:
+    path = night_file(output, FITS, NIGHTS[1])
+    table = pq.read_table(path, partitioning=None)
+    pq.write_table(table.replace_schema_metadata({VERSION_KEY: "999"}), path)
+    with pytest.raises(StoreError, match=r"2026-01-03\.parquet is of schema version 999"):
+        build(output)
+
+
+def test_tables_of_the_first_schema_are_read(output: Path) -> None:
+    """As version 2 left them: no mark of placeholders, no version in the file."""
+    for name in ("fits", "parameters"):
+        for path in (output / "tables" / name).rglob("*.parquet"):
+            table = pq.read_table(path, partitioning=None)
+            later = {"geometry_is_placeholder", "transport_delay_s", "estimated_transport_delay_s"}
+            kept = table.drop_columns([one for one in table.column_names if one in later])
+            pq.write_table(kept.replace_schema_metadata(None), path)
+    result = build(output)
+    assert result.faults == ()
+    night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[1]}.js")
+    assert night["parameters"]
+
+
+def test_without_tables_it_says_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="run fit-fleet first") as refused:
+        build(tmp_path / "nothing")
+    assert refused.value.code == "report_tables"
+    assert not (tmp_path / "nothing").exists()
+
+
+def test_a_stranger_s_file_among_the_nights_is_passed_over(output: Path) -> None:
+    (output / "tables" / "fits" / "month=2026-01" / "copy of 2026-01-02.parquet").write_bytes(b"x")
+    assert build(output).faults == ()

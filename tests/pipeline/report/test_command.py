@@ -1,0 +1,107 @@
+"""`motor-leakage report`: where it writes, what it says, and how it ends."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli import main
+from tests.conftest import OwnFleet
+
+ROOT = Path(__file__).resolve().parents[3]
+MOTOR = "CB400-01"
+Called = tuple[int, str, str]
+Call = Callable[..., Called]
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Call:
+    """Runs the command in this process; its code, and what it said on stdout and stderr."""
+
+    def run(*arguments: str | Path) -> Called:
+        monkeypatch.setattr(sys, "argv", ["motor-leakage", "report", *map(str, arguments)])
+        capfd.readouterr()
+        with pytest.raises(SystemExit) as caught:
+            main()
+        out, err = capfd.readouterr()
+        assert isinstance(caught.value.code, int)
+        return caught.value.code, out, err
+
+    return run
+
+
+def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
+    call: Call, own_fleet: OwnFleet
+) -> None:
+    fleet = own_fleet(MOTOR, fitted=True)
+    motor_file = fleet.parent / "motors" / f"{MOTOR}.toml"
+    event = '\n[[events]]\ndate = 2026-01-03\nkind = "overhaul"\nnote = "new <b>seals</b>"\n'
+    motor_file.write_text(motor_file.read_text("utf-8") + event, "utf-8")
+    code, out, err = call(fleet)
+    index = fleet.parent.parent / "out" / "report" / "index.html"
+    assert (code, err) == (0, "")
+    assert re.fullmatch(
+        r"6 motors, 3 nights made anew, \d+ files written, 0 removed; open .*", out.strip()
+    )
+    assert out.strip().endswith(str(index))
+    assert "<h1>Demo fleet</h1>" in index.read_text("utf-8")
+    page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
+    assert '"kind":"overhaul","note":"new \\u003cb\\u003eseals' in page
+    assert call(fleet)[1].startswith("6 motors, 0 nights made anew, 0 files written")
+
+
+def test_the_tables_alone_will_do(call: Call, output: Path) -> None:
+    code, _, err = call("--output", output, "--nights", "1")
+    assert (code, err) == (0, "")
+    # The fleet's name is that of the newest run.
+    assert "<h1>Demo fleet</h1>" in (output / "report" / "index.html").read_text("utf-8")
+
+
+def test_some_motors_go_to_a_folder_of_their_own(call: Call, output: Path, tmp_path: Path) -> None:
+    code, _, err = call("--output", output, "--motors", MOTOR)
+    assert code == 2
+    assert "report_motors: --motors needs --to" in err
+    assert call("--output", output, "--motors", MOTOR, "--to", tmp_path / "one")[0] == 0
+    assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
+    code, _, err = call("--output", output, "--motors", "X", "--to", tmp_path / "two")
+    assert code == 2
+    assert "unknown_motor: --motors: no motor X" in err
+
+
+def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> None:
+    next((output / "tables" / "starts").rglob("*.parquet")).write_bytes(b"PAR1")
+    code, out, err = call("--output", output)
+    assert code == 1
+    assert "6 motors, 3 nights" in out
+    assert re.search(r"store_read: 2026-01-0\d\.parquet of starts is damaged", err)
+
+
+def test_without_tables_it_ends_with_4(call: Call, tmp_path: Path) -> None:
+    code, _, err = call("--output", tmp_path)
+    assert code == 4
+    assert "report_tables" in err
+    assert "run fit-fleet first" in err
+
+
+def test_templates_scripts_and_styles_are_in_the_wheel(tmp_path: Path) -> None:
+    code = (
+        "import sys; from hatchling.builders.wheel import WheelBuilder;"
+        "print(next(WheelBuilder(sys.argv[1]).build(directory=sys.argv[2])))"
+    )
+    built = subprocess.run(
+        [sys.executable, "-c", code, str(ROOT), str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    names = set(zipfile.ZipFile(built.stdout.splitlines()[-1]).namelist())
+    folder = ROOT / "pipeline" / "report"
+    shipped = [*(folder / "assets").iterdir(), *(folder / "templates").iterdir()]
+    assert len(shipped) >= 9
+    assert {str(path.relative_to(ROOT)) for path in shipped} <= names

@@ -1,0 +1,39 @@
+"""A name of its own for each motor's page, on any file system, in any URL."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.report.names import file_names
+
+HOSTILE = ["../../x", "a/b", "a\\b", "", ".", "..", "CON", "nul.txt", "x.", "</script>", "a b", "é"]
+
+
+@given(
+    st.sets(st.text(max_size=80) | st.sampled_from([*HOSTILE, "a", "A", "CB560-01"]), max_size=8)
+)
+def test_names_are_harmless_and_differ(ids: set[str]) -> None:
+    names = file_names(ids)
+    assert set(names) == ids
+    assert len({name.casefold() for name in names.values()}) == len(ids)
+    for name in names.values():
+        assert re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", name)
+        assert not name.endswith(".")
+
+
+@pytest.mark.parametrize("motor_id", HOSTILE)
+def test_a_hostile_id_is_no_part_of_its_name(motor_id: str) -> None:
+    assert re.fullmatch("motor-[0-9a-f]{12}", file_names([motor_id])[motor_id])
+
+
+def test_ids_that_the_config_takes_keep_their_name() -> None:
+    ids = ["CB560-01", "winch_1", "x.2"]
+    assert file_names(ids) == {name: name for name in ids}
+
+
+def test_ids_that_differ_in_case_alone_both_get_another_name() -> None:
+    assert set(file_names(["a-1", "A-1"]).values()).isdisjoint({"a-1", "A-1"})

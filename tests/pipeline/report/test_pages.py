@@ -1,0 +1,437 @@
+"""The pages as a person meets them: opened from the file system in headless Chromium."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from pipeline.report import KnownMotor, ReportRequest, build_report, tables
+from pipeline.schema import FITS, NIGHT_TABLES, Column, Table, frame
+from pipeline.store import night_file, write_table
+from tests.pipeline.report.browser import installed, opened
+from tests.pipeline.report.conftest import change_table
+
+pytestmark = pytest.mark.skipif(
+    not installed(), reason="Chromium is not installed: Debian's chromium and chromium-driver"
+)
+
+NIGHTS = ["2026-01-02", "2026-01-03", "2026-01-04"]
+MOTORS = 6
+PATIENCE_S = 30
+# Would run, were it ever taken for markup, for a part of a script or for a template.
+HOSTILE = (
+    '</script><script>window.harmed=1</script><img src=x onerror="window.harmed=1">'
+    "'\"${window.harmed=1}%{x}<a href='javascript:window.harmed=1'>"
+)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Chrome]:
+    with opened() as chrome:
+        yield chrome
+
+
+def visit(browser: Chrome, page: Path, fragment: str = "") -> None:
+    """Open a page anew; whatever the console said before is forgotten."""
+    browser.get("about:blank")
+    browser.get_log("browser")
+    browser.get(page.resolve().as_uri() + fragment)
+
+
+def complaints(browser: Chrome) -> list[str]:
+    """What the console said, and where a text was taken for code."""
+    said = [entry["message"] for entry in browser.get_log("browser")]
+    return [*said, *(["harmed"] if browser.execute_script("return window.harmed") else [])]
+
+
+def wait(browser: Chrome, script: str) -> Any:
+    """The value of a script, as soon as it has one."""
+    return WebDriverWait(browser, PATIENCE_S, 0.05).until(lambda one: one.execute_script(script))
+
+
+def drawn(browser: Chrome) -> dict[str, str]:
+    """What becomes of each figure: a chart, or a reason why there is none."""
+    wait(browser, "return document.body.dataset.night")
+    browser.execute_script("motorLeakage.drawAll()")
+    return wait(
+        browser,
+        "const all = [...document.querySelectorAll('figure.chart')];"
+        "return all.every((one) => one.dataset.drawn)"
+        " && Object.fromEntries(all.map((one) => [one.id, one.dataset.drawn]))",
+    )
+
+
+def shown(browser: Chrome) -> list[str]:
+    """Ids of the motors that the fleet page shows, from the top."""
+    rows = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody tr")
+    return [row.find_element(By.TAG_NAME, "a").text for row in rows if row.is_displayed()]
+
+
+# The fleet
+
+
+def test_fleet_page_lists_all_motors_and_says_nothing_on_the_console(
+    browser: Chrome, report: Path
+) -> None:
+    visit(browser, report / "index.html")
+    assert len(shown(browser)) == MOTORS
+    pictures = browser.find_elements(By.CSS_SELECTOR, "td svg.sparkline")
+    assert len(pictures) == MOTORS
+    assert all(one.get_attribute("aria-label").startswith("Leakage ") for one in pictures)
+    assert complaints(browser) == []
+
+
+def test_filter_by_text_type_and_state(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "index.html")
+    every = shown(browser)
+    find = browser.find_element(By.ID, "find")
+    find.send_keys("cb560")
+    assert sorted(shown(browser)) == ["CB560-01", "CB560-02"]
+    assert browser.find_element(By.ID, "shown").text == f"2 of {MOTORS} shown"
+    find.send_keys("-02")
+    assert shown(browser) == ["CB560-02"]
+    find.send_keys(" nothing")
+    assert shown(browser) == []
+    browser.find_element(By.ID, "reset").click()
+    wait(browser, "return document.getElementById('nothing').hidden")
+    assert shown(browser) == every
+    Select(browser.find_element(By.ID, "type")).select_by_visible_text("CB1120")
+    assert sorted(shown(browser)) == ["CB1120-01", "CB1120-02"]
+    for box in browser.find_elements(By.NAME, "state"):
+        box.click()
+    assert shown(browser) == []
+    assert complaints(browser) == []
+
+
+def test_sort_both_ways_by_keyboard_with_what_is_absent_last(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "index.html")
+    header = browser.find_elements(By.CSS_SELECTOR, "#fleet thead th")[2]
+    assert header.text.startswith("Leakage")
+    button = header.find_element(By.TAG_NAME, "button")
+
+    def values() -> list[float]:
+        cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(3)")
+        return [float(cell.get_dom_attribute("data-value")) for cell in cells]
+
+    button.send_keys(Keys.ENTER)
+    assert header.get_dom_attribute("aria-sort") == "ascending"
+    assert values() == sorted(values())
+    button.send_keys(Keys.SPACE)
+    assert header.get_dom_attribute("aria-sort") == "descending"
+    assert values() == sorted(values(), reverse=True)
+    change = browser.find_elements(By.CSS_SELECTOR, "#fleet thead th button")[3]
+    change.click()  # three nights are too few for any change: all absent, in their order
+    assert len(shown(browser)) == MOTORS
+    assert complaints(browser) == []
+
+
+def test_a_motor_s_page_is_reached_by_keyboard(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "index.html")
+    browser.find_element(By.LINK_TEXT, "CB560-01").send_keys(Keys.ENTER)
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[-1]
+    assert browser.find_element(By.TAG_NAME, "h1").text == "CB560-01"
+    browser.find_element(By.CSS_SELECTOR, "header nav a").click()
+    assert len(shown(browser)) == MOTORS
+    assert complaints(browser) == []
+
+
+# A motor
+
+
+def identified(rows: pl.DataFrame) -> pl.DataFrame:
+    """Parameters as if the demo's hour of logs had determined them."""
+    told = pl.col("parameter").str.contains("^(K|share)_")
+    value = pl.coalesce("value", pl.lit(0.25))
+    figures = {"value": value, "lower": 0.9 * value, "upper": 1.1 * value}
+    return rows.with_columns(
+        pl.when(told).then(pl.lit("identified")).otherwise("verdict").alias("verdict"),
+        *(
+            pl.when(told).then(figure).otherwise(name).alias(name)
+            for name, figure in figures.items()
+        ),
+    )
+
+
+def test_every_figure_is_drawn(browser: Chrome, output: Path) -> None:
+    """Each when it is scrolled to."""
+    change_table(output, "parameters", identified)
+    build_report(ReportRequest(output, output / "report"))
+    visit(browser, output / "report" / "motors" / "CB560-01.html")
+    wait(browser, "return document.body.dataset.night")
+    figures = browser.find_elements(By.CSS_SELECTOR, "figure.chart")
+    assert len(figures) == 16
+    assert figures[-1].get_dom_attribute("data-drawn") is None
+    for figure in figures:
+        browser.execute_script("arguments[0].scrollIntoView()", figure)
+        WebDriverWait(browser, PATIENCE_S, 0.05).until(
+            lambda _, one=figure: one.get_dom_attribute("data-drawn")
+        )
+        name = figure.get_dom_attribute("id")
+        if name != "residuals" or "residual_tests" in tables.KNOWN:
+            assert figure.get_dom_attribute("data-drawn") == "chart", name
+            marks = figure.find_elements(By.CSS_SELECTOR, ".plot .scatterlayer path, .bars path")
+            assert marks, name
+    assert complaints(browser) == []
+
+
+def test_a_table_stands_under_each_chart_and_can_be_saved(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB560-01.html")
+    for name, state in drawn(browser).items():
+        details = browser.find_element(By.CSS_SELECTOR, f"#{name} details")
+        assert details.is_displayed() == (state == "chart")
+    browser.execute_script(
+        "document.querySelectorAll('.chart details').forEach((one) => { one.open = true; })"
+    )
+    tables = wait(
+        browser,
+        "const all = [...document.querySelectorAll('.chart details:not([hidden])')];"
+        "return all.every((one) => one.querySelector('tbody tr')) && all.map((one) => ["
+        "  one.querySelectorAll('thead th').length,"
+        "  one.querySelector('tbody tr').cells.length,"
+        "  one.querySelector('button').textContent,"
+        "])",
+    )
+    assert len(tables) >= 12
+    for n_names, n_cells, button in tables:
+        assert n_names == n_cells > 1
+        assert button == "Save as CSV"
+    assert complaints(browser) == []
+
+
+def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
+    browser: Chrome, report: Path
+) -> None:
+    visit(browser, report / "motors" / "CB400-02.html")
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
+    Select(browser.find_element(By.ID, "choose")).select_by_value(NIGHTS[0])
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
+    assert f"Night of {NIGHTS[0]}: fitted" in browser.find_element(By.ID, "outcome").text
+    assert not browser.find_element(By.ID, "earlier").is_enabled()
+    browser.find_element(By.ID, "later").send_keys(Keys.ENTER)
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[1]}'")
+    browser.back()
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
+    visit(browser, report / "motors" / "CB400-02.html", f"#{NIGHTS[1]}")
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[1]
+    drawn(browser)
+    browser.execute_script(
+        "document.querySelector('#course-leakage .plot')"
+        ".emit('plotly_click', {points: [{x: arguments[0]}]})",
+        NIGHTS[0],
+    )
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
+    assert complaints(browser) == []
+
+
+def test_an_address_that_is_no_night_leads_to_the_newest(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd")
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
+    assert complaints(browser) == []
+
+
+def test_keys_zoom_and_move_and_show_all_again(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB400-02.html")
+    drawn(browser)
+    plot = browser.find_element(By.CSS_SELECTOR, "#course-leakage .plot")
+
+    def span() -> list[float]:
+        script = "return arguments[0]._fullLayout.xaxis.range.map((end) => Date.parse(end))"
+        low, high = browser.execute_script(script, plot)
+        return [low, high]
+
+    whole = span()
+    plot.send_keys("+")
+    zoomed = span()
+    assert zoomed[1] - zoomed[0] == pytest.approx((whole[1] - whole[0]) / 2, rel=1e-3)
+    plot.send_keys(Keys.ARROW_RIGHT)
+    assert span()[0] > zoomed[0]
+    plot.send_keys(Keys.HOME)
+    assert span() == pytest.approx(whole)
+    assert complaints(browser) == []
+
+
+def test_no_button_sends_a_chart_away(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB400-02.html")
+    drawn(browser)
+    buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
+    titles = {one.get_dom_attribute("data-title") for one in buttons}
+    wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
+    assert titles == wanted
+    assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
+    assert complaints(browser) == []
+
+
+def test_a_night_whose_file_was_not_copied_says_so(
+    browser: Chrome, output: Path, tmp_path: Path
+) -> None:
+    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",)))
+    (tmp_path / "r" / "data" / "CB560-01" / f"{NIGHTS[2]}.js").unlink()
+    visit(browser, tmp_path / "r" / "motors" / "CB560-01.html")
+    told = "return document.getElementById('outcome').textContent"
+    assert f"{NIGHTS[2]}.js is not there" in wait(browser, told)
+    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",), nights=1))
+    visit(browser, tmp_path / "r" / "motors" / "CB560-01.html", f"#{NIGHTS[0]}")
+    assert "was made with fewer nights" in wait(browser, told)
+
+
+def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
+    browser: Chrome, output: Path
+) -> None:
+    reason = "CB560-01.mcap: the end is missing"
+    known = ("motor_id", "motor_type", "night", "flushing_mode", "is_primary")
+    failed = {"status": "failed", "reason": reason, "error_code": "log_truncated"}
+
+    def fail(rows: pl.DataFrame) -> pl.DataFrame:
+        kept = rows.filter(motor_id="CB560-01").select(known).to_dicts()
+        return frame(FITS, [row | failed for row in kept])
+
+    change_table(output, "fits", fail)
+    for name in ("parameters", "starts", "sensitivities", "predictions", "block_statistics"):
+        change_table(output, name, lambda rows: rows.clear())
+    folder = output / "report"
+    build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
+    visit(browser, folder / "motors" / "CB560-01.html")
+    figures = drawn(browser)
+    assert {name for name, state in figures.items() if state == "chart"} == {"refused"}
+    assert reason in browser.find_element(By.ID, "why").text
+    assert reason in browser.find_element(By.ID, "outcome").text
+    assert complaints(browser) == []
+    visit(browser, folder / "motors" / "new.html")
+    assert "No night of this motor" in browser.find_element(By.ID, "why").text
+    assert complaints(browser) == []
+
+
+# Names of others
+
+
+def hostile_output(output: Path) -> Path:
+    """The tables with a stranger's words wherever a name or a text can stand."""
+    texts = {
+        "fits": ("motor_type", "oil", "reason", "reference_reason", "interval_status"),
+        "parameters": ("reason",),
+        "sensitivities": ("source",),
+        "starts": ("reason",),
+        "quality": ("reason",),
+        "input_files": ("path", "message"),
+    }
+    for table in NIGHT_TABLES:
+        names = ("motor_id", *texts.get(table.name, ()))
+        unique = {"sensitivities": "source", "quality": "reason"}.get(table.name)
+
+        def rename(rows: pl.DataFrame, names: Any = names, unique: Any = unique) -> pl.DataFrame:
+            mine = rows.filter(motor_id="CB560-01")
+            return mine.with_columns(
+                (pl.lit(HOSTILE) + pl.col(name) if name == unique else pl.lit(HOSTILE)).alias(name)
+                for name in names
+                if name in rows.columns
+            )
+
+        change_table(output, table.name, rename)
+    return output
+
+
+def test_hostile_names_are_shown_and_do_nothing(browser: Chrome, output: Path) -> None:
+    hostile_output(output)
+    event = {"date": dt.date(2026, 1, 3), "kind": HOSTILE, "note": HOSTILE}
+    known = {HOSTILE: KnownMotor(HOSTILE, (event,))}
+    build_report(ReportRequest(output, output / "report", fleet=HOSTILE, known=known))
+    visit(browser, output / "report" / "index.html")
+    link = browser.find_element(By.CSS_SELECTOR, "#fleet tbody a")
+    assert link.text == HOSTILE
+    assert complaints(browser) == []
+    link.click()
+    states = drawn(browser)
+    assert states["budget"] == states["refused"] == "chart"
+    assert browser.find_element(By.TAG_NAME, "h1").text == HOSTILE
+    for details in browser.find_elements(By.TAG_NAME, "details"):
+        browser.execute_script("arguments[0].open = true", details)
+    wait(browser, "return document.querySelector('#budget tbody td')")
+    assert HOSTILE in text(browser, "#budget tbody td")
+    assert HOSTILE in text(browser, "#files td")
+    assert HOSTILE in text(browser, "#refused .ytick text") + text(browser, "#refused tbody")
+    assert browser.find_elements(By.CSS_SELECTOR, "main img, a[href^=javascript], svg a") == []
+    assert complaints(browser) == []
+
+
+def text(browser: Chrome, selector: str) -> str:
+    """Text of all elements that a selector finds, shown or not."""
+    found: list[WebElement] = browser.find_elements(By.CSS_SELECTOR, selector)
+    return " ".join(one.get_attribute("textContent") or "" for one in found)
+
+
+# Trends, as soon as the schema has their tables
+
+
+def columns(**kinds: Any) -> tuple[Column, ...]:
+    return tuple(Column(name, kind, "", "made up") for name, kind in kinds.items())
+
+
+def test_trends_are_shown_where_there_are_any(
+    browser: Chrome, output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    number, words, date = pl.Float64, pl.String, pl.Date
+    key = {"motor_id": words, "night": date, "indicator": words}
+    trends = Table(
+        "trends",
+        "made up",
+        ("motor_id", "night", "indicator"),
+        columns(
+            **key, value=number, unit=words, baseline_mean=number, slope_per_year=number,
+            slope_per_year_lower=number, slope_per_year_upper=number, state=words, path=words,
+            gated_reason=words,
+        ),
+    )  # fmt: skip
+    points = Table(
+        "change_points",
+        "made up",
+        ("motor_id", "indicator", "night"),
+        columns(**key, size=number, model=words),
+    )
+    nights = [dt.date.fromisoformat(night) for night in NIGHTS]
+    rows = pl.DataFrame(
+        {
+            "motor_id": "CB560-01",
+            "night": nights * 2,
+            "indicator": ["K_piston_ring"] * 3 + ["reference_leakage"] * 3,
+            "value": [1.0, 1.1, 1.4, 1.4, 1.4, 1.4],
+            "state": ["ok", "ok", "alarm", "ok", "ok", "ok"],
+            "baseline_mean": 1.0,
+            "slope_per_year": 0.4,
+            "slope_per_year_lower": 0.3,
+            "slope_per_year_upper": 0.5,
+        }
+    )
+    for table, found in {trends: rows, points: rows[2:3].select(*key)}.items():
+        monkeypatch.setitem(tables.KNOWN, table.name, table)
+        absent = [
+            pl.lit(None, kind).alias(name)
+            for name, kind in table.schema.items()
+            if name not in found.columns
+        ]
+        whole = found.with_columns(absent).select(table.schema.keys())
+        write_table(night_file(output, table, nights[-1]), whole)
+    build_report(ReportRequest(output, output / "report"))
+    visit(browser, output / "report" / "index.html")
+    assert shown(browser)[0] == "CB560-01"
+    first = browser.find_element(By.CSS_SELECTOR, "#fleet tbody tr").text
+    assert "alarm" in first
+    assert "K piston ring: alarm" in first
+    browser.find_element(By.LINK_TEXT, "CB560-01").click()
+    assert drawn(browser)["trend-course"] == "chart"
+    menu = Select(browser.find_element(By.CSS_SELECTOR, "#trend-course select"))
+    assert menu.first_selected_option.text == "K piston ring"
+    assert text(browser, "#trend-course .annotation-text").startswith("change point")
+    assert "0.4000 (0.3000 to 0.5000)" in text(browser, "#trend-table td").replace(
+        "0.400 (0.300 to 0.500)", "0.4000 (0.3000 to 0.5000)"
+    )
+    assert complaints(browser) == []
