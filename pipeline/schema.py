@@ -721,6 +721,8 @@ TRENDS = Table(
             "What the zeros at halts say of the sensors: ok, drifted or unknown",
         ),
         RUN_ID,
+        Column("warning_limit", pl.Float64, "see unit", "Level of a warning; null without one"),
+        Column("alarm_limit", pl.Float64, "see unit", "Level of an alarm; null without one"),
     ),
 )
 

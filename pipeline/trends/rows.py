@@ -213,6 +213,8 @@ class MotorRows:
             "deviation_percent": _percent(found.own.deviation[inside]),
             "cusum": None if np.isnan(evidence) else float(evidence) * limit,
             "cusum_limit": limit,
+            "warning_limit": baseline.mean * (1.0 + watched.settings.levels.warning) - shift,
+            "alarm_limit": baseline.mean * (1.0 + watched.settings.levels.alarm) - shift,
         }
         if state == "ok":
             return row | self._line(watched, place, baseline)
