@@ -273,7 +273,7 @@ SENSITIVITIES = Table(
         ),
         Column("source", pl.String, "", "A channel's offset or gain, or a constant"),
         Column("tolerance", pl.Float64, "see tolerance_unit", "Assumed error, as stated"),
-        Column("tolerance_unit", pl.String, "", "Unit of the tolerance; 1 for a relative one"),
+        Column("tolerance_unit", pl.String, "", "bar, °C, rpm, l_per_min, or 1: a relative one"),
         Column("effect", pl.Float64, "see unit", "Change of the indicator, signed"),
         Column("unit", pl.String, "", "m3, l_per_min or 1"),
         RUN_ID,
