@@ -62,7 +62,7 @@ def test_shipped_configs_load(configs: Path) -> None:
     assert [spec.motor_id for spec in fleet.motors] == MOTOR_IDS
     assert fleet.name == "Demo fleet"
     assert fleet.log_root == configs.parent / "logs"
-    assert fleet.output == Path("out").resolve()
+    assert fleet.output == configs.parent / "out"
     for spec in fleet.motors:
         for mode in ("none", "fixed", "estimated"):
             assert spec.motor(dt.date(2026, 1, 2), mode).columns[-3:] == (
@@ -593,9 +593,7 @@ def test_a_folder_without_motors(configs: Path) -> None:
 
 def test_folders_are_those_of_the_fleet_file(configs: Path) -> None:
     (configs / "motors").rename(configs.parent / "my motors")
-    change(
-        configs, "fleet.toml", "[folders]", '[folders]\nmotors = "../my motors"\noutput = "../o"'
-    )
+    change(configs, "fleet.toml", 'output = "../out"', 'motors = "../my motors"\noutput = "../o"')
     fleet = load(configs)
     assert len(fleet.motors) == 6
     assert fleet.output == configs.parent / "o"
