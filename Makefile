@@ -67,5 +67,5 @@ bench: $(READY)  ## the benchmarks: figures to benchmarks/results/
 docs: $(READY)   ## make the config and table reference anew
 	$(BIN)/python -m pipeline.reference docs
 
-clean:           ## remove the virtual environment and the demo's logs; tables in out/ stay
+clean:           ## remove the virtual environment and the demo with its tables; yours stay
 	rm -rf $(VENV) $(DEMO)

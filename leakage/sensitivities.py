@@ -261,7 +261,7 @@ def _channel_sources(tolerances: Tolerances) -> Iterator[Source]:
         ("pressure_difference", "bar", tolerances.pressure_bar, _pressure),
         ("oil_temperature", "°C", tolerances.temperature_c, _temperature),
         ("speed", "rpm", tolerances.speed_rpm, _speed),
-        ("leakage_flow", "l/min", tolerances.flow_l_per_min, _flow),
+        ("leakage_flow", "l_per_min", tolerances.flow_l_per_min, _flow),
     )
     for name, unit, tolerance, disturb in channels:
         if tolerance.offset:

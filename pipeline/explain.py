@@ -61,7 +61,7 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
         )
     primary = next(row for row in fits if row["is_primary"])
     lines = [_headline(motor_id, night, primary)]
-    lines += _files(_rows(output, INPUT_FILES, motor_id, night))
+    lines += _files(_rows(output, INPUT_FILES, motor_id, night), primary["reason"])
     lines += _refusals(_rows(output, QUALITY, motor_id, night))
     if primary["status"] == "ok":
         parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
@@ -95,9 +95,10 @@ def _headline(motor_id: str, night: dt.date, fit: Row) -> str:
     return f"{motor_id}, night of {night}: {fit['status']}{failure}: {fit['reason']}"
 
 
-def _files(rows: list[Row]) -> Iterator[str]:
+def _files(rows: list[Row], told: str | None) -> Iterator[str]:
     for row in rows:
-        said = f"; {row['message']}" if row["message"] else ""
+        # What failed the night stands in the headline.
+        said = f"; {row['message']}" if row["message"] not in (None, told) else ""
         size = "" if row["rows"] is None else f", {row['rows']} rows"
         yield f"log {row['path']}: {row['status']}{size}{said}"
 
@@ -172,7 +173,7 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
     for row in rows:
         if not row["parameter"].startswith(("K_", "C_", "scale_")):
             continue
-        unit = "" if row["unit"] == "1" else f" {row['unit'].replace('_per_', '/')}"
+        unit = f" {_in_words(row['unit'])}".rstrip()
         text = f"{row['parameter']}: {row['verdict'].replace('_', ' ')}"
         if row["verdict"] == "identified":
             text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}]{unit}"
@@ -189,10 +190,21 @@ def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
         return
     largest = sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]
     told = ", ".join(
-        f"{row['source']} of {row['tolerance']:g} {100 * row['effect'] / leakage:+.1f} %"
+        f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
         for row in largest
     )
     yield f"largest systematic errors of the {name.replace('_', ' ')}: {told}"
+
+
+def _tolerance(row: Row) -> str:
+    if row["tolerance_unit"] == "1":
+        return f"{100 * row['tolerance']:g} %"
+    return f"{row['tolerance']:g} {_in_words(row['tolerance_unit'])}"
+
+
+def _in_words(unit: str) -> str:
+    """A unit of the tables as people write it."""
+    return {"m3": "m³", "um": "µm", "l_per_min": "l/min", "1": ""}.get(unit, unit)
 
 
 def _modes(fits: list[Row]) -> Iterator[str]:

@@ -21,6 +21,8 @@ from pipeline.config.settings import FleetFile, Section
 from pipeline.schema import (
     DATA_DICTIONARY,
     NIGHT_TABLES,
+    QUALITY,
+    QUALITY_REASONS,
     SCHEMA_VERSION,
     TABLES,
     Table,
@@ -137,6 +139,9 @@ def table_reference() -> str:
                 ),
             ),
         ]
+        if table is QUALITY:
+            reasons = (f"- `{name}`: {meaning}." for name, meaning in QUALITY_REASONS.items())
+            lines += ["What each reason refuses:", "\n".join(reasons)]
     return "\n\n".join(lines) + "\n"
 
 

@@ -372,7 +372,7 @@ SENSITIVITIES = Table(
         ),
         Column("source", pl.String, "", "A channel's offset or gain, or a constant"),
         Column("tolerance", pl.Float64, "see tolerance_unit", "Assumed error, as stated"),
-        Column("tolerance_unit", pl.String, "", "Unit of the tolerance; 1 for a relative one"),
+        Column("tolerance_unit", pl.String, "", "bar, °C, rpm, l_per_min, or 1: a relative one"),
         Column("effect", pl.Float64, "see unit", "Change of the indicator, signed"),
         Column("unit", pl.String, "", "m3, l_per_min or 1"),
         RUN_ID,
@@ -508,6 +508,33 @@ PREDICTIONS = Table(
     ),
 )
 
+# Reasons of `quality`, in the order of the rules; those behind `transport_delay` are of the time
+# base, where all channels have come together, or of the night's windows.
+QUALITY_REASONS: Mapping[str, str] = {
+    "missing": "A blank cell where the channel's own period says that a sample is due",
+    "bad_quality": "The log itself does not call the sample good",
+    "not_finite": "Not a number, or infinite",
+    "no_interval": "A count of which the interval is not known: the first, or behind a gap",
+    "counter_reset": "A running total that fell other than by rolling over",
+    "out_of_range": "Outside the channel's valid range",
+    "at_maximum": "The sensor at its maximum, as the drain flow's under back-flow",
+    "spike": "Too far from the median of its neighbourhood (Hampel filter)",
+    "frozen": "No change beyond the sensor's resolution for too long",
+    "backward_time": "A time before that of the sample before; noted: put back in its place",
+    "duplicate_time": "The time of the sample before once more",
+    "jitter": "Never refused; noted: neither one nor several periods after the sample before",
+    "gap": "Times of the time base at which the channel is silent for too long",
+    "transport_delay": "No inputs are known from as long before as the oil takes to the sensor",
+    "standstill": "The motor does not turn",
+    "guard": "Too soon before or after a standstill or a sensor at its maximum",
+    "transient": "Pressure or speed changes too fast",
+    "incomplete": "A channel has no sample there, for whatever reason",
+    "thin_block": "Kept, but in a block of which too few are",
+    "short_stretch": "Kept, but in a stretch between two gaps that is too short to fit",
+    "outside_periods": "Kept, but outside the periods that are set by hand",
+    "any": "Refused by at least one rule: each sample once",
+}
+
 QUALITY = Table(
     "quality",
     "a motor, a night, a channel, a reason",
@@ -520,8 +547,8 @@ QUALITY = Table(
             "reason",
             pl.String,
             "",
-            "The rule; a sample is counted under each that refuses it, and once under any. "
-            "bad_quality: the log itself does not call it good",
+            "The rule; a sample is counted under each that refuses it, and once under any: "
+            + ", ".join(QUALITY_REASONS),
         ),
         Column("n_samples", pl.Int64, "", "Samples that the rule looked at"),
         Column("n_refused", pl.Int64, "", "Samples that it refused"),

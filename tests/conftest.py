@@ -74,12 +74,7 @@ def own_fleet(demo_folder: Path, tmp_path: Path, request: pytest.FixtureRequest)
             shutil.copytree(demo_folder / "logs" / motor, tmp_path / "logs" / motor)
         if fitted:
             shutil.copytree(request.getfixturevalue("fitted_output"), tmp_path / "out")
-        fleet = tmp_path / "configs" / "fleet.toml"
-        text = fleet.read_text(encoding="utf-8")
-        fleet.write_text(
-            text.replace("[folders]", '[folders]\noutput = "../out"'), encoding="utf-8"
-        )
-        return fleet
+        return tmp_path / "configs" / "fleet.toml"
 
     return copy
 

@@ -74,7 +74,9 @@ def refuse(title: str, found: Iterable[tuple[Place, str, object]]) -> None:
         raise ValidationError.from_exception_data(title, details)
 
 
-def faults_of(error: ValidationError, file: str, prefix: str = "") -> list[Fault]:
+def faults_of(
+    error: ValidationError, file: str, prefix: str = "", document: object = None
+) -> list[Fault]:
     """All findings of pydantic's about a file.
 
     Parameters
@@ -85,8 +87,10 @@ def faults_of(error: ValidationError, file: str, prefix: str = "") -> list[Fault
         The file's name, as a reader knows it.
     prefix
         Key of the table that was validated, with a dot; empty for the whole file.
+    document
+        What was validated: tables of a list are told by their names in it.
     """
-    return [_fault(detail, file, prefix) for detail in error.errors()]
+    return [_fault(detail, file, prefix, document) for detail in error.errors()]
 
 
 def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
@@ -94,12 +98,12 @@ def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
     return Fault(file, ".".join(map(str, place)), _quote(given) + message)
 
 
-def _fault(detail: ErrorDetails, file: str, prefix: str) -> Fault:
-    parts = [str(part) for part in detail["loc"] if part not in NO_KEYS]
+def _fault(detail: ErrorDetails, file: str, prefix: str, document: object) -> Fault:
+    place = [part for part in detail["loc"] if part not in NO_KEYS]
     kind = detail["type"]
     if kind.startswith("union_tag"):
-        parts.append("law")
-    key = (prefix + ".".join(parts)).rstrip(".")
+        place.append("law")
+    key = (prefix + _key(place, document)).rstrip(".")
     if kind in ("missing", "union_tag_not_found"):
         return Fault(file, key, "is missing")
     if kind == "extra_forbidden":
@@ -109,6 +113,26 @@ def _fault(detail: ErrorDetails, file: str, prefix: str) -> Fault:
         message = f'got "{context["tag"]}"; expected one of {context["expected_tags"]}'
         return Fault(file, key, message)
     return Fault(file, key, _quote(detail["input"]) + _expected(detail["msg"]))
+
+
+def _key(place: Iterable[str | int], document: object) -> str:
+    """A place as people find it: ``path "piston_ring" count`` for the table of that name."""
+    key, between = "", ""
+    for part in place:
+        document = _below(document, part)
+        name = document.get("name") if isinstance(document, Mapping) else None
+        if isinstance(part, int) and isinstance(name, str):
+            key, between = f'{key} "{name}"', " "
+        else:
+            key, between = f"{key}{between}{part}", "."
+    return key
+
+
+def _below(document: object, part: str | int) -> object:
+    if isinstance(document, Mapping):
+        return document.get(part)
+    is_there = isinstance(document, list) and isinstance(part, int) and part < len(document)
+    return document[part] if is_there else None  # type: ignore[index]
 
 
 def _quote(given: object) -> str:

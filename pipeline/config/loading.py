@@ -158,6 +158,7 @@ def _resolve(
     before = len(faults)
     faults += _misnamed("motors", "motor_id", {name: document})
     faults += _strangers(file, document, types.documents, oils.documents)
+    faults += _texts_for_times(file, document)
     if name not in motors.parsed:
         faults += _channel_faults(file, document)
     settings = _settings(document.get("override"), shared, file, faults)
@@ -195,6 +196,30 @@ def _strangers(
         if isinstance(given, str) and given not in known:
             choice = ", ".join(sorted(known)) or "those in its folder, which has none"
             yield Fault(file, key, f"got {json.dumps(given)}; expected one of {choice}")
+
+
+def _texts_for_times(file: str, document: Document) -> Iterator[Fault]:
+    """Dates and times in quotation marks: TOML has types of its own for them."""
+    events, periods = document.get("events"), document.get("periods")
+    for index, event in enumerate(events if isinstance(events, list) else ()):
+        given = event.get("date") if isinstance(event, dict) else None
+        if _is_time(given):
+            message = "expected a date without quotation marks, such as 2026-09-01"
+            yield fault_at(file, ("events", index, "date"), message, given)
+    for name, pairs in periods.items() if isinstance(periods, dict) else ():
+        for index, pair in enumerate(pairs if isinstance(pairs, list) else ()):
+            for end, given in enumerate(pair if isinstance(pair, list) else ()):
+                if _is_time(given):
+                    message = "expected a time without quotation marks"
+                    yield fault_at(file, ("periods", name, index, end), message, given)
+
+
+def _is_time(given: object) -> bool:
+    """Whether a text could be taken for a date or time."""
+    try:
+        return isinstance(given, str) and bool(dt.datetime.fromisoformat(given))
+    except ValueError:
+        return False
 
 
 def _channel_faults(file: str, document: Document) -> Iterator[Fault]:
@@ -269,5 +294,5 @@ def _validate(
         # By way of JSON: strict validation then still takes arrays as tuples and text as dates.
         return model.model_validate_json(json.dumps(document, default=str))
     except ValidationError as error:
-        faults += faults_of(error, file, prefix)
+        faults += faults_of(error, file, prefix, document)
     return None

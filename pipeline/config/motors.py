@@ -335,8 +335,17 @@ class Event(Section):
     kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged"] = Field(
         description="What happened"
     )
-    oil: str | None = Field(None, description="The new oil, where it changed")
+    oil: str | None = Field(
+        None, description="The new oil, where it changed; needed for `oil_change`"
+    )
     note: str = Field("", description="In words")
+
+    @model_validator(mode="after")
+    def _names_its_oil(self) -> Event:
+        if self.kind == "oil_change" and self.oil is None:
+            message = 'expected the oil\'s name, as kind = "oil_change" needs it'
+            refuse("event", [(("oil",), f"{message}: the old one if it is of the same kind", None)])
+        return self
 
 
 class Periods(Section):

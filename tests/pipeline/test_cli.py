@@ -242,7 +242,7 @@ def test_options_reach_the_run(call: Call, own_fleet: OwnFleet, tmp_path: Path) 
 def test_without_an_output_tables_go_where_the_command_was_started(
     call: Call, fleet: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    change(fleet, "fleet.toml", 'output = "../out"\n', "")
+    change(fleet, "fleet.toml", 'output = "../out"', "")
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     assert call("fit-fleet", fleet, "--motors", PARQUET)[0] == 0
@@ -404,7 +404,8 @@ def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:
     assert (fitted.returncode, fitted.stderr) == (0, "")
     assert fitted.stdout.count(": ok (1 ok)") == 6
     assert "\x1b" not in fitted.stdout
-    found = pl.read_parquet(tmp_path / "out" / "tables" / "fits" / "**" / "*.parquet")
+    found = pl.read_parquet(tmp_path / "demo" / "out" / "tables" / "fits" / "**" / "*.parquet")
+    assert not (tmp_path / "out").exists()
     assert found.filter("is_primary")["motor_id"].n_unique() == 6
     refused = run("demo", ".")
     assert refused.returncode == 2

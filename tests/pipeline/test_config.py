@@ -62,7 +62,7 @@ def test_shipped_configs_load(configs: Path) -> None:
     assert [spec.motor_id for spec in fleet.motors] == MOTOR_IDS
     assert fleet.name == "Demo fleet"
     assert fleet.log_root == configs.parent / "logs"
-    assert fleet.output == Path("out").resolve()
+    assert fleet.output == configs.parent / "out"
     for spec in fleet.motors:
         for mode in ("none", "fixed", "estimated"):
             assert spec.motor(dt.date(2026, 1, 2), mode).columns[-3:] == (
@@ -95,7 +95,7 @@ def test_the_source_of_a_constant_must_be_named(configs: Path) -> None:
     change(configs, TYPE, 'source = "placeholder"\n', "")
     change(configs, OIL, 'source = "placeholder"\n', "")
     assert set(faults(configs)) == {
-        Fault(TYPE, "path.0.source", "is missing"),
+        Fault(TYPE, 'path "piston_ring" source', "is missing"),
         Fault(OIL, "source", "is missing"),
     }
 
@@ -116,7 +116,7 @@ def test_all_faults_of_all_files_at_once(configs: Path) -> None:
     assert found.pop((MOTOR, "channels.pressure_difference.resolution")) == (
         'got "fine"; expected a valid number'
     )
-    assert found.pop((TYPE, "path.0.radius_mm")) == "got -35.0; expected greater than 0"
+    assert found.pop((TYPE, 'path "piston_ring" radius_mm')) == "got -35.0; expected greater than 0"
     assert found.pop((OIL, "density_15_c_kg_per_m3")) == "is missing"
     assert "check its spelling" in found.pop((OIL, "density"))
     assert found.pop(("fleet.toml", "nights.end_hour")) == (
@@ -274,19 +274,49 @@ def test_faults_of_the_fleet_file(
     ("before", "after", "key", "words"),
     [
         ('motor_type = "CB400"', 'motor_type = "CB401"', "motor_type", "as the file"),
-        ('law = "annular_gap"', 'law = "gap"', "path.0.law", "one of 'annular_gap', 'speed_curve'"),
-        ('law = "annular_gap"\n', "", "path.0.law", "is missing"),
-        ("count = 24", "count = 24.0", "path.0.count", "got 24.0; expected a valid integer"),
-        ("minimum = 1.0", "minimum = 9.0", "path.0.gap_um", "minimum <= value <= maximum"),
-        ("minimum = 1.0", "minimum = 0.0", "path.0.gap_um.minimum", "greater than 0"),
-        ("maximum = 1.0", "maximum = 1.1", "path.1.eccentricity.maximum", "less than or equal"),
-        ("deformation_pressure_bar", "deformation_points", "path.0.deformation_points", "array"),
-        ("speed_range_rpm", "points", "path.3.points.0", "got 0.0; expected a valid array"),
-        ("speed_range_rpm = [0.0, 125.0]", "", "path.3", "speed_range_rpm, or points"),
-        ('name = "balance_piston"', 'name = "piston_ring"', "path.1.name", "not taken"),
-        ('name = "balance_piston"', 'name = "flushing"', "path.1.name", "not taken"),
-        ('name = "balance_piston"', 'name = "known"', "path.1.name", "not taken"),
-        ('name = "balance_piston"', 'name = "Piston"', "path.1.name", "text that matches"),
+        (
+            'law = "annular_gap"',
+            'law = "gap"',
+            'path "piston_ring" law',
+            "one of 'annular_gap', 'speed_curve'",
+        ),
+        ('law = "annular_gap"\n', "", 'path "piston_ring" law', "is missing"),
+        (
+            "count = 24",
+            "count = 24.0",
+            'path "piston_ring" count',
+            "got 24.0; expected a valid integer",
+        ),
+        (
+            "minimum = 1.0",
+            "minimum = 9.0",
+            'path "piston_ring" gap_um',
+            "minimum <= value <= maximum",
+        ),
+        ("minimum = 1.0", "minimum = 0.0", 'path "piston_ring" gap_um.minimum', "greater than 0"),
+        (
+            "maximum = 1.0",
+            "maximum = 1.1",
+            'path "balance_piston" eccentricity.maximum',
+            "less than or equal",
+        ),
+        (
+            "deformation_pressure_bar",
+            "deformation_points",
+            'path "piston_ring" deformation_points',
+            "array",
+        ),
+        (
+            "speed_range_rpm",
+            "points",
+            'path "cam_roller" points.0',
+            "got 0.0; expected a valid array",
+        ),
+        ("speed_range_rpm = [0.0, 125.0]", "", 'path "cam_roller"', "speed_range_rpm, or points"),
+        ('name = "balance_piston"', 'name = "piston_ring"', 'path "piston_ring" name', "not taken"),
+        ('name = "balance_piston"', 'name = "flushing"', 'path "flushing" name', "not taken"),
+        ('name = "balance_piston"', 'name = "known"', 'path "known" name', "not taken"),
+        ('name = "balance_piston"', 'name = "Piston"', 'path "Piston" name', "text that matches"),
     ],
 )
 def test_faults_of_a_type(configs: Path, before: str, after: str, key: str, words: str) -> None:
@@ -303,13 +333,13 @@ def test_faults_of_a_type(configs: Path, before: str, after: str, key: str, word
 )
 def test_points_that_give_no_deformation(configs: Path, points: str, words: str) -> None:
     change_of = ("deformation_pressure_bar = 120.0", f"deformation_points = {points}")
-    check_fault(configs, TYPE, change_of, "path.0", words)
+    check_fault(configs, TYPE, change_of, 'path "piston_ring"', words)
 
 
 def test_two_sources_of_a_deformation(configs: Path) -> None:
     line = "deformation_pressure_bar = 120.0"
     points = "deformation_points = [[10.0, 8.0, 1.0], [20.0, 8.0, 1.5], [40.0, 8.0, 1.6]]"
-    check_fault(configs, TYPE, (line, f"{line}\n{points}"), "path.0", "not both")
+    check_fault(configs, TYPE, (line, f"{line}\n{points}"), 'path "piston_ring"', "not both")
 
 
 @pytest.mark.parametrize(
@@ -434,6 +464,12 @@ def test_an_oil_change_is_dated(configs: Path) -> None:
         ('date = 20260301\nkind = "overhaul"', "events.0.date", "got 20260301"),
         ('date = 2026-03-01T06:00:00\nkind = "overhaul"', "events.0.date", "got"),
         ('kind = "overhaul"', "events.0.date", "is missing"),
+        (
+            'date = "2026-03-01"\nkind = "overhaul"',
+            "events.0.date",
+            'got "2026-03-01"; expected a date without quotation marks',
+        ),
+        ('date = 2026-03-01\nkind = "oil_change"', "events.0.oil", "expected the oil's name"),
         ('date = 2026-03-01\nkind = "repair"', "events.0.kind", 'got "repair"'),
         ('date = 2026-03-01\nkind = "oil_change"\noil = "vg47"', "events.0.oil", 'got "vg47"'),
     ],
@@ -443,6 +479,18 @@ def test_events(configs: Path, event: str, key: str, words: str) -> None:
     fault = only_fault(configs)
     assert (fault.file, fault.key) == (MOTOR, key)
     assert words in fault.message
+
+
+def test_times_in_quotation_marks(configs: Path) -> None:
+    """TOML has a type of its own for them; a text would pass for one silently."""
+    whole = "[2026-03-01T20:00:00Z, 2026-03-01T21:00:00Z]"
+    half = '[2026-03-02T20:00:00Z, "2026-03-02T21:00:00Z"]'
+    add(configs, MOTOR, f"\n[periods]\ntraining = [{whole}, {half}]\n")
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == (MOTOR, "periods.training.1.1")
+    assert fault.message == ('got "2026-03-02T21:00:00Z"; expected a time without quotation marks')
+    change(configs, MOTOR, '"2026-03-02T21:00:00Z"', "2026-03-02T21:00:00Z")
+    load(configs)
 
 
 def test_an_override_holds_for_its_motor_alone(configs: Path) -> None:
@@ -545,9 +593,7 @@ def test_a_folder_without_motors(configs: Path) -> None:
 
 def test_folders_are_those_of_the_fleet_file(configs: Path) -> None:
     (configs / "motors").rename(configs.parent / "my motors")
-    change(
-        configs, "fleet.toml", "[folders]", '[folders]\nmotors = "../my motors"\noutput = "../o"'
-    )
+    change(configs, "fleet.toml", 'output = "../out"', 'motors = "../my motors"\noutput = "../o"')
     fleet = load(configs)
     assert len(fleet.motors) == 6
     assert fleet.output == configs.parent / "o"

@@ -32,9 +32,11 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(own_fleet: OwnFleet) 
         "starts end at the proven minimum",
         "reference leakage (200 bar, 50 °C, 30 rpm): 1.4",
         "K_piston_ring: too little data",
-        "largest systematic errors of the reference leakage: oil_temperature offset of 1 -",
+        "largest systematic errors of the reference leakage: oil_temperature offset of 1 °C -",
+        "leakage_flow offset of 0.02 l/min +",
     ):
         assert words in told
+    assert "_per_" not in told
 
 
 def test_one_pressure_all_night_is_told_with_what_would_help(own_fleet: OwnFleet) -> None:
@@ -50,7 +52,8 @@ def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     log.write_bytes(b"nonsense" * 1000)
     told = explain(fitted(fleet), "CB400-02", FIRST)
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
-    assert log.name in told[1]
+    assert told[1] == f"log CB400-02/{log.name}: failed"
+    assert "\n".join(told).count("does not begin as Parquet does") == 1
 
 
 def test_a_night_that_is_not_there_says_what_to_do(own_fleet: OwnFleet) -> None:

@@ -49,12 +49,12 @@ def first_cells(text: str) -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a run's tables in `out/`: nights long enough for verdicts on coefficients."""
+    """A folder with the demo and its tables: nights long enough for verdicts on coefficients."""
     folder = tmp_path_factory.mktemp("run")
     write_demo(folder / "demo", nights=2, minutes=90, rate_hz=1.0, workers=1)
     fleet = load_fleet(folder / "demo" / "configs" / "fleet.toml")
     alone = fleet.execution.model_copy(update={"backend": "sequential"})
-    run_fleet(RunRequest(replace(fleet, output=folder / "out", execution=alone)))
+    run_fleet(RunRequest(replace(fleet, execution=alone)))
     return folder
 
 
@@ -166,7 +166,7 @@ def test_tables_lie_where_the_page_says(after_a_run: Path) -> None:
     assert len(stated) == len(TABLES)
     for place in stated:
         pattern = re.sub("<.*?>|YYYY-MM", "*", place)
-        assert list((after_a_run / "out").glob(pattern)), pattern
+        assert list((after_a_run / "demo" / "out").glob(pattern)), pattern
 
 
 # README
@@ -198,7 +198,12 @@ def test_readme_polars_query_works(capsys: pytest.CaptureFixture[str]) -> None:
     assert isinstance(change, pl.DataFrame)
     assert set(change["parameter"]) == {"K_piston_ring", "K_balance_piston", "K_balance_sleeve"}
     assert change["change"].is_finite().all()
-    assert "motor_id" in capsys.readouterr().out
+    latest = names["latest"]
+    assert isinstance(latest, pl.DataFrame)
+    said = capsys.readouterr().out
+    rows = re.findall(r"(CB\d+-0\d) +┆ (K_\w+)", said)
+    assert rows == sorted(rows)
+    assert len(rows) == latest.height
 
 
 def test_readme_config_example_is_a_motor_of_the_shipped_fleet(tmp_path: Path) -> None:

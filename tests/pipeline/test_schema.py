@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -267,3 +268,20 @@ def test_types_are_named_as_polars_names_them() -> None:
     assert types["window_start"] == "Datetime(time_unit='us', time_zone='UTC')"
     assert types["statistics"] == str(NUMBERS) == "List(Float64)"
     assert types["speed_histogram"] == str(COUNTS)
+
+
+def test_units_in_the_rows_are_those_that_the_columns_name(fitted_output: Path) -> None:
+    """One spelling of a unit, as the names of columns have it."""
+    named = {
+        (table.name, column.name): set(re.findall(r"[^\s,:]+", column.description.split(":")[0]))
+        for table in TABLES
+        for column in table.columns
+        if column.name in ("unit", "tolerance_unit")
+        and table.name in ("parameters", "sensitivities")
+    }
+    assert len(named) == 3
+    for (table, column), words in named.items():
+        rows = pl.read_parquet(fitted_output / "tables" / table / "**" / "*.parquet")
+        found = set(rows[column])
+        assert found <= words, (table, column)
+        assert "l_per_min" in found
