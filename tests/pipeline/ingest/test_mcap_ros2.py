@@ -341,7 +341,7 @@ module motor_msgs {
       Rows row;
       motor_msgs::msg::Port ports[Hydraulics_Constants::PORTS];
       ::motor_msgs::msg::Mode mode;
-      msg::Side side;
+      msg::Side side; octet after;
       sequence<string<0x10>, PORTS_MOST> names;
       boolean running;
       char letter;
@@ -376,7 +376,7 @@ def test_what_idl_can_say_is_read(tmp_path: Path) -> None:
     body += struct.pack("<I", 0)
     body += struct.pack("<fB3xfB", 1.5, 1, 2.5, 2)
     body += bytes(-len(body) % 4) + struct.pack("<I", 7)
-    body += struct.pack("<B", 1)
+    body += struct.pack("<BB", 1, 9)
     body += bytes(-len(body) % 4) + struct.pack("<II3s", 1, 3, b"ab\0")
     body += struct.pack("<BB", 1, 65)
     body += bytes(-len(body) % 8) + struct.pack("<Q", 2**63)
@@ -395,6 +395,7 @@ def test_what_idl_can_say_is_read(tmp_path: Path) -> None:
         "ports[1].flags": 2.0,
         "mode": 7.0,
         "side": 1.0,
+        "after": 9.0,
         "running": 1.0,
         "letter": 65.0,
         "total": 2.0**63,
@@ -517,6 +518,17 @@ def test_wide_characters_of_two_and_of_four_bytes(tmp_path: Path, order: str, wi
     assert values(tmp_path, cut, "last") == [*range(60), None]
 
 
+def test_the_width_of_wide_characters_where_both_would_do(tmp_path: Path) -> None:
+    """A single message, and a width with which it would end, though not where it ends."""
+    of_four = struct.pack("<4sII", b"\0\1\0\0", 1, ord("a")) + b"\x07"
+    data = ros2_of("wstring name\nuint8 last", [of_four])
+    assert values(tmp_path, data, "last") == [7]
+    rest = bytes([0, 0, 0, 0, 5, *range(40)])
+    of_two = struct.pack("<4sI2HI", b"\0\1\0\0", 2, *b"ab", len(rest)) + rest
+    data = ros2_of("wstring name\nuint8[] rest", [of_two])
+    assert values(tmp_path, data, "rest[4]") == [5]
+
+
 @pytest.mark.parametrize(
     ("second", "name"),
     [(2, "PL_CDR"), (3, "PL_CDR"), (6, "CDR2"), (7, "CDR2"), (9, "D_CDR2"), (11, "PL_CDR2")],
@@ -541,10 +553,16 @@ def test_a_message_that_is_cut_is_missing_and_counted(tmp_path: Path) -> None:
     good = struct.pack("<4sdI", b"\0\1\0\0", 7.0, 0)
     endless = struct.pack("<4sdI", b"\0\1\0\0", 7.0, 2**32 - 1)
     other = struct.pack("<4sdI", b"\0\x33\0\0", 7.0, 0)
-    data = ros2_of(definition, [good, b"", good[:3], good[:10], good[:-1], endless, other, good])
-    channel = read(tmp_path, data, source_of("value")).channels["pressure_difference"]
-    assert channel.missing.tolist() == [False, *[True] * 6, False]
-    assert channel.unparsed == 6
+    lying = struct.pack("<4sdI4xdI", b"\0\1\0\0", 7.0, 1, 1.0, 9)
+    bad = [b"", good[:3], good[:10], good[:-1], endless, other, lying]
+    channel = read(tmp_path, ros2_of(definition, [good, *bad, good]), source_of("value")).channels[
+        "pressure_difference"
+    ]
+    assert channel.missing.tolist() == [False, *[True] * 7, False]
+    assert channel.unparsed == 7
+    last = struct.pack("<4sdi", b"\0\1\0\0", 7.0, 1)
+    cut = ros2_of("float64 value\nint32 last", [last, last[:-1], last[:-4]])
+    assert values(tmp_path, cut, "value") == [7.0, None, None]
     assert code(tmp_path, ros2_of(definition, [b"", endless]), "value") == "log_type"
 
 
