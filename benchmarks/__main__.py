@@ -12,6 +12,7 @@ BENCHMARKS = (
     "mcap_reading",
     "model_choices",
     "multi_start",
+    "residual_tests",
     "table_reading",
 )
 
