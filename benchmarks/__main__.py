@@ -16,6 +16,7 @@ BENCHMARKS = (
     "model_choices",
     "multi_start",
     "report",
+    "residual_tests",
     "table_reading",
 )
 

@@ -40,8 +40,10 @@ def held(n: int, hold: int, generator: Generator) -> Array:
     return np.asarray(series)
 
 
-def one(error: Array, u: Array, index: Array | None = None, memory: float = 0.0) -> LagTest:
-    places = np.arange(len(error)) if index is None else index
+def one(
+    error: Array, u: Array, index: NDArray[np.int64] | None = None, memory: float = 0.0
+) -> LagTest:
+    places = np.arange(len(error), dtype=np.int64) if index is None else index
     return analyse_residuals(error, {"u": u}, places, memory).independence["u"]
 
 

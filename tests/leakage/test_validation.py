@@ -19,6 +19,7 @@ from leakage.validation import (
     criteria,
     effective_sample_count,
     lag_one_autocorrelation,
+    summed_effective_sample_count,
 )
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor
@@ -47,6 +48,9 @@ def test_fit_from_statistics_is_the_fit_by_definition(
     found = agreement(merge(factors(z, np.array([0, 1, 1, 4, 200]))), theta)
     assert found.n == 200
     assert found.fit_percent == pytest.approx(fit_percent(z[:, 5], predicted), rel=1e-11)
+    assert found.mean_error_l_per_min == pytest.approx(
+        np.mean(z[:, 5] - predicted), rel=1e-9, abs=1e-12
+    )
     rmse = np.sqrt(np.mean((z[:, 5] - predicted) ** 2))
     assert found.rmse_l_per_min == pytest.approx(rmse, rel=1e-11, abs=1e-13)
     assert found.fit_percent is not None
@@ -257,3 +261,36 @@ def test_effective_count_is_that_of_the_variance_of_a_mean() -> None:
 
 def test_no_correlation_has_no_effective_count() -> None:
     assert effective_sample_count(1000, None) is None
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.5, 0.9, 0.99])
+def test_both_effective_counts_agree_on_an_autoregression(phi: float) -> None:
+    rho = np.append(phi ** np.arange(4000.0), [0.0, 0.0])
+    assert summed_effective_sample_count(10_000, rho) == pytest.approx(
+        effective_sample_count(10_000, phi)
+    )
+
+
+def test_the_summed_count_is_that_of_the_variance_of_a_mean_under_white_noise_too() -> None:
+    # An autoregression with as much white noise: lag one alone would count five times too many.
+    means, counts = [], []
+    for seed in range(400):
+        noise = np.random.default_rng(10_000 + seed).standard_normal(2000)
+        series = autoregression(0.9, 2000, seed) + noise
+        means.append(series.mean())
+        centred = series - series.mean()
+        rho = np.array([centred[k:] @ centred[: 2000 - k] for k in range(200)]) / (
+            centred @ centred
+        )
+        counts.append(summed_effective_sample_count(2000, rho))
+    assert None not in counts
+    assert 2.0 / np.var(means) == pytest.approx(np.mean(counts), rel=0.2)  # type: ignore[arg-type]
+
+
+def test_the_summed_count_is_at_most_all_samples() -> None:
+    assert summed_effective_sample_count(1000, np.array([1.0, -0.6, 0.3, -0.4])) == 1000
+
+
+@pytest.mark.parametrize("rho", [[], [1.0], [1.0, 0.9, 0.8, 0.7], [1.0, 0.5, 0.0]])
+def test_correlations_that_do_not_end_have_no_summed_count(rho: list[float]) -> None:
+    assert summed_effective_sample_count(1000, np.array(rho)) is None

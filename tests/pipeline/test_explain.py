@@ -32,6 +32,10 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(own_fleet: OwnFleet) 
         "starts end at the proven minimum",
         "reference leakage (200 bar, 50 °C, 30 rpm): 1.4",
         "K_piston_ring: too little data",
+        "training errors: 0.0",
+        "l/min (root mean square)",
+        "training errors: not white (25 of 25 lags outside the 99 % band)",
+        "training errors: independent of ",
         "largest systematic errors of the reference leakage: oil_temperature offset of 1 °C -",
         "leakage_flow offset of 0.02 l/min +",
     ):

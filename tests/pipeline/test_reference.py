@@ -26,7 +26,7 @@ DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text("utf-8")
 HAND_WRITTEN = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
-    *(DOCS / name for name in ("model.md", "operations.md", "dependencies.md")),
+    *(DOCS / name for name in ("model.md", "validation.md", "operations.md", "dependencies.md")),
     *(DOCS / name for name in ("queries.md", "powerbi.md")),
 ]
 SOURCES = [
@@ -187,6 +187,23 @@ def test_readme_duckdb_query_works() -> None:
     }
     assert len(rows) >= 5
     assert all(0 < lower < leakage < upper for _, _, leakage, lower, upper, _ in rows)
+
+
+@pytest.mark.usefixtures("after_a_run")
+def test_queries_on_the_validation_page_work() -> None:
+    ranking, figure = blocks((DOCS / "validation.md").read_text("utf-8"), "sql")
+    with duckdb.connect() as connection:
+        ranked = connection.execute(ranking).fetchall()
+        drawn = connection.execute(figure).fetchall()
+    motors = {f"CB{n}-0{i}" for n in (400, 560, 1120) for i in (1, 2)}
+    inputs = {"pressure_difference", "oil_temperature", "speed"}
+    assert {(motor, name) for motor, name, _, _ in ranked} == {
+        (m, i) for m in motors for i in inputs
+    }
+    assert all(0.0 <= share <= 1.0 for _, _, share, _ in ranked)
+    # 26 lags of whiteness and 51 of each input, with a band wherever there is one.
+    assert len(drawn) == 26 + 3 * 51
+    assert sum(bound is None for *_, bound in drawn) == 1
 
 
 @pytest.mark.usefixtures("after_a_run")

@@ -52,6 +52,14 @@ DESIGN: dict[str, tuple[tuple[str, ...], str]] = {
         "spread_over_starts",
     ),
     "starts": ((*FIT_KEY, "start"), "cost status reason iterations initial_values final_values"),
+    "residual_tests": (
+        (*FIT_KEY, "part", "smoothed", "test", "input", "lag"),
+        "value bound outside",
+    ),
+    "residual_verdicts": (
+        (*FIT_KEY, "part", "smoothed", "test", "input"),
+        "verdict reason statistic degrees_of_freedom p_value n_lags n_outside",
+    ),
     "predictions": (
         (*FIT_KEY, "time"),
         "part pressure_difference_bar oil_temperature_c speed_rpm measured_l_per_min "
