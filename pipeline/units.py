@@ -166,15 +166,28 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
     >>> to_canonical("oil_temperature", [32.0, 212.0], "degF")
     array([  0., 100.])
     """
-    numerator, denominator, shift = conversion(channel, unit)
     readings = np.array(values, dtype=np.float64)
+    convert_to_canonical(channel, readings, unit)
+    return readings
+
+
+def convert_to_canonical(channel: str, readings: NDArray[np.float64], unit: str) -> None:
+    """As `to_canonical`, in the array itself.
+
+    Examples
+    --------
+    >>> readings = np.array([32.0, 212.0])
+    >>> convert_to_canonical("oil_temperature", readings, "degF")
+    >>> readings
+    array([  0., 100.])
+    """
+    numerator, denominator, shift = conversion(channel, unit)
     if shift:
         readings += shift
     if numerator != 1.0:
         readings *= numerator
     if denominator != 1.0:
         readings /= denominator
-    return readings
 
 
 def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:

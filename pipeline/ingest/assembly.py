@@ -15,7 +15,7 @@ from pipeline.errors import LogError
 from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
 from pipeline.ingest.quality import is_bad
 from pipeline.ingest.time_stamps import TimeStamps, example_of
-from pipeline.units import to_canonical
+from pipeline.units import convert_to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -89,11 +89,19 @@ def raw_channel(
 
 def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
     """Readings of a channel after scale, offset and unit."""
+    raw = readings.raw.copy()
+    convert_in_place(source, raw)
+    return replace(readings, raw=raw)
+
+
+def convert_in_place(source: ChannelSource, raw: NDArray[np.float64]) -> None:
+    """Scale, offset and unit of a channel applied to figures that are the caller's own."""
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
     with np.errstate(over="ignore", invalid="ignore"):
-        plain = source.scale == 1.0 and source.offset == 0.0
-        scaled = readings.raw if plain else readings.raw * source.scale + source.offset
-        return replace(readings, raw=to_canonical(source.channel, scaled, source.unit))
+        if source.scale != 1.0 or source.offset != 0.0:
+            raw *= source.scale
+            raw += source.offset
+        convert_to_canonical(source.channel, raw, source.unit)
 
 
 def canonical_channel(
@@ -262,7 +270,11 @@ def raw_log(
     remarks: Sequence[str] = (),
 ) -> RawLog:
     """Log from its channels, with a note for each reason for which something was left out."""
-    times = [channel.time_us for channel in channels.values() if channel.time_us.size]
+    # Channels of one table have one array of stamps: each array is looked through once.
+    arrays = {
+        (part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels.values()
+    }
+    times = [time_us for time_us in arrays.values() if time_us.size]
     return RawLog(
         channels=channels,
         rows=rows,

@@ -23,6 +23,8 @@ from pipeline.ingest.csv_text import Lines, is_packed, is_utf8, read_lines, repa
 from pipeline.ingest.table import Columns, Table, wanted_columns
 
 _SPAN_PIECE = 2**16
+# Room for more rows than those of a file's first piece make likely: they may be shorter further on.
+_SLACK = 1.1
 
 
 def read_csv_log(path: Path, source: LogSource) -> RawLog:
@@ -144,9 +146,17 @@ class _Reader:
             return False
         if ragged:
             return False
+        self._expect(table.num_rows, len(data))
         self.rows += table.num_rows
-        self._add({name: table.column(key) for name, key in keys.items()})
+        # In the parser's own blocks, which need no copy to be arrays.
+        for batch in table.to_batches():
+            self._add({name: pa.chunked_array([batch.column(key)]) for name, key in keys.items()})
         return True
+
+    def _expect(self, rows: int, size: int) -> None:
+        """Make room for the whole file, by the rows of its first piece."""
+        if not self.rows and is_utf8(self.source.encoding) and not is_packed(self.path):
+            self.table.expect(int(_SLACK * rows * self.path.stat().st_size / size))
 
     def log(self) -> RawLog:
         """What was read."""
@@ -215,6 +225,7 @@ class _Reader:
         if ragged and not self.ragged:
             self.first_ragged = _first(ragged, data, start, self.pieces - 1)
         self.ragged += len(ragged)
+        self._expect(table.num_rows, len(section.body))
         self.rows += table.num_rows
         self._add({name: table.column(key) for name, key in keys.items()})
 

@@ -21,8 +21,11 @@ LARGEST_TEXT = 4 * 2**30
 LARGEST_RATIO = 400
 """Bytes of text to a byte of a packed file. A motor that stands still all night has below 100."""
 
-PIECE = 2**24
-"""Bytes read at a time."""
+PIECE = 2**22
+"""Bytes read at a time: few enough to stay in the processor's cache."""
+
+LONGEST_LINE = 2**25
+"""Bytes of a line; a file with longer ones is no table."""
 
 _RATIO_FROM = 2**26
 _LOOK = 2**16
@@ -93,8 +96,8 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[Lines]
             first = False
         newline = data.rfind(b"\n")
         end = max(newline, data.rfind(b"\r", newline + 1)) + 1
-        if not end and len(data) > 2 * PIECE:
-            raise LogError("log_not_csv", path, f"a line is longer than {2 * PIECE} bytes")
+        if not end and len(data) > LONGEST_LINE:
+            raise LogError("log_not_csv", path, f"a line is longer than {LONGEST_LINE} bytes")
         whole, rest = data[:end], data[end:]
         if whole:
             yield Lines(repaired(whole))

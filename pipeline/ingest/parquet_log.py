@@ -85,6 +85,7 @@ def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> No
     with _opened(path) as file:
         places = {name: _place(path, file.schema_arrow, name) for name in columns.all}
         _require_types(path, source, columns, file.schema_arrow, places)
+        table.expect(file.metadata.num_rows)
         for batch in _batches(path, file, places):
             found = {name: _within(batch, place) for name, place in places.items()}
             table.add(

@@ -17,7 +17,6 @@ from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
     canonical_channel,
-    in_canonical_unit,
     judged,
     raw_channel,
     raw_log,
@@ -32,11 +31,13 @@ from pipeline.ingest.contract import (
     RawChannel,
     RawLog,
 )
+from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.quality import quality_states
 from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
 
 _MOST_NAMES = 2**15 - 1
-_MOST_PIECES = 16
+_MOST_EXPECTED = 2**24
+"""Two days at 100 Hz; what a file claims beyond that is believed when it comes."""
 _NO_QUALITIES: Mapping[str, pa.ChunkedArray] = MappingProxyType({})
 
 _Quality = tuple[str, tuple[QualityValue, ...]]
@@ -128,13 +129,19 @@ class Table:
     def __init__(self, path: Path, source: LogSource) -> None:
         self.path = path
         self.source = source
-        self._written: list[WrittenStamps] = []
+        self._expected = 0
+        self._written = GatheredStamps()
         # In canonical units, by channel; in a long table as they stand, all together.
-        self._parts: dict[str, list[Readings]] = {}
+        self._parts: dict[str, GatheredReadings] = {}
         self._names: list[NDArray[np.int16]] = []
         self._seen: dict[str, int] = {}
         # Of all rows, by what they are called and what is good.
         self._states: dict[_Quality, list[NDArray[np.uint8]]] = {}
+
+    def expect(self, rows: int) -> None:
+        """Make room for so many rows, before the first are added."""
+        self._expected = min(rows, _MOST_EXPECTED)
+        self._written = GatheredStamps(self._expected)
 
     def add(
         self,
@@ -156,9 +163,9 @@ class Table:
         qualities
             Cells of the columns of qualities, by column.
         """
-        self._written.append(written)
+        self._written.add(written)
         if names is not None:
-            self._parts.setdefault("", []).append(readings[self.source.value_column])
+            self._gathered("", None).add(readings[self.source.value_column])
         else:
             self._add_by_channel(readings)
         if names is not None:
@@ -172,12 +179,12 @@ class Table:
         for channel in self.source.channels:
             column = self._column(channel)
             if column is not None and column in readings:
-                part = in_canonical_unit(channel, readings[column])
-                parts = self._parts.setdefault(channel.channel, [])
-                parts.append(part)
-                if len(parts) >= _MOST_PIECES:
-                    # Small pieces freed in the end leave holes that the whole does not fit into.
-                    parts[:] = [Readings.joined(parts)]
+                self._gathered(channel.channel, channel).add(readings[column])
+
+    def _gathered(self, name: str, channel: ChannelSource | None) -> GatheredReadings:
+        if name not in self._parts:
+            self._parts[name] = GatheredReadings(channel, self._expected)
+        return self._parts[name]
 
     def _codes(self, names: pa.ChunkedArray) -> NDArray[np.int16]:
         """Number of each row's name among those seen so far; -1 where there is none."""
@@ -219,7 +226,7 @@ class Table:
             ``log_column_missing`` where a long table has rows, and none of a wanted channel.
         """
         stamps, without_time = self._stamps()
-        self._written.clear()
+        self._written = GatheredStamps()
         refused = {**refused, **without_time}
         if self.source.layout == "long":
             return self._long_log(stamps, refused)
@@ -248,7 +255,7 @@ class Table:
         return self.source.value_column if is_of_file(channel, self.path) else None
 
     def _joined(self, name: str) -> Readings:
-        return Readings.joined(self._parts.pop(name, []))
+        return self._parts.pop(name, GatheredReadings(None)).readings()
 
     def _joined_states(self) -> dict[_Quality, NDArray[np.uint8]]:
         return {quality: np.concatenate(parts) for quality, parts in self._states.items()}
@@ -278,5 +285,5 @@ class Table:
         return raw_log(channels, rows_read, refused, remarks)
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
-        stamps = placed(self._written, self.source.time_zone)
+        stamps = placed([self._written.stamps()], self.source.time_zone)
         return judged(self.path, stamps, time_name(self.source, stamps.example))

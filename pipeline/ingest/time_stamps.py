@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from pipeline.errors import UsageError
 from pipeline.ingest.wall_clock import (
@@ -253,11 +253,8 @@ def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | No
 
 
 def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
-    if len(parts) == 1:
-        time_us, kind = parts[0].time_us, parts[0].kind
-    else:
-        time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
-        kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
+    time_us = _joined([part.time_us for part in parts], np.int64)
+    kind = _joined([part.kind for part in parts], np.int8)
     local = kind == _LOCAL
     if not local.any():
         return from_naive(time_us, kind == WITH_ZONE, "UTC")
@@ -265,6 +262,10 @@ def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     if not (kind == WITH_ZONE).any():
         return stamps
     return _either(stamps, from_naive(time_us, kind == WITH_ZONE, "UTC"))
+
+
+def _joined(parts: list[NDArray[Any]], dtype: DTypeLike) -> NDArray[Any]:
+    return parts[0] if len(parts) == 1 else np.concatenate([np.empty(0, dtype), *parts])
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
@@ -335,14 +336,21 @@ def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
         As for `from_arrow_timestamps`.
     """
     kind = WITH_ZONE if stamps.type.tz else _LOCAL
-    readable = stamps.is_valid().to_numpy().astype(bool)
-    counts = pc.fill_null(stamps.cast(pa.int64()), 0).to_numpy()
+    whole = stamps.cast(pa.int64())
+    counts = (pc.fill_null(whole, 0) if stamps.null_count else whole).to_numpy()
+    readable = np.ones(counts.size, dtype=np.bool_)
+    if stamps.null_count:
+        readable = stamps.is_valid().to_numpy().astype(bool)
     unit = stamps.type.unit
     if unit == "ns":
         return WrittenStamps(counts // 1000, _kinds(readable, kind))
     per_unit = EPOCH_UNITS[f"epoch_{unit}"]
-    fits = np.abs(counts.astype(np.float64)) < LATEST_US / per_unit
-    return WrittenStamps(np.where(fits, counts, 0) * per_unit, _kinds(readable & fits, kind))
+    latest = LATEST_US // per_unit
+    if counts.size and (counts.min() <= -latest or counts.max() >= latest):
+        fits = (-latest < counts) & (counts < latest)
+        counts, readable = np.where(fits, counts, 0), readable & fits
+    time_us = counts if per_unit == 1 else counts * per_unit
+    return WrittenStamps(time_us, _kinds(readable, kind))
 
 
 def _from_iso8601_cell_by_cell(texts: list[str | None]) -> WrittenStamps:
