@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from leakage.autoregression import Array
-from leakage.errors import ShapeError
+from leakage.errors import ParameterError, ShapeError
 
 Mask: TypeAlias = NDArray[np.bool_]
 AttributionStatus: TypeAlias = Literal[
@@ -91,7 +91,9 @@ def attribute(
     Raises
     ------
     ShapeError
-        ``unequal_lengths``.
+        ``shape``.
+    ParameterError
+        ``not_finite``.
 
     Examples
     --------
@@ -104,9 +106,15 @@ def attribute(
     k = len(names)
     if flows.shape != (k,) or changes.shape != (k,) or covariance.shape != (k, k):
         raise ShapeError(
-            "unequal_lengths",
+            "shape",
             f"{k} paths with flows {flows.shape}, changes {changes.shape} and covariance "
             f"{covariance.shape}; expected ({k},), ({k},) and ({k}, {k})",
+        )
+    if not (np.isfinite(changes).all() and np.isfinite(covariance).all()):
+        raise ParameterError(
+            "not_finite",
+            "changes of coefficients or their covariance are not finite; expected only paths whose "
+            "coefficient is known then and now",
         )
     if not k:
         return Attribution("no_path", (), None, 0.0, 0.0, 0.0, "no path has a known coefficient")
