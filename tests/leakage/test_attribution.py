@@ -23,17 +23,19 @@ def covariance(sd: np.ndarray) -> np.ndarray:
 def test_probabilities_are_those_of_draws(seed: int) -> None:
     generator = np.random.default_rng(seed)
     root = generator.standard_normal((3, 3))
-    changes, spread = generator.uniform(0.5, 1.5, 3), 0.05 * root @ root.T + 0.1 * np.eye(3)
+    changes = generator.uniform([1.5, 0.0, 0.0], [2.0, 0.9, 0.9])
+    spread = 0.05 * root @ root.T + 0.2 * np.eye(3)
     found = attribute(NAMES, np.ones(3), changes, spread)
     draws = generator.multivariate_normal(changes, spread, size=200_000)
     share = np.bincount(draws.argmax(axis=1), minlength=3) / 200_000
+    assert found.status in {"path", "cannot_be_told_apart"}
     assert found.probability == pytest.approx(share.max(), abs=0.005)
 
 
 def test_four_paths_are_asked_the_same_way_every_time() -> None:
     names = (*NAMES, "distributor")
     spread = np.full((4, 4), 0.3) + 0.7 * np.eye(4)
-    changes = np.array([1.0, 0.5, 0.2, 0.0]) + 1.0
+    changes = np.array([1.9, 1.5, 1.2, 1.0])
     first, second = (attribute(names, np.ones(4), changes, spread) for _ in range(2))
     draws = np.random.default_rng(1).multivariate_normal(changes, spread, size=200_000)
     assert first == second
@@ -63,9 +65,28 @@ def test_pistons_and_sleeves_are_taken_together_where_their_split_rests_on_noise
     )
 
 
+def test_paths_that_have_all_certainly_grown_are_all_named() -> None:
+    """Dirty oil: pistons and sleeves each +20 % gap, +73 % of K; the rings not at all."""
+    changes, spread = np.array([0.0, 0.73, 0.73]), covariance(np.full(3, 0.02))
+    found = attribute(NAMES, FLOWS, changes, spread)
+    assert (found.status, found.paths) == ("several", ("balance_piston", "balance_sleeve"))
+    assert found.probability > 0.99
+    assert found.contribution == pytest.approx(0.73 * (0.340 + 0.489))
+
+
+def test_the_probability_of_several_is_that_of_draws() -> None:
+    changes = np.array([1.0, 1.2, 0.3])
+    spread = 0.05 * np.array([[1.0, 0.4, 0.2], [0.4, 1.0, 0.1], [0.2, 0.1, 2.0]])
+    found = attribute(NAMES, np.ones(3), changes, spread)
+    draws = np.random.default_rng(2).multivariate_normal(changes, spread, size=200_000)
+    both = draws[:, :2].min(axis=1)
+    assert found.status == "several"
+    assert found.probability == pytest.approx(np.mean((both > 0) & (both > draws[:, 2])), abs=0.005)
+
+
 def test_what_cannot_be_told_apart_is_said_to_be_so() -> None:
     """Two paths of like growth whose errors have nothing to do with each other."""
-    found = attribute(("a", "b"), np.ones(2), np.array([1.0, 1.1]), np.diag([0.04, 0.04]))
+    found = attribute(("a", "b"), np.ones(2), np.array([1.0, 1.1]), np.diag([0.36, 0.36]))
     assert found.status == "cannot_be_told_apart"
     assert found.paths == ("a", "b")
     assert 0.5 < found.probability < 0.9
@@ -90,7 +111,7 @@ def test_one_path_alone_is_certain_and_none_is_none() -> None:
 
 
 def test_changes_that_are_known_exactly() -> None:
-    found = attribute(NAMES, np.ones(3), np.array([0.0, 1.0, 2.0]), np.zeros((3, 3)))
+    found = attribute(NAMES, np.ones(3), np.array([0.0, 0.2, 2.0]), np.zeros((3, 3)))
     assert (found.paths, found.probability) == (("balance_sleeve",), 1.0)
     assert found.lower == found.upper == 2.0
 
