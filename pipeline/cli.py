@@ -32,7 +32,6 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 app = typer.Typer(
     name="motor-leakage",
-    help="Nightly grey-box leakage estimates for a fleet of radial piston hydraulic motors.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
@@ -50,9 +49,27 @@ baseline_app = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
 app.add_typer(baseline_app, name="baseline")
 
 ConfigFile = Annotated[
-    Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
+    Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as demo/configs/fleet.toml.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
+
+
+def _print_version(wanted: bool) -> None:
+    from importlib.metadata import version
+
+    if wanted:
+        typer.echo(f"motor-leakage {version('motor-leakage')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Say the version."),
+    ] = False,
+) -> None:
+    """Nightly grey-box leakage estimates for a fleet of radial piston hydraulic motors."""
 
 
 @app.command("fit-fleet")
@@ -74,7 +91,7 @@ def fit_fleet(
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
-    Example: motor-leakage fit-fleet configs/fleet.toml --jobs 2 --since 2026-01-01
+    Example: motor-leakage fit-fleet demo/configs/fleet.toml --jobs 2 --since 2026-01-02
 
     Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
     config; 3: another run holds the output; 4: nothing could be published.
@@ -116,9 +133,9 @@ def check(
 ) -> None:
     """Check the config of a fleet and look at the ends of each log; nothing is fitted.
 
-    Example: motor-leakage check configs/fleet.toml
+    Example: motor-leakage check demo/configs/fleet.toml
 
-    Example: motor-leakage check --suggest logs/CB560-01/2026-01-03.csv
+    Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
 
     Exit code 0: no fault; 1: a log cannot be read; 2: a fault in the config.
     """
@@ -152,7 +169,7 @@ def explain(
 ) -> None:
     """Say in words why a motor's night has the figures it has, or none.
 
-    Example: motor-leakage explain configs/fleet.toml CB560-01 2026-01-03
+    Example: motor-leakage explain demo/configs/fleet.toml CB560-01 2026-01-03
     """
     from pipeline.explain import explain as explained
 
@@ -172,7 +189,7 @@ def fit(
 ) -> None:
     """Fit one motor's night from its logs and say what came of it; nothing is published.
 
-    Example: motor-leakage fit configs/fleet.toml CB560-01 2026-01-03
+    Example: motor-leakage fit demo/configs/fleet.toml CB560-01 2026-01-03
     """
     from tempfile import TemporaryDirectory
 
@@ -188,9 +205,26 @@ def fit(
         growing = [one for outcome in result.outcomes for one in outcome.growing]
         if growing and not result.n_nights:
             raise MotorLeakageError("log_growing", f"the night waits: {'; '.join(growing)}")
+        (outcome,) = result.outcomes
+        if label not in outcome.nights:
+            _refuse_night(fleet, outcome, label)
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoReturn:
+    """Say why there is nothing to fit in a night."""
+    from pipeline.check import check_motor
+
+    motor = outcome.motor_id
+    if outcome.error_code:
+        _say(f"{motor}: {outcome.error_code}: {outcome.message}", err=True)
+        raise typer.Exit(EXIT_MOTORS_FAILED)
+    (spec,) = (one for one in fleet.motors if one.motor_id == motor)
+    seen = check_motor(spec)
+    there = f"they cover {seen.first} to {seen.last}" if seen.first else "; ".join(seen.notes)
+    raise UsageError("unknown_night", f"no log of {motor} covers the night of {label}: {there}")
 
 
 @app.command()
@@ -261,7 +295,7 @@ def demo(
 
     Example: motor-leakage demo demo --nights 3
 
-    Then: motor-leakage fit-fleet demo/configs/fleet.toml
+    The examples of the other commands are of this fleet. Its tables go to demo/out/.
     """
     from pipeline.demo import write_demo
 

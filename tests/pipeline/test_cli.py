@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -352,7 +354,20 @@ def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> 
 def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) -> None:
     code, out, err = call("fit", fleet, CSV, "2020-01-03")
     assert (code, out) == (2, "")
-    assert "2020-01-03" in err
+    assert f"no log of {CSV} covers the night of 2020-01-03: they cover 2026-01-02 to" in err
+    assert "fit-fleet" not in err
+    for path in (fleet.parent.parent / "logs" / CSV).iterdir():
+        path.unlink()
+    code, _, err = call("fit", fleet, CSV, "2026-01-03")
+    assert code == 2
+    assert f"covers the night of 2026-01-03: no file matches {CSV}/*.csv below" in err
+
+
+def test_fit_of_a_named_log_that_is_absent_says_so(call: Call, fleet: Path) -> None:
+    change(fleet, f"motors/{CSV}.toml", f'"{CSV}/*.csv"', '"gone.csv"')
+    code, out, err = call("fit", fleet, CSV, "2026-01-03")
+    assert (code, out) == (1, "")
+    assert err == f"{CSV}: log_missing: gone.csv: named in the config and absent\n"
 
 
 # Help
@@ -370,6 +385,30 @@ def test_help_of_each_command_shows_an_example(call: Call, command: str) -> None
     code, out, _ = call(command, "--help")
     assert code == 0
     assert f"Example: motor-leakage {command} " in re.sub(r"\s+", " ", out)
+
+
+def test_examples_of_the_help_run_as_they_stand(
+    call: Call, demo_folder: Path, fitted_output: Path, tmp_path: Path, monkeypatch: Any
+) -> None:
+    """Each line, pasted where `motor-leakage demo demo --nights 3` was run."""
+    shutil.copytree(demo_folder, tmp_path / "demo")
+    shutil.copytree(fitted_output, tmp_path / "demo" / "out")
+    monkeypatch.chdir(tmp_path)
+    docs = [
+        command.callback.__doc__ or "" for command in app.registered_commands if command.callback
+    ]
+    examples = re.findall(r"Example: motor-leakage (.*)", "\n".join(docs))
+    assert {example.split()[0] for example in examples} == set(COMMANDS)
+    for example in examples:
+        if example == "demo demo --nights 3":
+            continue
+        code, _, err = call(*example.split())
+        assert (code, err) == (0, ""), example
+
+
+def test_version(call: Call) -> None:
+    code, out, err = call("--version")
+    assert (code, out, err) == (0, f"motor-leakage {version('motor-leakage')}\n", "")
 
 
 def test_help_imports_nothing_heavy() -> None:

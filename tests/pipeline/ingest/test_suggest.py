@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import re
 import tomllib
@@ -568,3 +569,57 @@ def test_any_dialect_reads_back_what_was_written(
 
 def in_unit_factor(unit: str) -> float:
     return abs(in_unit(1.0, unit) - in_unit(0.0, unit))
+
+
+@settings(max_examples=20)
+@given(st.data())
+def test_any_parquet_reads_back_what_was_written(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Wide, nested or a row a sample; figures of any type; units in names or in the metadata."""
+    draw = data.draw
+    layout = draw(st.sampled_from(["wide", "nested", "long"]))
+    dialect = Dialect(draw(labels()), layout, units=draw(st.sampled_from(["name", "word"])))
+    times, samples = draw(recordings(dialect))
+    number = draw(st.sampled_from([pa.float64(), pa.float32(), pa.decimal128(18, 6)]))
+    columns = {
+        dialect.label(channel): pa.array(
+            [
+                None if x is None else round(in_unit(x, dialect.labels[channel].unit), 6)
+                for x in own
+            ],
+            pa.float64(),
+        ).cast(number, safe=False)
+        for channel, own in samples.items()
+    }
+    stamps = PARQUET_TIMES[draw(st.sampled_from(["typed", "naive", "epoch_ms", "epoch_s", "text"]))]
+    us = us_of(times)
+    if layout == "long":
+        names = [name for name in columns for _ in times]
+        values = pa.concat_arrays(columns.values())
+        table = stamps(us * len(columns)) | {"tag": pa.array(names), "value": values}
+    elif layout == "nested":
+        inner = pa.StructArray.from_arrays(list(columns.values()), names=list(columns))
+        table = stamps(us) | {"drive": inner, "note": pa.array(["x"] * len(us))}
+    else:
+        table = columns | stamps(us) | {"shift": pa.array(range(len(us)))}
+    path = log_in(tmp_path_factory.mktemp("any"), b"", "log.parquet")
+    pq.write_table(pa.table(table), path, row_group_size=draw(st.integers(5, 1000)))
+    units = {channel: label.unit for channel, label in dialect.labels.items()}
+    toml = told(suggest(path), "", units)
+    logs = list(read_as_suggested(path.parents[2], path, toml).values())
+    require_same(logs, times, samples, tolerance=2e-4)
+
+
+MAGIC = [b"", b"PAR1", b"\x89MCAP0\r\n", b"\xff\xfe", b"time;dp\n2025-03-01 06:00:00;1\n"]
+
+
+@settings(max_examples=60)
+@given(st.sampled_from(MAGIC), st.binary(max_size=400))
+def test_any_bytes_are_refused_in_words_or_give_toml(
+    tmp_path_factory: pytest.TempPathFactory, magic: bytes, data: bytes
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "bytes"
+    path.write_bytes(magic + data + magic[:4] * (magic == b"PAR1"))
+    with contextlib.suppress(LogError):
+        tomllib.loads(suggest(path))
