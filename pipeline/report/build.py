@@ -16,7 +16,7 @@ from joblib import Parallel, delayed, parallel_config
 
 from pipeline.errors import StoreError, UsageError
 from pipeline.report.encoding import script_json
-from pipeline.report.fleet_page import FleetRow, fleet_rows
+from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
     Manifest,
@@ -306,13 +306,13 @@ def _make_pages(
 
     dates = {motor_id: one.event_dates for motor_id, one in request.known.items()}
     motors = list(motor_histories(history, list(names), dates))
-    newest = max((motor.nights[-1] for motor in motors if motor.nights), default=None)
+    span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    rows = fleet_rows(motors, names, types, standings(history.trends), newest)
+    rows = fleet_rows(motors, names, types, standings(history.trends))
     facts = FleetFacts(
         name=request.fleet or history.fleet or "Fleet",
-        first=min((motor.nights[0] for motor in motors if motor.nights), default=None),
-        newest=newest,
+        first=span[0] if span else None,
+        newest=span[1] if span else None,
         has_trends="trends" in history.trends,
         faults=(*history.faults, *faults),
     )

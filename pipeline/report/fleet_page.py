@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +16,7 @@ from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.trends import Standing
 from pipeline.report.words import STATUSES, plain
 
+Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)
 
 
@@ -68,11 +69,10 @@ class FleetRow:
 
 
 def fleet_rows(
-    motors: Iterable[MotorHistory],
+    motors: Sequence[MotorHistory],
     pages: Mapping[str, str],
     types: Mapping[str, str],
     standings: Mapping[str, Standing],
-    newest: dt.date | None,
 ) -> list[FleetRow]:
     """All motors, the most urgent first.
 
@@ -86,14 +86,19 @@ def fleet_rows(
         Type of each motor whose config is known, for those without any night.
     standings
         What trends say, by motor.
-    newest
-        The newest night of the fleet.
     """
+    span = fleet_span(motors)
     rows = [
-        _row(motor, pages[motor.motor_id], types, standings.get(motor.motor_id), newest)
+        _row(motor, pages[motor.motor_id], types, standings.get(motor.motor_id), span)
         for motor in motors
     ]
     return sorted(rows, key=lambda row: (*row.attention.rank, row.motor_id))
+
+
+def fleet_span(motors: Iterable[MotorHistory]) -> Span | None:
+    """The first and the newest night of all motors; None where there is none."""
+    ends = [(motor.nights[0], motor.nights[-1]) for motor in motors if motor.nights]
+    return (min(first for first, _ in ends), max(last for _, last in ends)) if ends else None
 
 
 def _row(
@@ -101,8 +106,9 @@ def _row(
     page: str,
     types: Mapping[str, str],
     standing: Standing | None,
-    newest: dt.date | None,
+    span: Span | None,
 ) -> FleetRow:
+    newest = span[1] if span else None
     changed = changes(motor)
     kind, course = motor.leakage
     good = motor.fits.filter(status=GOOD)
@@ -121,7 +127,7 @@ def _row(
         leakage_kind=kind,
         leakage=_newest(course, known),
         leakage_night=motor.nights[known[-1]] if len(known) else None,
-        line=sparkline(days, course) if len(days) else None,
+        line=sparkline(days, course, *(night.toordinal() for night in span)) if span else None,
         leakage_change=changed.leakage.percent if changed.leakage else None,
         gap_change=gap.gap_percent if gap else None,
         gap_path=plain(path),

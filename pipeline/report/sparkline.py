@@ -52,7 +52,7 @@ class Sparkline:
     largest: float
 
 
-def sparkline(days: NDArray[np.int64], course: Course) -> Sparkline | None:
+def sparkline(days: NDArray[np.int64], course: Course, first: int, newest: int) -> Sparkline | None:
     """A course over the nights as a small picture; None without a value.
 
     Parameters
@@ -61,6 +61,8 @@ def sparkline(days: NDArray[np.int64], course: Course) -> Sparkline | None:
         Place of each night in time, in days, shape (n,).
     course
         What is drawn.
+    first, newest
+        Days at the edges of the picture, one pair for all motors of a fleet.
     """
     known = np.flatnonzero(course.is_known)
     if not len(known):
@@ -68,10 +70,10 @@ def sparkline(days: NDArray[np.int64], course: Course) -> Sparkline | None:
     value = course.value[known]
     median = float(np.median(value))
     reach = max(float(np.abs(value - median).max()), LEAST_REACH * abs(median), 1e-9)
-    span = max(int(days[-1] - days[0]), 1)
+    span = max(newest - first, 1)
 
     def x(day: Array) -> Array:
-        return MARGIN + (day - float(days[0])) / span * (WIDTH - 2 * MARGIN)
+        return MARGIN + (day - first) / span * (WIDTH - 2 * MARGIN)
 
     def y(flow: Array) -> Array:
         inside: Array = np.clip((flow - median) / reach, -1.0, 1.0)

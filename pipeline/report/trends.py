@@ -15,6 +15,7 @@ Payload = dict[str, Any]
 
 # Worst first: the state of a motor is the worst of its indicators'.
 STATES = ("alarm", "warning", "common_cause", "stale", "insufficient", "ok")
+WITHIN = "all indicators within their limits"
 # Of the newest night of an indicator, beside its course.
 LATEST = (
     "baseline_mean",
@@ -69,8 +70,9 @@ def standings(trends: Mapping[str, pl.DataFrame]) -> dict[str, Standing]:
         known = found.get(motor_id)
         if state not in order or (known and order[known.state] <= order[state]):
             continue
-        said = alarms.get((motor_id, row["indicator"], state))
-        found[motor_id] = Standing(state, said or f"{plain(row['indicator'])}: {plain(state)}")
+        said = None if state == "ok" else alarms.get((motor_id, row["indicator"], state))
+        told = WITHIN if state == "ok" else f"{plain(row['indicator'])}: {plain(state)}"
+        found[motor_id] = Standing(state, said or told)
     return found
 
 

@@ -32,13 +32,16 @@ const motorLeakage = (() => {
     if (!column) return [];
     const packed = column.f4 !== undefined ? column.f4 : column.i4;
     const bytes = Uint8Array.from(atob(packed), (character) => character.charCodeAt(0));
-    const numbers = column.f4 !== undefined ? new Float32Array(bytes.buffer) : new Int32Array(bytes.buffer);
+    const numbers =
+      column.f4 !== undefined ? new Float32Array(bytes.buffer) : new Int32Array(bytes.buffer);
     return Array.from(numbers, (number) => (Number.isNaN(number) ? null : number));
   }
 
   /* Limits of an axis that reach at least so far around the middle value: noise looks like noise. */
   function limits(values, reach) {
-    const known = values.filter((value) => value !== null && value !== undefined).sort((a, b) => a - b);
+    const known = values
+      .filter((value) => value !== null && value !== undefined)
+      .sort((a, b) => a - b);
     if (!known.length) return undefined;
     const middle = known[Math.floor(known.length / 2)];
     const low = Math.min(known[0], middle - reach(middle));
@@ -58,8 +61,14 @@ const motorLeakage = (() => {
     if (typeof value !== "number") return String(value);
     if (value === 0) return "0";
     const size = Math.abs(value);
-    if (size < 1e-4 || size >= 1e7) return value.toExponential(digits - 1).replace("-", "−").replace("e−", "e−").replace("e+", "e");
-    if (Number.isInteger(value) || size >= 10 ** digits) return String(Math.round(value)).replace("-", "−");
+    if (size < 1e-4 || size >= 1e7)
+      return value
+        .toExponential(digits - 1)
+        .replace("-", "−")
+        .replace("e−", "e−")
+        .replace("e+", "e");
+    if (Number.isInteger(value) || size >= 10 ** digits)
+      return String(Math.round(value)).replace("-", "−");
     return value.toPrecision(digits).replace("-", "−");
   }
 
@@ -98,15 +107,21 @@ const motorLeakage = (() => {
     const cell = (value) => {
       const written = value === null || value === undefined ? "" : String(value);
       /* A spreadsheet takes a text that begins like a formula for one. */
-      const safe = typeof value === "string" && /^[=+\-@\t\r]/.test(written) ? `'${written}` : written;
+      const safe =
+        typeof value === "string" && /^[=+\-@\t\r]/.test(written) ? `'${written}` : written;
       return /[",\r\n]/.test(safe) ? `"${safe.replaceAll('"', '""')}"` : safe;
     };
-    const names = columns.map((column) => (column.unit ? `${column.name} [${column.unit}]` : column.name ?? column));
+    const names = columns.map((column) =>
+      column.unit ? `${column.name} [${column.unit}]` : (column.name ?? column),
+    );
     return [names, ...rows].map((row) => row.map(cell).join(",")).join("\r\n");
   }
 
   function download(name, content) {
-    const link = element("a", { download: name, href: URL.createObjectURL(new Blob(["\ufeff", content], { type: "text/csv" })) });
+    const link = element("a", {
+      download: name,
+      href: URL.createObjectURL(new Blob(["\ufeff", content], { type: "text/csv" })),
+    });
     link.click();
     setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   }
@@ -115,7 +130,8 @@ const motorLeakage = (() => {
   const waiting = new Map();
   const tables = new Map();
   const observer = new IntersectionObserver(
-    (entries) => entries.filter((entry) => entry.isIntersecting).forEach((entry) => draw(entry.target)),
+    (entries) =>
+      entries.filter((entry) => entry.isIntersecting).forEach((entry) => draw(entry.target)),
     { rootMargin: "300px" },
   );
 
@@ -138,14 +154,14 @@ const motorLeakage = (() => {
     const plot = figure.querySelector(".plot");
     const absent = figure.querySelector(":scope > .absent");
     const details = figure.querySelector("details");
-    const is_absent = chart.absent !== undefined;
-    plot.hidden = is_absent;
-    absent.hidden = !is_absent;
-    details.hidden = is_absent;
-    absent.textContent = is_absent ? chart.absent : "";
-    tables.set(details, is_absent ? null : chart.table);
+    const isAbsent = chart.absent !== undefined;
+    plot.hidden = isAbsent;
+    absent.hidden = !isAbsent;
+    details.hidden = isAbsent;
+    absent.textContent = isAbsent ? chart.absent : "";
+    tables.set(details, isAbsent ? null : chart.table);
     fill(details);
-    if (is_absent) {
+    if (isAbsent) {
       Plotly.purge(plot);
       figure.dataset.drawn = "absent";
       return;
@@ -190,12 +206,23 @@ const motorLeakage = (() => {
       height: chart.height ?? 320,
       margin: { l: 58, r: 14, t: 30, b: 40 },
       modebar: { bgcolor: "rgba(255,255,255,0.85)", color: "#8a949e", activecolor: COLOURS.ink },
-      font: { family: "system-ui, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif", size: 12, color: COLOURS.ink },
+      font: {
+        family: "system-ui, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif",
+        size: 12,
+        color: COLOURS.ink,
+      },
       paper_bgcolor: "#fff",
       plot_bgcolor: "#fff",
       hovermode: "closest",
       hoverlabel: { bgcolor: "#fff", bordercolor: "#aab3bd", font: { color: COLOURS.ink } },
-      legend: { orientation: "h", x: 0, xanchor: "left", y: 1.01, yanchor: "bottom", font: { size: 12 } },
+      legend: {
+        orientation: "h",
+        x: 0,
+        xanchor: "left",
+        y: 1.01,
+        yanchor: "bottom",
+        font: { size: 12 },
+      },
       ...chart.layout,
     };
     const axes = Object.keys(made).filter((key) => /^[xy]axis\d*$/.test(key));
@@ -216,7 +243,9 @@ const motorLeakage = (() => {
     place.append(table(content.columns, content.rows));
     const button = element("button", { type: "button" }, "Save as CSV");
     const name = details.closest("figure").id;
-    button.addEventListener("click", () => download(`${name}.csv`, csv(content.columns, content.rows)));
+    button.addEventListener("click", () =>
+      download(`${name}.csv`, csv(content.columns, content.rows)),
+    );
     place.before(button);
   }
 
@@ -226,14 +255,23 @@ const motorLeakage = (() => {
     const full = plot._fullLayout;
     if (!full || event.ctrlKey || event.metaKey || event.altKey) return;
     const axes = Object.keys(full).filter((key) => /^xaxis\d*$/.test(key));
-    const step = { "+": [0.25, -0.25], "=": [0.25, -0.25], "-": [-0.5, 0.5], ArrowLeft: [-0.2, -0.2], ArrowRight: [0.2, 0.2] }[event.key];
+    const step = {
+      "+": [0.25, -0.25],
+      "=": [0.25, -0.25],
+      "-": [-0.5, 0.5],
+      ArrowLeft: [-0.2, -0.2],
+      ArrowRight: [0.2, 0.2],
+    }[event.key];
     const change = {};
     for (const key of axes) {
       const axis = full[key];
       if (event.key === "0" || event.key === "Home") change[`${key}.autorange`] = true;
       if (!step) continue;
       const [low, high] = axis.range.map((end) => axis.r2l(end));
-      change[`${key}.range`] = [axis.l2r(low + step[0] * (high - low)), axis.l2r(high + step[1] * (high - low))];
+      change[`${key}.range`] = [
+        axis.l2r(low + step[0] * (high - low)),
+        axis.l2r(high + step[1] * (high - low)),
+      ];
     }
     if (Object.keys(change).length) {
       event.preventDefault();
@@ -241,8 +279,12 @@ const motorLeakage = (() => {
     }
   }
 
-  document.querySelectorAll(".chart .plot").forEach((plot) => plot.addEventListener("keydown", onKey));
-  document.querySelectorAll(".chart details").forEach((details) => details.addEventListener("toggle", () => fill(details)));
+  document
+    .querySelectorAll(".chart .plot")
+    .forEach((plot) => plot.addEventListener("keydown", onKey));
+  document
+    .querySelectorAll(".chart details")
+    .forEach((details) => details.addEventListener("toggle", () => fill(details)));
 
   /* On paper all charts have one width, whatever the window had; their column may be narrower. */
   const PAPER_WIDTH = 720;
@@ -267,5 +309,23 @@ const motorLeakage = (() => {
   const word = (kind, code) => page.words[kind]?.[code] ?? plain(code ?? "");
   const unit = (code) => page.words.units[code] ?? code ?? "";
 
-  return { COLOURS, ABSENT, page, style, decode, limits, plain, text, format, element, table, show, drawAll, word, unit };
+  return {
+    COLOURS,
+    ABSENT,
+    page,
+    style,
+    decode,
+    limits,
+    plain,
+    text,
+    format,
+    element,
+    table,
+    show,
+    drawAll,
+    word,
+    unit,
+    /* By the figure's id: what draws it for a night. */
+    nightFigures: {},
+  };
 })();

@@ -12,7 +12,9 @@
   function filter() {
     const wanted = form.find.value.trim().toLowerCase().split(/\s+/).filter(Boolean);
     const type = form.type.value;
-    const states = new Set([...form.querySelectorAll("[name=state]:checked")].map((box) => box.value));
+    const states = new Set(
+      [...form.querySelectorAll("[name=state]:checked")].map((box) => box.value),
+    );
     let shown = 0;
     for (const row of rows) {
       const text = texts.get(row);
@@ -42,7 +44,8 @@
     const place = new Map(rows.map((row, index) => [row, index]));
     const sorted = [...rows].sort((a, b) => {
       const [x, y] = [value(a, column), value(b, column)];
-      if (x === null || y === null) return (x === null) - (y === null) || place.get(a) - place.get(b);
+      if (x === null || y === null)
+        return (x === null) - (y === null) || place.get(a) - place.get(b);
       return sign * (x - y) || place.get(a) - place.get(b);
     });
     body.append(...sorted);

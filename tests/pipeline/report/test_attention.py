@@ -147,6 +147,7 @@ TRENDS = {
             trend("M", 1, "reference_leakage", "ok", slope_per_year=0.2, days_to_limit=40.0),
             trend("M", 1, "K_balance_sleeve", "warning", path="balance_sleeve"),
             trend("N", 0, "reference_leakage", "stale"),
+            trend("O", 0, "reference_leakage", "ok"),
         ]
     ),
     "alarms": pl.DataFrame(
@@ -167,6 +168,7 @@ def test_standing_is_the_worst_state_of_the_newest_night_in_the_alarm_s_words() 
     found = standings(TRENDS)
     assert found["M"] == Standing("warning", "balance sleeve leakage +38 % [29, 47]")
     assert found["N"] == Standing("stale", "reference leakage: stale")
+    assert found["O"] == Standing("ok", "all indicators within their limits")
     assert standings({}) == {}
 
 

@@ -10,10 +10,13 @@ import numpy as np
 import polars as pl
 import pytest
 
+from pipeline.config import load_fleet
+from pipeline.fleet import RunRequest, run_fleet
 from pipeline.report.night import night_payloads
 from pipeline.report.tables import read_night
 from pipeline.schema import BLOCK_STATISTICS, PARAMETERS, PREDICTIONS, QUALITY, SENSITIVITIES
 from pipeline.store import night_file, read_table
+from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table
 from tests.pipeline.report.packed import unpacked
 
@@ -52,6 +55,20 @@ def test_samples_are_those_of_the_table(fitted: dict[str, Any], fitted_output: P
     assert times.tolist() == rows["time"].dt.epoch("ms").to_list()
     letters = {"training": "t", "validation": "v", "guard": "g"}
     assert samples["part"] == "".join(letters[part] for part in rows["part"])
+
+
+def test_thinned_samples_hold_the_extremes_of_the_night(fitted_output: Path) -> None:
+    """Against the smallest and largest values that the blocks have kept of all samples."""
+    for motor in ("CB400-01", MOTOR):
+        rows = rows_of(fitted_output, PREDICTIONS, motor)
+        blocks = rows_of(fitted_output, BLOCK_STATISTICS, motor)
+        assert 500 < rows.height <= 720 < blocks["n"].sum()
+        for column, name in {
+            "pressure_difference_bar": "pressure_bar",
+            "speed_rpm": "speed_rpm",
+        }.items():
+            assert rows[column].min() == blocks[f"minimum_{name}"].min()
+            assert rows[column].max() == blocks[f"maximum_{name}"].max()
 
 
 def test_coverage_counts_every_kept_sample_once(
@@ -135,6 +152,23 @@ def test_heights_of_a_placeholder_s_geometry_are_not_shown(fitted: dict[str, Any
         factors = [row for row in payload["parameters"] if row["parameter"].startswith("K_")]
         assert len(factors) == 3
         assert all("value" in row for row in factors)
+
+
+def test_parameters_say_which_rest_on_a_placeholder(own_fleet: OwnFleet) -> None:
+    fleet_file = own_fleet("CB400-01")
+    for log in sorted((fleet_file.parent.parent / "logs" / "CB400-01").iterdir())[1:]:
+        log.unlink()
+    type_file = fleet_file.parent / "motor_types" / "CB400.toml"
+    before, name, after = type_file.read_text("utf-8").partition('name = "piston_ring"')
+    known = after.replace('source = "placeholder"', 'source = "drawing 4711"', 1)
+    type_file.write_text(before + name + known, "utf-8")
+    fleet = load_fleet(fleet_file)
+    run_fleet(RunRequest(fleet))
+    (path,) = (fleet.output / "tables" / "parameters").rglob("*.parquet")
+    marks = dict(read_table(path, PARAMETERS).select("parameter", "geometry_is_placeholder").rows())
+    for parameter, is_placeholder in marks.items():
+        expected = "piston_ring" not in parameter if parameter.startswith(HEIGHTS) else None
+        assert is_placeholder is expected, parameter
 
 
 def test_heights_of_a_known_geometry_are_shown(output: Path) -> None:

@@ -234,7 +234,7 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
 
 
 def test_an_address_that_is_no_night_leads_to_the_newest(browser: Chrome, report: Path) -> None:
-    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd")
+    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd%E0")
     assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
     assert complaints(browser) == []
 
@@ -296,6 +296,14 @@ def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
         return frame(FITS, [row | failed for row in kept])
 
     change_table(output, "fits", fail)
+    unread = {"status": "failed", "rows": None, "first_time": None, "last_time": None}
+    change_table(
+        output,
+        "input_files",
+        lambda rows: rows.with_columns(
+            *(pl.lit(value, rows.schema[name]).alias(name) for name, value in unread.items())
+        ),
+    )
     for name in ("parameters", "starts", "sensitivities", "predictions", "block_statistics"):
         change_table(output, name, lambda rows: rows.clear())
     folder = output / "report"
@@ -305,6 +313,7 @@ def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
     assert {name for name, state in figures.items() if state == "chart"} == {"refused"}
     assert reason in browser.find_element(By.ID, "why").text
     assert reason in browser.find_element(By.ID, "outcome").text
+    assert "failed" in browser.find_element(By.ID, "files").text
     assert complaints(browser) == []
     visit(browser, folder / "motors" / "new.html")
     assert "No night of this motor" in browser.find_element(By.ID, "why").text

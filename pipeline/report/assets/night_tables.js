@@ -1,0 +1,218 @@
+/* One night in words and tables: outcome, parameters, model quality, residual tests, logs. */
+"use strict";
+
+motorLeakage.nightTables = (() => {
+  const { ABSENT, plain, format, element, table, word, unit } = motorLeakage;
+  const { unfitted, parameterName, stamp } = motorLeakage.ofNight;
+
+  function outcome({ fit, night, faults }) {
+    const time = (ms) => new Date(ms).toISOString().slice(0, 16).replace("T", " ");
+    const said = faults.length ? ` Could not be read: ${faults.join("; ")}` : "";
+    if (fit.status !== "ok") {
+      return `Night of ${night}: ${word("statuses", fit.status)}${fit.error_code ? ` (${fit.error_code})` : ""}: ${fit.reason ?? "no reason is stated"}.${said}`;
+    }
+    const kept =
+      fit.kept_share === undefined
+        ? ""
+        : `; ${format(100 * fit.kept_share, 3)} % of the running motor's samples kept`;
+    return `Night of ${night}: fitted, ${time(fit.window_start)} to ${time(fit.window_end)} UTC, ${word("flushing", fit.flushing_mode)}, oil ${fit.oil ?? ABSENT}${kept}.${said}`;
+  }
+
+  const range = (low, high, digits) =>
+    low === undefined || high === undefined
+      ? null
+      : `${format(low, digits)} to ${format(high, digits)}`;
+
+  function parameters(night) {
+    if (!night.parameters.length) return [element("p", { class: "absent" }, unfitted(night))];
+    const shown = night.parameters.filter((one) => !one.placeholder);
+    const order = ["K_", "scale_", "C_", "share_", "h_", "e_", "film_"];
+    const rank = (name) => order.findIndex((prefix) => name.startsWith(prefix));
+    shown.sort((one, other) => rank(one.parameter) - rank(other.parameter));
+    const rows = shown.map((one) => {
+      const share = one.parameter.startsWith("share_");
+      const scaled = (value) => (value === undefined ? undefined : share ? 100 * value : value);
+      const value =
+        one.value === undefined
+          ? range(one.feasible_min, one.feasible_max, 3)
+          : format(scaled(one.value), 3);
+      const words = element("span", {}, word("verdicts", one.verdict));
+      if (one.reason) words.append(element("small", {}, one.reason));
+      return [
+        parameterName(one.parameter),
+        cell(value),
+        cell(range(scaled(one.lower), scaled(one.upper), 3)),
+        cell(one.systematic === undefined ? null : `± ${format(scaled(one.systematic), 2)}`),
+        share ? "%" : unit(one.unit),
+        words,
+      ];
+    });
+    rows.unshift(
+      leakageRow(night.fit, "reference", "leakage at reference conditions"),
+      leakageRow(night.fit, "own", "leakage at the night's own conditions"),
+    );
+    const made = table(
+      ["Parameter", "Value or range", "95 % interval", "Systematic", "Unit", "What the data say"],
+      rows,
+    );
+    made.querySelectorAll("td:last-child").forEach((one) => one.classList.add("words"));
+    const hidden = night.parameters.length - shown.length;
+    const note =
+      "Gap heights, eccentricities and film thickness ratios are not shown: they are made from the geometry in the motor type's file, which is a placeholder. Gap changes in % need none.";
+    return hidden ? [made, element("p", { class: "absent" }, note)] : [made];
+  }
+
+  const cell = (value) => element("span", { class: "figure" }, value ?? ABSENT);
+
+  /* What the data say of the leakage at stated conditions; `kind` is how its columns begin. */
+  function leakageRow(fit, kind, name) {
+    const stem = kind === "reference" ? "reference_leakage" : "own_conditions_leakage";
+    const verdict = kind === "reference" ? "reference" : "own_conditions";
+    const at = [
+      ["pressure_bar", "bar"],
+      ["temperature_c", "°C"],
+      ["speed_rpm", "rpm"],
+    ]
+      .map(([column, itsUnit]) => `${format(fit[`${kind}_${column}`], 3)} ${itsUnit}`)
+      .join(", ");
+    const words = element("span", {}, word("verdicts", fit[`${verdict}_verdict`]));
+    if (fit[`${verdict}_reason`]) words.append(element("small", {}, fit[`${verdict}_reason`]));
+    const systematic = fit[`${stem}_systematic`];
+    return [
+      element("b", {}, name, element("small", {}, at)),
+      element("b", { class: "figure" }, format(fit[`${stem}_l_per_min`])),
+      cell(range(fit[`${stem}_lower`], fit[`${stem}_upper`], 4)),
+      cell(systematic === undefined ? null : `± ${format(systematic, 2)}`),
+      "l/min",
+      words,
+    ];
+  }
+
+  const FIGURE_ROWS = [
+    ["Fit on training data", "training_fit_percent", "%"],
+    ["Fit on validation data", "validation_fit_percent", "%"],
+    ["Fit of the model before, on this night", "previous_model_fit_percent", "%"],
+    ["RMSE, training", "training_rmse_l_per_min", "l/min"],
+    ["RMSE, validation", "validation_rmse_l_per_min", "l/min"],
+    ["Mean error, training", "training_mean_error_l_per_min", "l/min"],
+    ["Mean error, validation", "validation_mean_error_l_per_min", "l/min"],
+    ["RMSE of the model before", "previous_model_rmse_l_per_min", "l/min"],
+    ["Mean error of the model before", "previous_model_mean_error_l_per_min", "l/min"],
+    ["Criterion V", "cost", "(l/min)²"],
+    ["FPE", "fpe", "(l/min)²"],
+    ["AIC", "aic", ""],
+    ["AICc", "aicc", ""],
+    ["BIC", "bic", ""],
+    ["Samples, training", "n_training", ""],
+    ["Samples, validation", "n_validation", ""],
+    ["Effective samples, training", "n_effective", ""],
+    ["The same by all correlations", "n_effective_summed", ""],
+    ["Effective samples, validation", "validation_n_effective", ""],
+    ["AIC with effective samples", "aic_effective", ""],
+    ["BIC with effective samples", "bic_effective", ""],
+    ["Correlation time of the errors", "correlation_time_s", "s"],
+    ["Identified coefficients", "n_parameters", ""],
+    ["Rank of the regressors", "rank", ""],
+    ["Condition number", "condition_number", ""],
+    ["Transport delay", "transport_delay_s", "s"],
+    ["Smoothing", "smoothing_s", "s"],
+  ];
+
+  function quality(night) {
+    const { fit, modes } = night;
+    if (fit.status !== "ok") return [element("p", { class: "absent" }, unfitted(night))];
+    const rows = FIGURE_ROWS.filter(([, key]) => fit[key] !== undefined).map(
+      ([name, key, itsUnit]) => [name, cell(format(fit[key], 5)), itsUnit],
+    );
+    if (fit.n_starts)
+      rows.push([
+        "Starts at the proven minimum",
+        cell(`${fit.n_starts_at_minimum} of ${fit.n_starts}`),
+        "",
+      ]);
+    const parts = [table(["Figure", "Value", "Unit"], rows)];
+    if (fit.interval_status && fit.interval_status !== "ok")
+      parts.push(element("p", { class: "absent" }, `No intervals: ${fit.interval_status}`));
+    if (modes.length > 1) {
+      parts.push(
+        element("h3", {}, "Modes of flushing"),
+        table(
+          ["Mode", { name: "Fit on validation data", unit: "%" }, "BIC with effective samples"],
+          modes.map((mode) => [
+            word("flushing", mode.flushing_mode) + (mode.is_primary ? " (configured)" : ""),
+            mode.validation_fit_percent,
+            mode.bic_effective,
+          ]),
+        ),
+      );
+    }
+    return parts;
+  }
+
+  function files(night) {
+    if (!night.files.length)
+      return element("p", { class: "absent" }, "No log of this night was read.");
+    /* A file that could not be read has no times, nor a number of rows. */
+    const time = (ms) => (ms === undefined ? null : stamp(ms));
+    return table(
+      [
+        "File",
+        "Format",
+        "Outcome",
+        "Rows",
+        { name: "First sample", unit: "UTC" },
+        { name: "Last sample", unit: "UTC" },
+        "Note",
+      ],
+      night.files.map((file) => [
+        file.path,
+        file.format,
+        file.status,
+        file.rows,
+        time(file.first_time),
+        time(file.last_time),
+        file.message ?? "",
+      ]),
+    );
+  }
+
+  /* What the residual tests come to, one row each. */
+  function verdicts(night) {
+    if (!night.verdicts.length) return [];
+    const ordered = [...night.verdicts].sort(
+      (a, b) =>
+        a.part.localeCompare(b.part) || a.smoothed - b.smoothed || b.test.localeCompare(a.test),
+    );
+    const rows = ordered.map((one) => [
+      one.part,
+      one.smoothed ? "smoothed" : "before smoothing",
+      one.test === "independence" ? `with ${plain(one.input)}` : word("tests", one.test),
+      word("tests", one.verdict),
+      one.n_lags
+        ? `${one.n_outside} of ${one.n_lags} (${format(one.n_expected_outside, 2)} by chance)`
+        : ABSENT,
+      one.p_value === undefined ? ABSENT : one.p_value < 1e-4 ? "< 0.0001" : format(one.p_value, 2),
+      one.largest_value === undefined
+        ? ABSENT
+        : `${format(one.largest_value, 2)} at ${format(one.largest_lag_s, 3)} s`,
+      one.reason ?? "",
+    ]);
+    return [
+      table(
+        [
+          "Part",
+          "Errors",
+          "Correlation of the error",
+          "Test",
+          "Lags outside the band",
+          "p of all lags",
+          "Largest",
+          "Note",
+        ],
+        rows,
+      ),
+    ];
+  }
+
+  return { outcome, parameters, quality, verdicts, files };
+})();
