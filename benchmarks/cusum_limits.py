@@ -49,7 +49,7 @@ YEAR = 365
 SERIES = 40_000
 # A healthy indicator that is told changed at all is so 1.2 times a year, and real errors have
 # heavier tails than normal ones: the limits are sought at the rate divided by this.
-MARGIN = 1.4
+MARGIN = 2.0
 CHUNK = 5_000
 SCATTERS = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.5)
 CANDIDATES = np.exp(np.linspace(np.log(2.0), np.log(400.0), 400))

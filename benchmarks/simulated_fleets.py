@@ -181,10 +181,11 @@ def healthy_fleet(
     latent = draws.reshape(nights, motors, -1) @ root.T
     place = ndtr(latent)
     found = np.empty_like(place)
-    for column, values in enumerate(columns.T):
+    for column in range(columns.shape[1]):
+        values = columns[:, column]
         known = values[np.isfinite(values)]
         found[..., column] = np.quantile(known, place[..., column])
-        gated = generator.random((nights, motors)) > len(known) / len(values)
+        gated = generator.random((nights, motors)) > np.mean(np.isfinite(values))
         found[..., column][gated] = np.nan
     errors = found[..., :-1] * (1.0 if scale is None else scale)
     return Fleet(1.0 + errors, found[..., -1])

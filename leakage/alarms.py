@@ -41,7 +41,7 @@ class Levels:
     Raises
     ------
     ParameterError
-        ``bad_levels``.
+        ``alarm_levels``.
     """
 
     warning: float = 0.15
@@ -55,13 +55,13 @@ class Levels:
     def __post_init__(self) -> None:
         if not (0 < self.warning <= self.alarm and 0 <= self.deadband < self.warning):
             raise ParameterError(
-                "bad_levels",
+                "alarm_levels",
                 f"warning {self.warning:g}, alarm {self.alarm:g}, deadband {self.deadband:g}; "
                 "expected 0 < warning ≤ alarm, and a deadband from 0 to below the warning",
             )
         if not 1 <= self.on_nights <= self.of_nights or self.off_nights < 1 or self.least_sd < 0:
             raise ParameterError(
-                "bad_levels",
+                "alarm_levels",
                 f"{self.on_nights} of {self.of_nights} nights on, {self.off_nights} off, "
                 f"{self.least_sd:g} standard deviations; expected 1 ≤ m ≤ n, 1 ≤ off and 0 ≤ sd",
             )

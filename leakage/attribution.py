@@ -8,7 +8,8 @@ contributes most is
 
 .. math:: P\big(r_j \Delta K_j > r_i \Delta K_i \;\; \forall i \ne j\big)
 
-under a normal distribution of the changes, an orthant probability. Where no path is probable
+under a normal distribution of the changes, an orthant probability. Where several paths have
+certainly grown and each explains a good part, all of them are named. Where no path is probable
 enough, paths whose errors trade against each other are taken together and asked again.
 """
 
@@ -22,17 +23,22 @@ from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
 
 from leakage.autoregression import Array
-from leakage.errors import ShapeError
+from leakage.errors import ParameterError, ShapeError
 
 Mask: TypeAlias = NDArray[np.bool_]
 AttributionStatus: TypeAlias = Literal[
-    "path", "together", "cannot_be_told_apart", "no_change", "no_path"
+    "path", "several", "together", "cannot_be_told_apart", "no_change", "no_path"
 ]
 
 # A path, or paths together, are named from this probability on.
 PROBABLE = 0.9
+# A path is one of several behind a rise if it has certainly grown and explains this part of it.
+PART = 0.2
 # Error correlation from which on the split between two paths is noise.
 DEGENERATE = -0.9
+
+_HALF = float(ndtri(0.975))
+_SEVERAL = "more than one path has certainly grown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +48,14 @@ class Attribution:
     Attributes
     ----------
     status
-        ``path``; ``together``: paths whose split rests on noise, named as one;
-        ``cannot_be_told_apart``; ``no_change``: the leakage of the paths has not certainly risen;
-        ``no_path``: no path has a coefficient.
+        ``path``; ``several``: each of them has certainly grown; ``together``: paths whose split
+        rests on noise, named as one; ``cannot_be_told_apart``; ``no_change``: the leakage of the
+        paths has not certainly risen; ``no_path``: no path has a coefficient.
     paths
         Those named; all candidates where they cannot be told apart; empty without a change.
     probability
-        That they contribute most; None without a change.
+        That it, or they together, contribute most; of ``several``, that each has grown, and more
+        than any other path; None without a change.
     contribution, lower, upper
         Rise of leakage by them, and its 95 % interval [unit of `flows` times that of the changes];
         of all paths where they cannot be told apart or have not changed.
@@ -91,7 +98,9 @@ def attribute(
     Raises
     ------
     ShapeError
-        ``unequal_lengths``.
+        ``shape``.
+    ParameterError
+        ``not_finite``.
 
     Examples
     --------
@@ -104,9 +113,15 @@ def attribute(
     k = len(names)
     if flows.shape != (k,) or changes.shape != (k,) or covariance.shape != (k, k):
         raise ShapeError(
-            "unequal_lengths",
+            "shape",
             f"{k} paths with flows {flows.shape}, changes {changes.shape} and covariance "
             f"{covariance.shape}; expected ({k},), ({k},) and ({k}, {k})",
+        )
+    if not (np.isfinite(changes).all() and np.isfinite(covariance).all()):
+        raise ParameterError(
+            "not_finite",
+            "changes of coefficients or their covariance are not finite; expected only paths whose "
+            "coefficient is known then and now",
         )
     if not k:
         return Attribution("no_path", (), None, 0.0, 0.0, 0.0, "no path has a known coefficient")
@@ -115,6 +130,11 @@ def attribute(
     if whole[1] <= 0.0:
         reason = "the leakage of the paths has not certainly risen: no change of external leakage"
         return Attribution("no_change", (), None, *whole, reason)
+    grown = rise - _HALF * np.sqrt(np.diag(spread)) > 0.0
+    several = grown & (rise >= PART * rise.sum())
+    if several.sum() > 1:
+        probability_of_all = _probability_of_all(rise, spread, several)
+        return _named("several", names, several, probability_of_all, rise, spread, _SEVERAL)
     groups: list[Mask] = [np.arange(k) == place for place in range(k)]
     probability = _probabilities(rise, spread, groups)
     best = int(np.argmax(probability))
@@ -162,7 +182,7 @@ def _named(
 def _contribution(rise: Array, spread: Array, group: Mask) -> tuple[float, float, float]:
     """Summed rise of some paths, and its interval."""
     total = float(rise[group].sum())
-    half = float(ndtri(0.975)) * float(np.sqrt(max(spread[np.ix_(group, group)].sum(), 0.0)))
+    half = _HALF * float(np.sqrt(max(spread[np.ix_(group, group)].sum(), 0.0)))
     return total, total - half, total + half
 
 
@@ -175,13 +195,22 @@ def _probabilities(rise: Array, spread: Array, groups: list[Mask]) -> Array:
 
 def _largest(mean: Array, covariance: Array, place: int) -> float:
     """P(contribution `place` exceeds all others)."""
-    others = np.delete(np.arange(len(mean)), place)
-    if not len(others):
-        return 1.0
-    contrast = np.zeros((len(others), len(mean)))
-    contrast[:, place] = 1.0
-    contrast[np.arange(len(others)), others] = -1.0
-    lead, spread = contrast @ mean, contrast @ covariance @ contrast.T
+    unit = np.eye(len(mean))
+    others = np.arange(len(mean)) != place
+    return _all_positive(unit[place] - unit[others], mean, covariance)
+
+
+def _probability_of_all(rise: Array, spread: Array, named: Mask) -> float:
+    """P(each named path has grown, and more than any other)."""
+    unit = np.eye(len(rise))
+    rest = [np.zeros(len(rise)), *unit[~named]]
+    contrasts = np.array([one - other for one in unit[named] for other in rest])
+    return _all_positive(contrasts, rise, spread)
+
+
+def _all_positive(contrasts: Array, mean: Array, covariance: Array) -> float:
+    """P(all contrasts of a normal vector are positive)."""
+    lead, spread = contrasts @ mean, contrasts @ covariance @ contrasts.T
     scale = np.sqrt(np.maximum(np.diag(spread), 0.0))
     certain = scale <= 0.0
     if np.any(lead[certain] <= 0.0):
@@ -199,7 +228,7 @@ def _largest(mean: Array, covariance: Array, place: int) -> float:
     distribution = multivariate_normal(
         np.zeros(len(lead)), correlation, allow_singular=True, seed=1
     )
-    return float(distribution.cdf(standard))
+    return float(np.clip(distribution.cdf(standard), 0.0, 1.0))
 
 
 def _degenerate_joined(

@@ -32,6 +32,8 @@ from leakage.slope import check_series, fit_slope
 
 BaselineStatus: TypeAlias = Literal["frozen", "provisional", "insufficient"]
 
+# With fewer, no limit is calibrated.
+LEAST_NIGHTS = 30
 # Floors of model.md, section 7, relative to the baseline's mean.
 COEFFICIENT_FLOOR = 0.05
 LEAKAGE_FLOOR = 0.01
@@ -60,7 +62,7 @@ class BaselineSettings:
     Raises
     ------
     ParameterError
-        ``bad_baseline_settings``.
+        ``baseline_settings``.
     """
 
     nights: int = 60
@@ -70,15 +72,15 @@ class BaselineSettings:
     winsorised_at: float = 4.0
 
     def __post_init__(self) -> None:
-        if not 20 <= self.provisional_nights <= self.nights:
+        if not LEAST_NIGHTS <= self.provisional_nights <= self.nights:
             raise ParameterError(
-                "bad_baseline_settings",
+                "baseline_settings",
                 f"baseline of {self.nights} nights, provisional from {self.provisional_nights}; "
-                "expected 20 or more for the provisional one and no fewer for the whole",
+                f"expected {LEAST_NIGHTS} or more for the provisional one, no fewer for the whole",
             )
         if min(self.relative_floor, self.absolute_floor) < 0 or self.winsorised_at <= 0:
             raise ParameterError(
-                "bad_baseline_settings",
+                "baseline_settings",
                 "a floor of the baseline is negative or its winsorising not positive",
             )
 
@@ -170,7 +172,7 @@ def fit_baseline(
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
 
     Examples
     --------
@@ -190,8 +192,10 @@ def fit_baseline(
         )
         return _insufficient(nights[good], reason)
     nights, values = nights[good], values[good]
-    steady = _winsorised(values, chosen)
-    mean, sd = float(np.mean(steady)), float(np.std(steady, ddof=1))
+    median = float(np.median(values))
+    # About the median, so that a constant series has no scatter of rounding.
+    steady = _winsorised(values - median, _floor(median, chosen), chosen.winsorised_at)
+    mean, sd = median + float(np.mean(steady)), float(np.std(steady, ddof=1))
     slope, residuals = _line(nights, steady)
     phi = estimated_phi(residuals, nights)
     floored_sd = max(sd, _floor(mean, chosen))
@@ -257,15 +261,12 @@ def _floor(mean: float, settings: BaselineSettings) -> float:
     return max(settings.relative_floor * abs(mean), settings.absolute_floor)
 
 
-def _winsorised(values: Array, settings: BaselineSettings) -> Array:
-    """Values brought within reach of their median."""
-    median = float(np.median(values))
-    spread = MAD_TO_SD * float(np.median(np.abs(values - median)))
-    if spread <= 0.0:
-        # More than half of the nights alike: the floor is the only scale there is.
-        spread = _floor(median, settings)
-    reach = settings.winsorised_at * spread if spread > 0.0 else np.inf
-    steady: Array = np.clip(values, median - reach, median + reach)
+def _winsorised(values: Array, floor: float, at: float) -> Array:
+    """Values about a median of 0, brought within reach of it."""
+    # Where more than half of the nights are alike, the floor is the only scale there is.
+    spread = MAD_TO_SD * float(np.median(np.abs(values))) or floor
+    reach = at * spread if spread > 0.0 else np.inf
+    steady: Array = np.clip(values, -reach, reach)
     return steady
 
 

@@ -129,7 +129,7 @@ def find_changes(nights: Nights, values: Array) -> Changes:
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
 
     Examples
     --------

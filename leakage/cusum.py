@@ -42,8 +42,8 @@ BASELINE_ERRORS: Final = 3.0
 WINSORISED_AT: Final = 4.0
 # Upper bound of the nights' standard deviation over the floored one, up to which the floor alone
 # decides, and from which on the nights do: simulated rates stay below what is asked for between.
-FLOOR_DECIDES: Final = 0.7
-NIGHTS_DECIDE: Final = 1.2
+FLOOR_DECIDES: Final = 0.5
+NIGHTS_DECIDE: Final = 1.0
 
 _LOG_RATES = np.log(RATES)
 # Rising with the length; a limit is close to linear in the error of the baseline.
@@ -102,7 +102,7 @@ def cusum(nights: Nights, values: Array, baseline: Baseline, limit: float) -> Cu
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
 
     Examples
     --------
@@ -155,7 +155,7 @@ def cusum_limit(false_alarms_per_year: float, baseline: Baseline) -> float:
     Raises
     ------
     ParameterError
-        ``cusum_not_calibrated``.
+        ``alarm_rate``.
 
     Examples
     --------
@@ -168,7 +168,7 @@ def cusum_limit(false_alarms_per_year: float, baseline: Baseline) -> float:
     """
     if not RATES[0] <= false_alarms_per_year <= RATES[-1] or baseline.n < LENGTHS[0]:
         raise ParameterError(
-            "cusum_not_calibrated",
+            "alarm_rate",
             f"{false_alarms_per_year:g} false alarms a year with a baseline of {baseline.n} "
             f"nights; limits are calibrated for {RATES[0]:g} to {RATES[-1]:g} a year and "
             f"{LENGTHS[0]} nights or more",

@@ -11,6 +11,7 @@ have not, and the circuit has, the state is ``common_cause`` in place of a warni
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeAlias
 
@@ -186,9 +187,9 @@ def monitor(
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
     ParameterError
-        ``cusum_not_calibrated``.
+        ``alarm_rate``.
 
     Examples
     --------
@@ -230,9 +231,9 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
     ParameterError
-        ``cusum_not_calibrated``.
+        ``alarm_rate``.
     """
     check_series(nights, values)
     good = np.isfinite(values)
@@ -282,8 +283,9 @@ def change_size(
     recent = np.flatnonzero(np.isfinite(values[: place + 1]) & (np.arange(place + 1) >= began))
     recent = recent[-NIGHTS_OF_SIZE:]
     ratio = float(np.mean(values[recent])) / baseline.mean
+    # Nights scatter in proportion to the indicator.
     scatter = baseline.sd**2 * variance_of_mean(baseline.phi, nights[recent])
-    error = float(np.sqrt(scatter + (ratio * baseline.mean_error) ** 2)) / abs(baseline.mean)
+    error = ratio * math.hypot(math.sqrt(scatter), baseline.mean_error) / baseline.mean
     half = float(stdtrit(baseline.n - 1, 0.5 + coverage / 2)) * error
     rise = ratio - 1.0
     return ChangeSize(int(nights[began]), rise, rise - half, rise + half, len(recent))

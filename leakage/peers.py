@@ -66,7 +66,7 @@ def peer_deviations(log_ratios: Array) -> PeerDeviations:
     Raises
     ------
     ShapeError
-        ``not_a_table``.
+        ``shape``.
 
     Examples
     --------
@@ -76,7 +76,7 @@ def peer_deviations(log_ratios: Array) -> PeerDeviations:
     """
     if log_ratios.ndim != 2:
         raise ShapeError(
-            "not_a_table",
+            "shape",
             f"log ratios of a circuit have {log_ratios.ndim} dimensions; expected nights by motors",
         )
     others = np.full(log_ratios.shape, np.nan)

@@ -136,9 +136,9 @@ def zero_drift(
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
     ParameterError
-        ``bad_tolerance``.
+        ``zero_tolerance``.
 
     Examples
     --------
@@ -150,14 +150,14 @@ def zero_drift(
     """
     if not len(nights) == len(zeros) == len(errors):
         raise ShapeError(
-            "unequal_lengths",
+            "shape",
             f"{len(nights)} nights, {len(zeros)} zeros, {len(errors)} errors; expected one length",
         )
     if len(nights) > 1 and int(np.min(np.diff(nights))) < 0:
-        raise ShapeError("nights_not_increasing", "nights of halts go back; expected time order")
+        raise ShapeError("night_order", "nights of halts go back; expected time order")
     if not tolerance >= 0.0:
         raise ParameterError(
-            "bad_tolerance", f"tolerance of a zero is {tolerance:g}; expected 0 or more"
+            "zero_tolerance", f"tolerance of a zero is {tolerance:g}; expected 0 or more"
         )
     kept = np.isfinite(zeros) & np.isfinite(errors)
     zeros, errors = zeros[kept], errors[kept]

@@ -31,7 +31,7 @@ from leakage.autoregression import (
     estimated_phi,
     whitened,
 )
-from leakage.errors import ShapeError
+from leakage.errors import ParameterError, ShapeError
 
 SlopeStatus: TypeAlias = Literal["ok", "provisional", "too_few_nights", "no_scatter", "no_span"]
 
@@ -128,7 +128,9 @@ def fit_slope(
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
+    ParameterError
+        ``night_scatter``.
 
     Notes
     -----
@@ -145,7 +147,9 @@ def fit_slope(
     scale = np.ones(len(values)) if sd is None else sd
     x = nights.astype(np.float64) if position is None else position
     check_series(nights, values, x, scale)
-    kept = np.isfinite(values) & np.isfinite(x)
+    kept = np.isfinite(values) & np.isfinite(x) & np.isfinite(scale)
+    if not np.all(scale[kept] > 0.0):
+        raise ParameterError("night_scatter", "a night's scatter is not positive; expected above 0")
     n = int(kept.sum())
     if n < LEAST_NIGHTS:
         return Slope("too_few_nights", n)
@@ -259,16 +263,16 @@ def check_series(nights: Nights, *columns: Array) -> None:
     Raises
     ------
     ShapeError
-        ``unequal_lengths`` or ``nights_not_increasing``.
+        ``shape`` or ``night_order``.
     """
     lengths = sorted({len(nights), *(len(column) for column in columns)})
     if len(lengths) > 1:
         raise ShapeError(
-            "unequal_lengths", f"arrays of one series have lengths {lengths}; expected one length"
+            "shape", f"arrays of one series have lengths {lengths}; expected one length"
         )
     if len(nights) > 1 and int(np.min(np.diff(nights))) < 1:
         raise ShapeError(
-            "nights_not_increasing", "numbers of nights repeat or go back; expected them increasing"
+            "night_order", "numbers of nights repeat or go back; expected them increasing"
         )
 
 

@@ -1,0 +1,249 @@
+"""An indicator watched: what each night's state is, and that it never depends on later nights."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from leakage.alarms import Levels, Limits
+from leakage.baseline import BaselineSettings
+from leakage.errors import ShapeError
+from leakage.monitoring import MonitorSettings, change_size, monitor, track
+from leakage.peers import peer_deviations
+from tests.leakage.made_nights import autoregression
+
+K = MonitorSettings(baseline=BaselineSettings(relative_floor=0.05))
+
+
+def healthy(n: int, seed: int, sd: float = 0.003, phi: float = 0.3) -> np.ndarray:
+    return 1.37 * (1 + sd * autoregression(n, phi, np.random.default_rng(seed)))
+
+
+def test_a_healthy_indicator_is_insufficient_and_then_ok() -> None:
+    found = monitor(np.arange(400), healthy(400, 1))
+    assert found.states == ["insufficient"] * 30 + ["ok"] * 370
+    assert [baseline.status for baseline in found.own.baselines] == ["provisional", "frozen"]
+    assert found.own.served_from == (30, 60)
+    assert found.own.baselines[0].reason == "provisional: 30 of 60 good nights"
+
+
+def test_a_step_beyond_the_levels_is_a_warning_and_then_an_alarm() -> None:
+    nights = np.arange(300)
+    values = healthy(300, 2) * np.select([nights >= 200, nights >= 100], [1.5, 1.2], 1.0)
+    found = monitor(nights, values)
+    assert [(one.night, one.after) for one in found.changes] == [
+        (30, "ok"),
+        (102, "warning"),
+        (202, "alarm"),
+    ]
+
+
+def test_slow_wear_is_told_by_the_sum_long_before_the_levels() -> None:
+    """10 % a year: at the level of 15 % after one and a half years."""
+    nights = np.arange(730)
+    values = healthy(730, 3) * (1 + np.maximum(nights - 100, 0) * 0.10 / 365)
+    found = monitor(nights, values)
+    first = next(one for one in found.changes if one.after == "warning")
+    assert 110 < first.night < 100 + 75
+    size = change_size(nights, values, found.own, first.place)
+    assert size is not None
+    truth = values[first.place - 5] / 1.37 - 1
+    assert size.lower < truth < size.upper
+    assert size.upper - size.lower < 0.01
+    assert 90 < size.since_night <= first.night
+
+
+def test_the_sum_leads_to_what_it_is_told_to_lead_to() -> None:
+    nights = np.arange(200)
+    values = healthy(200, 4) * np.where(nights >= 120, 1.06, 1.0)
+    for leads_to, state in (("nothing", "ok"), ("warning", "warning"), ("alarm", "alarm")):
+        found = monitor(nights, values, MonitorSettings(cusum_leads_to=leads_to))
+        assert found.states[-1] == state
+
+
+def test_no_night_depends_on_later_ones() -> None:
+    generator = np.random.default_rng(5)
+    nights = np.flatnonzero(generator.random(320) > 0.2)
+    values = healthy(len(nights), 6, sd=0.02) * (1 + np.maximum(nights - 90, 0) * 0.002)
+    values[generator.random(len(nights)) < 0.2] = np.nan
+    others = 0.01 * autoregression(len(nights), 0.5, generator)
+    whole = monitor(nights, values, K, others)
+    for end in range(1, len(nights), 7):
+        part = monitor(nights[:end], values[:end], K, others[:end])
+        assert part.states == whole.states[:end]
+        assert part.own.evidence == pytest.approx(whole.own.evidence[:end], nan_ok=True)
+
+
+def test_a_later_night_changes_no_figure_but_those_of_its_own_and_after() -> None:
+    values = healthy(200, 7, sd=0.02)
+    before = monitor(np.arange(200), values)
+    values[150:] *= 3.0
+    after = monitor(np.arange(200), values)
+    assert before.states[:150] == after.states[:150]
+    assert before.own.deviation[30:150] == pytest.approx(after.own.deviation[30:150])
+
+
+def test_nights_without_a_value_hold_and_are_stale_after_a_week() -> None:
+    nights = np.arange(200)
+    values = healthy(200, 8) * np.where(nights >= 100, 1.5, 1.0)
+    values[120:140] = np.nan
+    found = monitor(nights, values)
+    assert found.states[119] == "alarm"
+    assert found.states[120:127] == ["alarm"] * 7
+    assert found.states[127:140] == ["stale"] * 13
+    assert found.states[140] == "alarm"
+
+
+def test_absent_nights_are_as_good_as_nights_without_a_value() -> None:
+    nights = np.arange(200)
+    values = healthy(200, 9)
+    values[50:85] = np.nan
+    kept = np.isfinite(values)
+    kept[80] = True
+    found, short = monitor(nights, values), monitor(nights[kept], values[kept])
+    assert short.states == [state for state, there in zip(found.states, kept, strict=True) if there]
+    assert short.states[np.flatnonzero(nights[kept] == 80)[0]] == "stale"
+
+
+def test_too_few_nights_are_insufficient_for_ever() -> None:
+    for n in (0, 1, 3, 29):
+        found = monitor(np.arange(n), healthy(max(n, 1), 10)[:n])
+        assert found.states == ["insufficient"] * n
+        assert found.changes == ()
+    nothing = monitor(np.arange(100), np.full(100, np.nan))
+    assert nothing.states == ["insufficient"] * 100
+
+
+def test_a_mean_that_is_not_positive_is_no_baseline() -> None:
+    assert set(monitor(np.arange(90), np.zeros(90)).states) == {"insufficient"}
+
+
+def test_a_constant_indicator_is_ok() -> None:
+    assert set(monitor(np.arange(90), np.full(90, 2.0)).states[30:]) == {"ok"}
+
+
+def test_wear_does_not_become_its_own_baseline() -> None:
+    """Wear from night 30 on, told before night 60: the first thirty nights stay the baseline."""
+    nights = np.arange(200)
+    values = healthy(200, 11) * (1 + np.maximum(nights - 30, 0) * 0.003)
+    found = monitor(nights, values)
+    assert len(found.own.baselines) == 1
+    kept = found.own.baselines[0]
+    assert (kept.status, kept.n) == ("frozen", 30)
+    assert kept.reason == "kept at 30 good nights: a change was told before there were 60"
+    assert found.states[-1] == "alarm"
+
+
+def test_a_slope_that_is_not_told_does_not_become_the_baseline_either() -> None:
+    nights = np.arange(200)
+    values = healthy(200, 12, sd=0.001) * (1 + np.maximum(nights - 30, 0) * 0.0006)
+    silent = MonitorSettings(cusum_leads_to="nothing")
+    found = track(nights, values, silent)
+    assert found.baselines[0].reason == "kept at 30 good nights: 60 have a slope"
+
+
+def test_the_whole_oil_circuit_is_a_common_cause() -> None:
+    """The oil of four motors thins by 20 %: no alarm of a motor."""
+    nights = np.arange(300)
+    thin = np.where(nights >= 150, 1.25, 1.0)
+    table = np.column_stack([healthy(300, seed, sd=0.01) for seed in range(20, 24)])
+    table *= thin[:, None]
+    peers = peer_deviations(np.log(table))
+    for motor in range(4):
+        alone = monitor(nights, table[:, motor])
+        assert alone.states[-1] == "warning"
+        found = monitor(nights, table[:, motor], others_log_change=peers.others[:, motor])
+        assert not {"warning", "alarm"} & set(found.states)
+        assert set(found.states[160:]) == {"common_cause"}
+
+
+def test_wear_of_one_motor_is_told_through_a_common_cause() -> None:
+    nights = np.arange(300)
+    table = np.column_stack([healthy(300, seed, sd=0.01) for seed in range(30, 34)])
+    table *= np.where(nights >= 150, 1.25, 1.0)[:, None]
+    table[:, 0] *= np.where(nights >= 200, 1.4, 1.0)
+    peers = peer_deviations(np.log(table))
+    worn = monitor(nights, table[:, 0], others_log_change=peers.others[:, 0])
+    assert worn.states[199] == "common_cause"
+    assert worn.states[210] == "alarm"
+    for motor in (1, 2, 3):
+        found = monitor(nights, table[:, motor], others_log_change=peers.others[:, motor])
+        assert found.states[-1] == "common_cause"
+
+
+def test_of_two_motors_the_one_that_rises_is_told() -> None:
+    nights = np.arange(200)
+    table = np.column_stack([healthy(200, 40), healthy(200, 41)])
+    table[:, 0] *= np.where(nights >= 120, 1.2, 1.0)
+    peers = peer_deviations(np.log(table))
+    assert peers.words(150, 0) == "the two motors of the circuit diverge"
+    states = [
+        monitor(nights, table[:, motor], others_log_change=peers.others[:, motor]).states[-1]
+        for motor in (0, 1)
+    ]
+    assert states == ["warning", "ok"]
+
+
+def test_without_peers_in_reach_the_own_values_decide() -> None:
+    nights = np.arange(200)
+    values = healthy(200, 42) * np.where(nights >= 120, 1.2, 1.0)
+    never = np.full(200, np.nan)
+    assert monitor(nights, values, others_log_change=never).states[-1] == "warning"
+    gone = np.where(nights < 100, 0.0, np.nan)
+    found = monitor(nights, values, others_log_change=gone)
+    assert found.states[123] == "warning"
+
+
+def test_an_absolute_limit_holds_whatever_the_others_do() -> None:
+    nights = np.arange(200)
+    rise = np.where(nights >= 120, 1.4, 1.0)
+    settings = MonitorSettings(limits=Limits(alarm=1.8))
+    found = monitor(nights, healthy(200, 43) * rise, settings, np.log(rise))
+    assert found.states[-1] == "alarm"
+    assert monitor(nights, healthy(200, 43) * rise, None, np.log(rise)).states[-1] == "common_cause"
+
+
+def test_a_motor_exchanged_under_the_same_name_is_an_alarm_or_a_fall_and_no_error() -> None:
+    nights = np.arange(200)
+    for factor, state in ((8.0, "alarm"), (0.2, "ok")):
+        values = healthy(200, 44) * np.where(nights >= 120, factor, 1.0)
+        assert monitor(nights, values).states[-1] == state
+
+
+def test_the_size_of_a_change_holds_the_truth() -> None:
+    nights = np.arange(160)
+    held = 0
+    for seed in range(200):
+        noise = autoregression(160, 0.4, np.random.default_rng(seed))
+        values = (1 + 0.02 * noise) * np.where(nights >= 100, 1.25, 1.0)
+        found = track(nights, values, MonitorSettings())
+        size = change_size(nights, values, found, 159)
+        assert size is not None
+        held += size.lower <= 0.25 <= size.upper
+    assert held / 200 > 0.89
+
+
+def test_no_change_has_no_size() -> None:
+    values = healthy(100, 45)
+    assert change_size(np.arange(100), values, track(np.arange(100), values, K), 99) is None
+
+
+def test_the_levels_of_a_widely_scattering_indicator_wait_for_more() -> None:
+    """Piston rings whose single nights scatter by 13 % reach 15 % by chance."""
+    generator = np.random.default_rng(46)
+    raised = 0
+    for _ in range(30):
+        values = 1 + 0.13 * generator.standard_normal(425)
+        found = monitor(np.arange(425), values, K)
+        raised += any(one.after in ("warning", "alarm") for one in found.changes)
+    assert raised <= 2
+    loose = MonitorSettings(levels=Levels(least_sd=0.0), baseline=K.baseline)
+    values = 1 + 0.13 * generator.standard_normal(425)
+    assert "warning" in monitor(np.arange(425), values, loose).states
+
+
+def test_series_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(ShapeError):
+        monitor(np.arange(10), np.ones(9))
+    with pytest.raises(ShapeError):
+        monitor(np.arange(10), np.ones(10), None, np.ones(9))
