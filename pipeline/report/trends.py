@@ -102,8 +102,17 @@ def trend_payload(motor_id: str, trends: Mapping[str, pl.DataFrame]) -> Payload:
     }
     return {
         "indicators": _indicators(own.get("trends")),
-        **{name: _records(own.get(name)) for name in ("alarms", "baselines", "change_points")},
+        **{name: _records(own.get(name)) for name in ("alarms", "baselines")},
+        "change_points": _records(_as_seen_last(own.get("change_points"))),
     }
+
+
+def _as_seen_last(changes: pl.DataFrame | None) -> pl.DataFrame | None:
+    """Change points as the newest night saw them, at the nights of the changes."""
+    if changes is None or changes.is_empty():
+        return None
+    newest = changes.filter(pl.col("night") == pl.col("night").max())
+    return newest.drop("night").rename({"change_night": "night"})
 
 
 def _indicators(rows: pl.DataFrame | None) -> list[Payload]:

@@ -68,7 +68,7 @@
       onClick: open,
       layout: {
         xaxis: { type: "date" },
-        yaxis: { title: ownUnit ? `${plain(one.indicator)}, ${ownUnit}` : plain(one.indicator) },
+        yaxis: { exponentformat: "power", title: ownUnit ? `${plain(one.indicator)}, ${ownUnit}` : plain(one.indicator) },
         shapes: [
           ...frozen.map((baseline) => ({
             type: "rect",
