@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from pipeline.channel_check import ChannelCheck
     from pipeline.check import MotorCheck
     from pipeline.config import Fleet
-    from pipeline.fleet import RunResult
+    from pipeline.fleet import RunRequest, RunResult
     from pipeline.motor_task import MotorOutcome
     from pipeline.report import KnownMotor
 
 EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+# Reasons of a plan that are told one by one.
+PLAN_REASONS = 8
 
 app = typer.Typer(
     name="motor-leakage",
@@ -88,6 +90,12 @@ def fit_fleet(
     fail_on_alarm: Annotated[
         bool, typer.Option("--fail-on-alarm", help="End with 1 if the run raised an alarm.")
     ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be done, and why; do nothing.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Make nights anew from their logs though unchanged.")
+    ] = False,
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
@@ -96,7 +104,7 @@ def fit_fleet(
     Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
     config; 3: another run holds the output; 4: nothing could be published.
     """
-    from pipeline.fleet import RunRequest, run_fleet
+    from pipeline.fleet import RunRequest
 
     fleet = _load(config, output, jobs)
     request = RunRequest(
@@ -104,8 +112,47 @@ def fit_fleet(
         motors=_known_motors(motors.split(), fleet),
         since=_night(since, "--since"),
         until=_night(until, "--until"),
+        force=force,
     )
     _in_order(request.since, request.until)
+    if dry_run:
+        _print_plan(request, as_json)
+        return
+    _run(request, as_json, fail_on_alarm=fail_on_alarm)
+
+
+@app.command()
+def retry(
+    config: ConfigFile,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same time.")] = None,
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors to do, with blanks between; all if empty.")
+    ] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Try the nights and logs again that failed, and do what is new.
+
+    A log that cannot be read is not tried again while it is unchanged; this does.
+
+    Example: motor-leakage retry demo/configs/fleet.toml
+
+    Exit codes as those of fit-fleet.
+    """
+    from pipeline.fleet import RunRequest
+
+    fleet = _load(config, output, jobs)
+    request = RunRequest(fleet, _known_motors(motors.split(), fleet), retry=True)
+    _run(request, as_json)
+
+
+def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:
+    """Run a fleet, say how it goes, and end with the exit code."""
+    from pipeline.fleet import run_fleet
+
+    fleet = request.fleet
     terminated = _catch_termination()
     try:
         with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
@@ -130,6 +177,12 @@ def check(
         Path | None,
         typer.Option(metavar="LOG", help="Print the TOML that reads this log, to paste."),
     ] = None,
+    tables: Annotated[
+        bool, typer.Option("--tables", help="Compare every table file with its manifest instead.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder of the tables, instead of the config's.")
+    ] = None,
 ) -> None:
     """Check the config of a fleet and look at the ends of each log; nothing is fitted.
 
@@ -141,6 +194,8 @@ def check(
     """
     from pipeline.check import check_fleet
 
+    if tables:
+        raise typer.Exit(_check_tables(config, output))
     if suggest is not None:
         from pipeline.ingest.suggest import suggest as suggested
 
@@ -211,6 +266,48 @@ def fit(
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+def _print_plan(request: RunRequest, as_json: bool) -> None:
+    """What a run would do: nights by motor, and why."""
+    from collections import Counter
+
+    from pipeline.fleet import plan_fleet
+
+    total = 0
+    for motor_id, plan in plan_fleet(request):
+        total += len(plan)
+        if as_json:
+            nights = {
+                str(label): {"work": step.work.value, "reason": step.reason}
+                for label, step in plan.items()
+            }
+            _say(json.dumps({"event": "plan", "motor_id": motor_id, "nights": nights}))
+            continue
+        _say(f"{motor_id}: {len(plan)} nights" + (f", {min(plan)} to {max(plan)}" if plan else ""))
+        reasons = Counter((step.work.value, step.reason) for step in plan.values())
+        for (work, reason), count in reasons.most_common(PLAN_REASONS):
+            _say(f"  {count} to {work}: {reason}")
+        if len(reasons) > PLAN_REASONS:
+            _say(f"  and {len(reasons) - PLAN_REASONS} other reasons; all of them with --json")
+    if not as_json:
+        _say(f"{total} nights would be done")
+
+
+def _check_tables(config: Path | None, output: Path | None) -> int:
+    """Compare the table files with their manifests; returns the exit code."""
+    from pipeline.manifest import verify_tables
+
+    if config is None:
+        raise UsageError("config", "name the fleet file whose tables are to be checked")
+    folder = output.resolve() if output is not None else _loaded(config).output
+    faults = 0
+    for fault in verify_tables(folder):
+        faults += 1
+        _say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
+    n_files = sum(1 for _ in (folder / "tables").glob("**/*.parquet"))
+    _say(f"{n_files} table files, {faults} faults")
+    return EXIT_MOTORS_FAILED if faults else EXIT_OK
 
 
 def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoReturn:
