@@ -15,7 +15,7 @@ NIGHTS = np.arange(200)
 HALF = NIGHTS >= 100
 
 
-def winners(shape: np.ndarray, phi: float, n: int = 15) -> Counter[tuple[str, int]]:
+def winners(shape: np.ndarray, phi: float, n: int = 8) -> Counter[tuple[str, int]]:
     found: Counter[tuple[str, int]] = Counter()
     for seed in range(n):
         noise = autoregression(len(shape), phi, np.random.default_rng(seed))
@@ -27,11 +27,11 @@ def winners(shape: np.ndarray, phi: float, n: int = 15) -> Counter[tuple[str, in
 @pytest.mark.parametrize("phi", [0.0, 0.5])
 def test_each_shape_is_called_by_its_name(phi: float) -> None:
     for shape, name, steps, least in (
-        (0.0 * NIGHTS, "none", 0, 13),
-        (0.04 * NIGHTS, "trend", 0, 12),
-        (4.0 * HALF, "step", 1, 12),
-        (4.0 * HALF + 4.0 * (NIGHTS >= 150), "step", 2, 12),
-        (5.0 * HALF - 0.03 * NIGHTS, "trend_and_step", 1, 10),
+        (0.0 * NIGHTS, "none", 0, 7),
+        (0.04 * NIGHTS, "trend", 0, 6),
+        (4.0 * HALF, "step", 1, 6),
+        (4.0 * HALF + 4.0 * (NIGHTS >= 150), "step", 2, 6),
+        (5.0 * HALF - 0.03 * NIGHTS, "trend_and_step", 1, 5),
     ):
         assert winners(shape, phi)[name, steps] >= least, (name, phi)
 
