@@ -28,10 +28,11 @@ follows after τ. Then
 λ and v the eigenvalues, above 10⁻³ of the largest, and eigenvectors of Π. Errors that are larger
 when the input moves make correlations scatter more; with :math:`f_i` the weighted input of which
 :math:`v_i^T r` is the mean product with ε, the factor
-:math:`\kappa_i = \overline{\varepsilon^2 f_i^2} / (\overline{\varepsilon^2}\,\overline{f_i^2})`,
-at least 1, makes up for it [6]_. For two white series of even variance T is N Σ r² [5]_. An input
-that changes little within 25 samples has 51 correlations that are nearly one and the same, and what
-a delay leaves is in how they *differ*: the bands do not see it, T does.
+:math:`\kappa_i = \overline{e^2 f_i^2} / (\overline{\varepsilon^2}\,\overline{f_i^2})`, at least 1,
+makes up for it [6]_; e is ε without its regression on all :math:`f_i`. For two white series of even
+variance T is N Σ r² [5]_. An input that changes little within 25 samples has 51 correlations that
+are nearly one and the same, and what a delay leaves is in how they *differ*: the bands do not see
+it, T does.
 
 References
 ----------
@@ -55,7 +56,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import eigh, toeplitz
+from scipy.linalg import eigh, lstsq, toeplitz
 from scipy.special import chdtrc
 
 from leakage.errors import ShapeError, StatisticsError
@@ -290,11 +291,14 @@ def _independence(moments: ResidualMoments, place: int) -> LagTest:
 def _uneven_variance(moments: ResidualMoments, place: int, axes: Array) -> Array:
     """κ of each component: its scatter where errors are larger as it is, shape (m,)."""
     # Lag −25 is the input 25 samples later, which stands last.
-    squares = (moments.thinned_inputs[place] @ np.ascontiguousarray(axes[::-1])) ** 2
-    errors = moments.thinned_error**2
-    apart = errors.mean() * squares.sum(axis=0)
-    together: Array = np.divide(errors @ squares, apart, out=np.ones(len(apart)), where=apart > 0)
-    return np.maximum(together, 1.0)
+    weighted = moments.thinned_inputs[place] @ np.ascontiguousarray(axes[::-1])
+    error, squares = moments.thinned_error, weighted**2
+    # What follows the input is what is tested for, not scatter.
+    rest = error - weighted @ lstsq(weighted, error)[0]
+    apart = (error @ error) * squares.mean(axis=0)
+    together = np.divide(rest**2 @ squares, apart, out=np.ones(len(apart)), where=apart > 0)
+    found: Array = np.maximum(together, 1.0)
+    return found
 
 
 def _variance(moments: ResidualMoments, place: int) -> float:

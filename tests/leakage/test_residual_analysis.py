@@ -167,10 +167,14 @@ def test_independence_statistic_is_that_of_the_definition(
     statistic, freedom = 0.0, 0
     rows = np.array(sorted(inner))
     windows = np.stack([v[rows - k] for k in range(-25, 26)], axis=1)
+    weighted = windows @ axes[:, size > 1e-3 * size.max()]
+    # Residuals of a regression by its normal equations.
+    slopes = np.linalg.solve(weighted.T @ weighted, weighted.T @ e[rows])
+    rest = e[rows] - weighted @ slopes
     for value, axis in zip(size, axes.T, strict=True):
         if value > 1e-3 * size.max():
             f = windows @ axis
-            kappa = np.mean(e[rows] ** 2 * f**2) / (np.mean(e[rows] ** 2) * np.mean(f**2))
+            kappa = np.mean(rest**2 * f**2) / (np.mean(e[rows] ** 2) * np.mean(f**2))
             statistic += len(inner) * float(axis @ r) ** 2 / (value * max(kappa, 1.0))
             freedom += 1
     test = one(error, u, index)
