@@ -6,7 +6,10 @@ import importlib
 import sys
 
 BENCHMARKS = (
+    "alarms",
     "coverage",
+    "cusum_limits",
+    "demo_dialects",
     "demo_run",
     "demo_truth",
     "mcap_reading",

@@ -48,6 +48,8 @@ from leakage.motor import (
 from leakage.multi_start import Parametrisation, SearchSettings, Start
 from leakage.oil import FilmPressure, Oil, density_kg_per_m3, dynamic_viscosity_pa_s
 from leakage.paths import Constant, Laminar, LeakagePath
+from leakage.pressure_maximum import pressure_of_largest_leakage_pa
+from leakage.residual_analysis import LagTest, ResidualAnalysis, analyse_residuals
 from leakage.robust import huber_weights
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from leakage.simulated_curves import fit_deformation_pressure, fit_speed_curve
@@ -74,6 +76,7 @@ __all__ = [
     "Identification",
     "Interval",
     "Judgement",
+    "LagTest",
     "Laminar",
     "LeakageError",
     "LeakageJudgement",
@@ -84,6 +87,7 @@ __all__ = [
     "Parameter",
     "ParameterError",
     "Parametrisation",
+    "ResidualAnalysis",
     "SearchSettings",
     "ShapeError",
     "SpeedCurve",
@@ -92,6 +96,7 @@ __all__ = [
     "Tolerances",
     "ValidityError",
     "agreement",
+    "analyse_residuals",
     "autocorrelation",
     "block_bootstrap",
     "certify",
@@ -123,6 +128,7 @@ __all__ = [
     "merge_blocks",
     "normal_matrix",
     "path_flows_l_per_min",
+    "pressure_of_largest_leakage_pa",
     "regressors",
     "sample_count",
     "speed_beyond_curve",

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.block_statistics import flow_summary, squared_error
+from leakage.block_statistics import column_means, flow_summary, squared_error
 
 Array = NDArray[np.float64]
 
@@ -38,15 +38,19 @@ class Agreement:
         100 (1 − ‖y − ŷ‖/‖y − ȳ‖) [%], (23); None where the flow has no shape to fit.
     rmse_l_per_min
         Root mean squared prediction error [l/min]; None without samples.
+    mean_error_l_per_min
+        Mean of y − ŷ [l/min]: positive where more was measured than predicted; None without
+        samples.
     """
 
     n: int
     fit_percent: float | None
     rmse_l_per_min: float | None
+    mean_error_l_per_min: float | None
 
 
 def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) -> Agreement:
-    """Fit percent (23) and root mean squared error of a model on some samples.
+    """Fit percent (23), root mean squared and mean error of a model on some samples.
 
     Parameters
     ----------
@@ -66,13 +70,14 @@ def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) 
     """
     summary = flow_summary(r)
     if not summary.n:
-        return Agreement(0, None, None)
+        return Agreement(0, None, None, None)
     error = math.sqrt(squared_error(r, coefficients))
+    mean_error = -float(column_means(r) @ np.concatenate([coefficients, (1.0, -1.0)]))
     root_n = math.sqrt(summary.n)
     floor = max(resolution_l_per_min * root_n, 1e-12 * abs(summary.mean_l_per_min) * root_n)
     spread = summary.centred_norm_l_per_min
     fit = 100.0 * (1.0 - error / spread) if spread > floor else None
-    return Agreement(summary.n, fit, error / root_n)
+    return Agreement(summary.n, fit, error / root_n, mean_error)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,3 +159,48 @@ def effective_sample_count(n: int, autocorrelation: float | None) -> float | Non
         return None
     phi = min(max(autocorrelation, 0.0), 1.0 - 1.0 / max(n, 2))
     return n * (1 - phi) / (1 + phi)
+
+
+def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | None:
+    r"""N / (1 + 2 Σ ρ(k)): the effective number of samples by all correlations, at most N.
+
+    White noise on top of a slow error lowers the correlation of neighbours and hides the slow error
+    from :func:`effective_sample_count`, which then counts too many. For a first-order
+    autoregression both are the same.
+
+    Parameters
+    ----------
+    n
+        Number of samples.
+    autocorrelation
+        ρ(0) = 1 to the longest lag that can be told, shape (k,).
+
+    Returns
+    -------
+    float or None
+        None where the correlations do not come to an end within the lags given: the errors
+        remember longer than can be told.
+
+    Notes
+    -----
+    The sum ends before the first ρ(2m) + ρ(2m + 1) that is not positive [1]_: from there on the
+    estimates are noise.
+
+    References
+    ----------
+    .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", *Statistical Science*, 7(4), 1992:
+       initial positive sequence.
+
+    Examples
+    --------
+    >>> rho = np.append(0.5 ** np.arange(60), [0.0, 0.0])
+    >>> round(summed_effective_sample_count(1000, rho), 6), effective_sample_count(1000, 0.5)
+    (333.333333, 333.3333333333333)
+    """
+    whole = len(autocorrelation) // 2 * 2
+    sums = autocorrelation[:whole].reshape(-1, 2).sum(axis=1)
+    ended = np.flatnonzero(sums <= 0.0)
+    if not len(ended):
+        return None
+    inflation = 2.0 * float(sums[: ended[0]].sum()) - 1.0
+    return n / max(inflation, 1.0)

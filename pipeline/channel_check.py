@@ -1,36 +1,28 @@
-"""What a motor's channels look like in one log: rate, what is missing or refused, suspect units."""
+"""What a motor's channels look like in one log: rate, sampling, what is missing or refused."""
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
-from pipeline.clean import SECOND_US, ChannelRules, clean_channel
+from pipeline.arrays import SECOND_US
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import clean_channel
 from pipeline.config import Channel, MotorSpec
+from pipeline.config.motors import COUNTED
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ledger import FileRecord
 from pipeline.logs import labels_of
-from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
+from pipeline.sampling_look import look_of
+from pipeline.sampling_remark import configured, remark, words
+from pipeline.unit_look import suspect_units
 
 # Larger logs are not read for a look: a check answers in seconds.
 LARGEST_LOG_BYTES = 200 << 20
-# Upper quartile of the magnitude that a motor at work shows, in the units of the tables.
-Usual = Mapping[str, tuple[float, float]]
-USUAL: Usual = {
-    "pressure": (5.0, 450.0),
-    "temperature": (5.0, 95.0),
-    "speed": (0.5, 400.0),
-}
-# A drain flow this many times off the configured model's is of another unit sooner than worn.
-UNUSUAL_FLOW = 8.0
-# Pressures that say nothing of the load.
-LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,8 +43,11 @@ class ChannelCheck:
         Of the samples; refused by any rule, missing ones included.
     refused_by
         Share by rule, of those that refused any.
-    suspicion
-        What looks wrong, in words; empty where nothing does.
+    configured, looks
+        What its sampling is configured as and what it looks like, in words; the latter is empty
+        where nothing can be told.
+    remarks
+        What does not look as configured, in words: sampling, unit.
     """
 
     channel: str
@@ -63,7 +58,9 @@ class ChannelCheck:
     share_missing: float
     share_refused: float
     refused_by: Mapping[str, float]
-    suspicion: str
+    configured: str
+    looks: str
+    remarks: tuple[str, ...]
 
 
 def check_channels(
@@ -96,21 +93,20 @@ def check_channels(
         log = read_log(paths[newest], spec.file.log_source())
     except LogError as error:
         return (), (f"{error.code}: {error.message}",)
-    usual = _usual(spec, max(labels_of(records[newest])), log.channels)
+    suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)
     found = tuple(
-        replace(
-            _looked_at(spec, name, channel, log.channels[name]),
-            suspicion=""
-            if channel.counts
-            else _suspicion(name, channel.unit, log.channels[name], usual),
-        )
+        _looked_at(spec, name, channel, log.channels[name], suspects.get(name))
         for name, channel in spec.file.channels.items()
     )
     return found, ()
 
 
-def _looked_at(spec: MotorSpec, name: str, channel: Channel, raw: RawChannel) -> ChannelCheck:
-    clean = clean_channel(raw, ChannelRules.of(name, channel, spec.settings.cleaning))
+def _looked_at(
+    spec: MotorSpec, name: str, channel: Channel, raw: RawChannel, suspect: str | None
+) -> ChannelCheck:
+    look = look_of(raw, is_flow=name == COUNTED, resolution=channel.resolution)
+    rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
+    clean = clean_channel(raw, rules)
     n = max(clean.n_samples, 1)
     kept = clean.value[~clean.refused]
     return ChannelCheck(
@@ -126,43 +122,7 @@ def _looked_at(spec: MotorSpec, name: str, channel: Channel, raw: RawChannel) ->
             for reason, count in clean.counts.items()
             if count and reason not in ("any", "missing")
         },
-        suspicion="",
+        configured=configured(channel),
+        looks=words(look),
+        remarks=tuple(text for text in (remark(channel, look), suspect) if text),
     )
-
-
-def _typical(raw: RawChannel) -> float | None:
-    """Upper quartile of all numbers' magnitudes, those out of range too: they tell the unit."""
-    numbers = np.abs(raw.value[np.isfinite(raw.value)])
-    return float(np.percentile(numbers, 75)) if len(numbers) else None
-
-
-def _usual(spec: MotorSpec, night: dt.date, channels: Mapping[str, RawChannel]) -> Usual:
-    """Limits of what each quantity shows at work; for the flow from the configured model."""
-    pressure = "pressure_difference" if "pressure_difference" in channels else "high_port_pressure"
-    typical = [_typical(channels[name]) for name in (pressure, "oil_temperature", "speed")]
-    known = [value for value in typical if value is not None]
-    if len(known) < len(typical):
-        return USUAL
-    try:
-        motor = spec.motor(night, spec.file.flushing.mode)
-        flow = float(total_flow_l_per_min(motor, OperatingConditions.from_bar(*known))[0])
-    except LeakageError:
-        return USUAL
-    return {**USUAL, "flow": (flow / UNUSUAL_FLOW, flow * UNUSUAL_FLOW)}
-
-
-def _suspicion(name: str, unit: str, raw: RawChannel, usual: Usual) -> str:
-    """What looks wrong with a channel's magnitude, and which unit would mend it."""
-    typical, limits = _typical(raw), usual.get(QUANTITIES[name])
-    if typical is None or limits is None or name in LOW_SIDE or limits[0] <= typical <= limits[1]:
-        return ""
-    logged = float(from_canonical(name, typical, unit))
-    fitting = [
-        other
-        for other in UNITS[QUANTITIES[name]]
-        if limits[0] <= abs(float(to_canonical(name, logged, other))) <= limits[1]
-    ]
-    what = f"typically {typical:.3g} {canonical_unit(name)}, which is unusual"
-    if not fitting:
-        return what
-    return f"{what}; it would be usual if the log's unit were {' or '.join(fitting[:2])}"

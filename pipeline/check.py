@@ -9,7 +9,15 @@ from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
 from pipeline.ledger import FileRecord
-from pipeline.logs import find_logs, labels_of, look_at, spanned
+from pipeline.logs import (
+    change_of,
+    find_logs,
+    growing,
+    labels_of,
+    look_at,
+    spanned,
+    without_match,
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +60,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
     nights = {label for record in records.values() for label in labels_of(record)}
     channels, unread = check_channels(spec, records, paths)
     broken = [record for record in records.values() if record.status == "failed"]
+    written = [record for record in records.values() if record.status == "growing"]
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
@@ -66,7 +75,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
             *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
         ),
         channels=channels,
-        notes=() if paths or absent else (_no_match(spec),),
+        notes=(*map(_fault, written), *without_match(spec)),
     )
 
 
@@ -78,15 +87,14 @@ def _oils(spec: MotorSpec) -> list[OilFile]:
 
 def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
     record = look_at(name, path)
-    return record if record.status == "failed" else spanned(record, path, spec)
+    if record.status == "failed":
+        return record
+    found, why = spanned(record, path, spec), change_of(record, path)
+    return found if why is None else growing(found, why)
 
 
 def _fault(record: FileRecord) -> str:
     return f"{record.error_code}: {record.message}"
-
-
-def _no_match(spec: MotorSpec) -> str:
-    return f"no file matches {', '.join(spec.file.logs.files)} below {spec.log_root}"
 
 
 def _absent(name: str) -> str:

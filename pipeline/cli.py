@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
+from enum import StrEnum
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -37,6 +38,17 @@ app = typer.Typer(
     add_completion=False,
 )
 
+
+class ImageFormat(StrEnum):
+    """Kinds of figures."""
+
+    PNG = "png"
+    SVG = "svg"
+
+
+baseline_app = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
+app.add_typer(baseline_app, name="baseline")
+
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
 ]
@@ -56,6 +68,9 @@ def fit_fleet(
     since: Annotated[str | None, typer.Option(help="First night to do, YYYY-MM-DD.")] = None,
     until: Annotated[str | None, typer.Option(help="Last night to do, YYYY-MM-DD.")] = None,
     as_json: AsJson = False,
+    fail_on_alarm: Annotated[
+        bool, typer.Option("--fail-on-alarm", help="End with 1 if the run raised an alarm.")
+    ] = False,
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
@@ -73,8 +88,7 @@ def fit_fleet(
         since=_night(since, "--since"),
         until=_night(until, "--until"),
     )
-    if request.since and request.until and request.since > request.until:
-        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
+    _in_order(request.since, request.until)
     terminated = _catch_termination()
     try:
         with _Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
@@ -85,7 +99,8 @@ def fit_fleet(
         interrupted = True
     if interrupted:
         raise typer.Exit(EXIT_TERMINATED if terminated else EXIT_INTERRUPTED)
-    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+    alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed or alarmed else EXIT_OK)
 
 
 @app.command()
@@ -170,6 +185,9 @@ def fit(
         fleet = _load(config, Path(folder), None)
         request = RunRequest(fleet, _known_motors([motor], fleet), since=label, until=label)
         result = run_fleet(request)
+        growing = [one for outcome in result.outcomes for one in outcome.growing]
+        if growing and not result.n_nights:
+            raise MotorLeakageError("log_growing", f"the night waits: {'; '.join(growing)}")
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
@@ -251,6 +269,187 @@ def demo(
     typer.echo(f"demo fleet written to {folder}; its config is {folder / 'configs' / 'fleet.toml'}")
 
 
+@app.command()
+def export(
+    config: ConfigFile,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write CSV, one file a table, there.")
+    ] = None,
+    tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
+    ] = "",
+    since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
+    until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
+    bom: Annotated[
+        bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+) -> None:
+    """Write published tables in another format; what is there of the same name is replaced.
+
+    Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
+
+    Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    """
+    from pipeline.config import load_fleet
+    from pipeline.csv_export import Selection, export_csv, tables_named
+
+    if csv is None:
+        raise UsageError("export_format", "name the folder of the files: --csv FOLDER")
+    fleet = load_fleet(config)
+    selection = Selection(
+        tables=tables_named(tables.replace(",", " ").split()),
+        motors=_known_motors(motors.split(), fleet),
+        since=_night(since, "--since"),
+        until=_night(until, "--until"),
+    )
+    _in_order(selection.since, selection.until)
+    root = fleet.output if output is None else output.resolve()
+    for file in export_csv(root, csv, selection, byte_order_mark=bom):
+        typer.echo(f"{file.path}: {file.n_rows} rows")
+
+
+@app.command()
+def model(
+    motor_type: Annotated[str, typer.Option("--type", help="Motor type, such as CB560.")],
+    config: Annotated[
+        Path | None, typer.Option(metavar="FLEET", help="The fleet file; else the shipped config.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Folder of the figures; else figures/ in the output.")
+    ] = None,
+    image_format: Annotated[
+        ImageFormat, typer.Option("--format", help="Kind of the files.")
+    ] = ImageFormat.PNG,
+    oil: Annotated[
+        str | None, typer.Option(help="The oil; else that of the fleet's first motor of the type.")
+    ] = None,
+) -> None:
+    """Draw the model of a motor type as its config states it: each path, oil, shares, films.
+
+    Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
+    are the fleet's, without what a motor overrides. Prints the files that were written.
+
+    Example: motor-leakage model --type CB560 --config configs/fleet.toml --format svg
+    """
+    from pipeline.config import load_fleet
+    from pipeline.demo import shipped_configs
+    from pipeline.model_figures import choose, write_model_figures
+
+    fleet = load_fleet(config or shipped_configs() / "fleet.toml")
+    subject = choose(fleet, motor_type, oil)
+    folder = output or fleet.output / "figures"
+    for path in write_model_figures(subject, folder, image_format.value):
+        typer.echo(path)
+
+
+@app.command()
+def status(
+    config: ConfigFile,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+    max_age: Annotated[
+        str, typer.Option(help="End with 1 if the last good run is older, such as 26h.")
+    ] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Print the fleet's state: the motors that need attention first, and since when.
+
+    Example: motor-leakage status demo/configs/fleet.toml --max-age 26h
+
+    Exit code 0; with --max-age 1 where the last good run is too old, or there was none.
+    """
+    from pipeline.status import age_in_hours, fleet_status
+    from pipeline.status_lines import print_status
+
+    limit_h = age_in_hours(max_age) if max_age else None
+    fleet = _load(config, output, None, logs=False)
+    found = fleet_status(fleet.output, [spec.motor_id for spec in fleet.motors])
+    too_old = False
+    if limit_h is not None:
+        ended = found.last_good_run
+        too_old = ended is None or dt.datetime.now(dt.UTC) - ended > dt.timedelta(hours=limit_h)
+    print_status(fleet.name, found, too_old=too_old, as_json=as_json)
+    raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
+
+
+@app.command()
+def ack(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    indicator: Annotated[str, typer.Argument(help="The indicator, as `status` names it.")],
+    note: Annotated[str, typer.Option(help="In words.")],
+    finding: Annotated[
+        str, typer.Option(help="confirmed or not_confirmed, once somebody has looked.")
+    ] = "",
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+) -> None:
+    """Acknowledge an alarm, or say what an inspection found; kept across runs and shown.
+
+    Example: motor-leakage ack demo/configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
+
+    Example: motor-leakage ack demo/configs/fleet.toml CB400-02 K_piston_ring
+    --note "rings worn" --finding confirmed
+    """
+    from pipeline.decisions import FINDINGS, Decision, record_decision
+    from pipeline.status import alarmed_night
+
+    if finding not in ("", *FINDINGS):
+        raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
+    fleet = _load(config, output, None, logs=False)
+    _known_motors([motor], fleet)
+    night = alarmed_night(fleet.output, motor, indicator)
+    decision = Decision(
+        motor_id=motor,
+        indicator=indicator,
+        time=dt.datetime.now(dt.UTC),
+        kind="finding" if finding else "acknowledged",
+        night=night,
+        finding="confirmed" if finding == "confirmed" else "not_confirmed" if finding else None,
+        note=note,
+    )
+    record_decision(fleet.output, decision)
+    typer.echo(f"{motor}: {indicator}, raised last on {night}: {decision.kind}")
+
+
+@baseline_app.command("reset")
+def baseline_reset(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    night: Annotated[str, typer.Argument(help="First night of the new baseline, YYYY-MM-DD.")],
+    note: Annotated[str, typer.Option(help="Why, in words.")],
+    indicator: Annotated[str, typer.Option(help="Of this indicator alone; all if empty.")] = "",
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder, instead of the config's.")
+    ] = None,
+) -> None:
+    """Let a motor's baseline begin anew with a night; the next run makes its trends anew.
+
+    An overhaul, an oil change or a change of flushing belongs into the motor's file, dated, in
+    `events`: that starts a new baseline as well.
+
+    Example: motor-leakage baseline reset demo/configs/fleet.toml CB560-01 2026-02-15
+    --note "sleeves replaced"
+    """
+    from pipeline.decisions import Decision, record_decision
+
+    label = _night(night, "NIGHT")
+    assert label is not None
+    fleet = _load(config, output, None, logs=False)
+    _known_motors([motor], fleet)
+    record_decision(
+        fleet.output,
+        Decision(motor, indicator, dt.datetime.now(dt.UTC), "baseline_reset", label, None, note),
+    )
+    typer.echo(f"{motor}: {indicator or 'every'} baseline begins anew with the night {label}")
+
+
 def _loaded(config: Path) -> Fleet:
     from pipeline.config import load_fleet
 
@@ -270,11 +469,11 @@ def _known_to_report(fleet: Fleet) -> Mapping[str, KnownMotor]:
     }
 
 
-def _load(config: Path, output: Path | None, jobs: int | None) -> Fleet:
+def _load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
     from pipeline.config import ConfigError, Fault
 
     fleet = _loaded(config)
-    if not fleet.log_root.is_dir():
+    if logs and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])
     if output is not None:
@@ -300,6 +499,11 @@ def _night(text: str | None, option: str) -> dt.date | None:
         return None if text is None else dt.date.fromisoformat(text)
     except ValueError:
         raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def _in_order(since: dt.date | None, until: dt.date | None) -> None:
+    if since and until and since > until:
+        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
 
 
 def _catch_termination() -> list[int]:
@@ -362,12 +566,17 @@ class _Reporter:
                 "error_code": outcome.error_code,
                 "message": outcome.message,
                 "nights": dict(outcome.counts),
+                "files": _by_fate(outcome.files),
+                "growing": outcome.growing,
             }
             _say(json.dumps(line))
             return
-        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'})")
+        why = f": {outcome.message}" if outcome.message and not outcome.error_code else ""
+        _say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}")
         if outcome.error_code:
             _say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
+        for message in outcome.growing:
+            _say(f"{outcome.motor_id}: log_growing: {message}", err=True)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""
@@ -378,17 +587,26 @@ class _Reporter:
                 "n_motors": len(result.outcomes),
                 "n_failed": len(result.failed),
                 "n_nights": result.n_nights,
+                "files": _by_fate(result.files),
                 "interrupted": result.interrupted,
                 "seconds": round(result.seconds, 3),
             }
             _say(json.dumps(line))
             return
         state = "interrupted; " if result.interrupted else ""
+        files = ", ".join(f"{n} {fate}" for fate, n in _by_fate(result.files).items())
         _say(
             f"{state}{result.n_nights} nights of {len(result.outcomes)} motors in "
-            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; "
+            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; logs: {files}; "
             f"tables in {output / 'tables'}"
         )
+
+
+def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
+    """Log files by what came of them, all of which there can be, in a fixed order."""
+    from pipeline.log_shelf import FATES
+
+    return {fate: files.get(fate, 0) for fate in FATES}
 
 
 def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
@@ -413,16 +631,22 @@ def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
 
 
 def _channel_line(channel: ChannelCheck) -> str:
-    """A channel in a line: rate, typical value, what is missing or refused, what looks wrong."""
+    """A channel in a line: rate, typical value, what is missing or refused, what it looks like."""
+    from pipeline.units import canonical_unit
+
     parts = [f"{channel.channel}:"]
     parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
-    parts.append("no value," if channel.median is None else f"median {channel.median:.4g},")
+    unit = canonical_unit(channel.channel).replace("degC", "°C")
+    median = f"median {channel.median:.4g} {unit},"
+    parts.append("no value," if channel.median is None else median)
     parts.append(f"{100 * channel.share_missing:.2g} % missing,")
     parts.append(f"{100 * channel.share_refused:.2g} % refused")
     rules = ", ".join(f"{name} {100 * share:.2g} %" for name, share in channel.refused_by.items())
     parts.append(f"({rules})" if rules else "")
     line = " ".join(part for part in parts if part)
-    return f"{line}; LOOK: {channel.suspicion}" if channel.suspicion else line
+    looks = f", looks {channel.looks}" if channel.looks else ""
+    line += f"; configured as {channel.configured}{looks}"
+    return line + "".join(f"; LOOK: {remark}" for remark in channel.remarks)
 
 
 def _exit_code(error: MotorLeakageError) -> int:

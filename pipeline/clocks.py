@@ -11,8 +11,7 @@ from bisect import bisect_right
 import numpy as np
 from numpy.typing import NDArray
 
-Times = NDArray[np.int64]
-Mask = NDArray[np.bool_]
+from pipeline.arrays import Mask, Times
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
 # log where one lies within this many periods.

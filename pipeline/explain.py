@@ -13,7 +13,16 @@ from typing import Any
 import polars as pl
 
 from pipeline.errors import UsageError
-from pipeline.schema import FITS, INPUT_FILES, PARAMETERS, QUALITY, SENSITIVITIES, Table
+from pipeline.explain_residuals import explain_residuals
+from pipeline.schema import (
+    FITS,
+    INPUT_FILES,
+    PARAMETERS,
+    QUALITY,
+    RESIDUAL_VERDICTS,
+    SENSITIVITIES,
+    Table,
+)
 from pipeline.store import night_file, read_table
 
 Row = dict[str, Any]
@@ -59,6 +68,9 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
         sensitivities = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
         lines += [*_fit(primary), *_leakage(primary), *_verdicts(parameters)]
         lines += _budget(primary, sensitivities)
+        lines += explain_residuals(
+            primary, _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
+        )
         lines += _modes(fits)
     return lines
 

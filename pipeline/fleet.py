@@ -14,46 +14,58 @@ import os
 import shutil
 import tempfile
 import time
-import warnings
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-from pipeline.config import Fleet
+from pipeline.config import Fleet, MotorSpec
+from pipeline.decisions import read_decisions
 from pipeline.errors import LockedError, StoreError
-from pipeline.ledger import forget_night, write_ledger
+from pipeline.ledger import forget_night, write_months, write_settings
+from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import MotorOutcome, MotorTask, lost, run_motor, settings_hash
+from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
 from pipeline.night_statistics import hash_of
+from pipeline.notify import notify
+from pipeline.publishing import Publisher
 from pipeline.schema import (
+    ALARMS,
     DATA_DICTIONARY,
+    DECISIONS,
+    FITS,
     MOTOR_OUTCOMES,
     NIGHT_TABLES,
     RUNS,
     SCHEMA_VERSION,
+    TREND_TABLES,
+    TRENDS,
     data_dictionary,
     frame,
 )
-from pipeline.store import (
-    StagedRows,
-    publish_night,
-    publish_run_table,
-    remove_leftovers,
-    table_folder,
-    write_table,
+from pipeline.settings_hashes import config_hash as hash_of_config
+from pipeline.settings_hashes import settings_of
+from pipeline.store import last_night, remove_leftovers
+from pipeline.trends.stage import (
+    TrendOutcome,
+    TrendTask,
+    forget_records,
+    run_trends,
+    trend_tasks,
+    with_q_values,
+    write_record,
 )
+from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[MotorOutcome], None]
 
-# Tasks handed out ahead, for each worker; of these one can have killed its worker.
-SUSPECTS_A_WORKER = 2
+# A task of trends reads the tables of all its motors at once.
+MOTORS_A_TREND_TASK = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,12 +80,25 @@ class RunRequest:
         Ids of the motors to do; empty for all.
     since, until
         Labels of the first and last night to do; None: no limit.
+    force
+        Whether to make nights anew from their logs that nothing has changed of.
+    retry
+        Whether to try nights and logs again that failed.
     """
 
     fleet: Fleet
     motors: tuple[str, ...] = ()
     since: dt.date | None = None
     until: dt.date | None = None
+    force: bool = False
+    retry: bool = False
+
+    @property
+    def specs(self) -> tuple[MotorSpec, ...]:
+        """The motors that are asked for."""
+        return tuple(
+            spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,6 +117,8 @@ class RunResult:
         Whether the run was stopped before all motors were done; what was finished is published.
     seconds
         Wall-clock time.
+    alarms
+        New rows of `alarms`.
     """
 
     run_id: str
@@ -99,6 +126,12 @@ class RunResult:
     n_nights: int
     interrupted: bool
     seconds: float
+    alarms: tuple[Mapping[str, Any], ...] = ()
+
+    @property
+    def files(self) -> Counter[str]:
+        """Log files of all motors by what came of them: read, unchanged, growing, failed, left."""
+        return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
 
     @property
     def failed(self) -> tuple[MotorOutcome, ...]:
@@ -129,22 +162,43 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     """
     output = request.fleet.output
     with _locked(output), _staging(output) as staging:
-        remove_leftovers([output / "tables", output / "ledger"])
+        remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         return _run(request, staging, progress)
+
+
+def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
+    """What a run would do now, motor by motor; nothing is read of a log but its ends, or written.
+
+    Raises
+    ------
+    StoreError
+        If a published table that is needed is damaged.
+    """
+    output = request.fleet.output
+    for spec in request.specs:
+        yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
+
+
+def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
+    return MotorTask(
+        spec=spec,
+        output=request.fleet.output,
+        staging=staging,
+        since=request.since,
+        until=request.until,
+        force=request.force,
+        retry=request.retry,
+    )
 
 
 def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
-    tasks = [
-        MotorTask(spec, fleet.output, staging, request.since, request.until)
-        for spec in fleet.motors
-        if not request.motors or spec.motor_id in request.motors
-    ]
+    tasks = [_task(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _outcomes(tasks, fleet):
+        for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
             outcomes[outcome.motor_id] = outcome
             progress(outcome)
     except KeyboardInterrupt:
@@ -152,50 +206,28 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
-    n_nights = _publish(fleet.output, staging, finished, run_id)
-    result = RunResult(run_id, tuple(finished), n_nights, interrupted, time.perf_counter() - begin)
-    _publish_run(request, result, started, config_hash)
+    publisher = Publisher(fleet.output, staging, run_id)
+    n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    alarms: list[Mapping[str, Any]] = []
+    if not interrupted:
+        finished, alarms = _publish_trends(request, publisher, finished)
+    seconds = time.perf_counter() - begin
+    result = RunResult(
+        run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
+    )
+    _publish_run(publisher, request, result, started, config_hash)
+    for fault in notify(fleet.settings.alarms, fleet.name, alarms):
+        log.warning("%s", fault)
     return result
 
 
-def _outcomes(tasks: Sequence[MotorTask], fleet: Fleet) -> Iterator[MotorOutcome]:
-    """Outcomes as the motors finish, in any order."""
-    execution = fleet.execution
-    if execution.backend == "sequential" or execution.workers == 1 or len(tasks) < 2:
-        yield from map(run_motor, tasks)
-        return
-    # Workers read this when they start: with all threads each they would fight for the cores.
-    os.environ.setdefault("POLARS_MAX_THREADS", "1")
-    waiting = {task.spec.motor_id: task for task in tasks}
-    while waiting:
-        try:
-            for outcome in _parallel(list(waiting.values()), execution.workers):
-                del waiting[outcome.motor_id]
-                yield outcome
-        except TerminatedWorkerError:
-            # Tasks start in order: whichever killed its worker is among the first that wait.
-            suspects = list(waiting.values())[: SUSPECTS_A_WORKER * execution.workers]
-            log.warning("a worker died; %d motors are tried again, each alone", len(suspects))
-            for task in suspects:
-                del waiting[task.spec.motor_id]
-                yield _alone(task)
+def _lost(task: MotorTask, how: str) -> MotorOutcome:
+    return lost(task, "worker_died", f"its worker died twice: {how}")
 
 
-def _parallel(tasks: Sequence[MotorTask], workers: int) -> Iterator[MotorOutcome]:
-    with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
-        # An interrupted run cancels what is under way, and says so itself.
-        warnings.filterwarnings("ignore", ".*still being processed by the workers", UserWarning)
-        pool = Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(run_motor)(task) for task in tasks)
-
-
-def _alone(task: MotorTask) -> MotorOutcome:
-    """A task in a worker of its own, so that its death costs nobody else."""
-    try:
-        # Two workers, one task: a single one would run it in this very process.
-        return next(iter(_parallel([task], 2)))
-    except TerminatedWorkerError as error:
-        return lost(task, "worker_died", f"its worker died twice: {error.args[0].splitlines()[0]}")
+def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
+    words = f"the worker of its trends died twice: {how}"
+    return TrendOutcome(failures={spec.motor_id: words for spec in task.specs})
 
 
 @contextmanager
@@ -245,36 +277,75 @@ def _staging(output: Path) -> Iterator[Path]:
         shutil.rmtree(root, ignore_errors=True)
 
 
-def _publish(output: Path, staging: Path, outcomes: Sequence[MotorOutcome], run_id: str) -> int:
-    """Publish all staged rows, a table and a night at a time, then what was remembered of them."""
+def _publish(
+    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
+) -> int:
+    """Publish what the motors' tasks have staged, then what was remembered of it."""
     fresh = [outcome for outcome in outcomes if outcome.nights]
-    lost_nights: set[dt.date] = set()
-    for table in NIGHT_TABLES:
-        staged = {
-            one.motor_id: StagedRows(staging / table.name / f"{one.motor_id}.arrow")
-            for one in fresh
-        }
-        for night in sorted({night for rows in staged.values() for night in rows.nights}):
-            new = {
-                motor_id: found
-                for motor_id, rows in staged.items()
-                if (found := rows.rows(night)) is not None
-            }
-            if publish_night(output, table, night, new, run_id):
-                lost_nights.add(night)
-    write_table(
-        table_folder(output, DATA_DICTIONARY) / "data_dictionary.parquet", data_dictionary()
-    )
+    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh])
+    publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
-        if outcome.ledger is not None:
-            write_ledger(output, outcome.motor_id, outcome.ledger)
-    for night in sorted(lost_nights):
-        forget_night(output, night, {one.motor_id for one in fresh if night in one.nights})
+        write_months(publisher.output, outcome.motor_id, outcome.ledger)
+        if outcome.finished:
+            spec = specs[outcome.motor_id]
+            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
+    for night, kept in sorted(publisher.lost.items()):
+        forget_night(publisher.output, night, kept)
     return sum(len(outcome.nights) for outcome in fresh)
 
 
+def _publish_trends(
+    request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
+) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
+    """Make and publish the trends of the run's motors; one whose trends failed has failed."""
+    fleet = request.fleet
+    decisions = read_decisions(fleet.output)
+    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
+    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
+    changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
+    tonight = last_night(fleet.output, FITS)
+    if tonight is None:
+        return list(outcomes), []
+    tasks = trend_tasks(
+        fleet.motors,
+        fleet.output,
+        publisher.staging,
+        changed,
+        tonight,
+        decisions,
+        MOTORS_A_TREND_TASK,
+    )
+    failures: dict[str, str] = {}
+    alarms: list[Mapping[str, Any]] = []
+    for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
+        alarms += _publish_trend_rows(publisher, outcome)
+        failures |= outcome.failures
+    judged = [
+        replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
+        if one.motor_id in failures and one.status != FAILED
+        else one
+        for one in outcomes
+    ]
+    return judged, alarms
+
+
+def _publish_trend_rows(publisher: Publisher, outcome: TrendOutcome) -> list[Mapping[str, Any]]:
+    """Publish what a task has staged; returns the new rows of `alarms`."""
+    fresh = [motor_id for motor_id, nights in outcome.nights.items() if nights]
+    lost_before = set(publisher.lost)
+    publisher.nights(TREND_TABLES, fresh, {TRENDS.name: with_q_values})
+    for motor_id, record in outcome.records.items():
+        write_record(publisher.output, motor_id, record)
+    for night in sorted(set(publisher.lost) - lost_before):
+        forget_records(publisher.output, publisher.lost[night])
+    staged = publisher.staged(ALARMS, fresh).values()
+    nights = ((rows, night) for rows in staged for night in rows.nights)
+    frames = (rows.rows(night) for rows, night in nights)
+    return [row for found in frames if found is not None for row in found.to_dicts()]
+
+
 def _config_hash(tasks: Sequence[MotorTask]) -> str:
-    return hash_of({task.spec.motor_id: settings_hash(task.spec) for task in tasks})
+    return hash_of({task.spec.motor_id: hash_of_config(task.spec) for task in tasks})
 
 
 def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
@@ -284,7 +355,11 @@ def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
 
 
 def _publish_run(
-    request: RunRequest, result: RunResult, started: dt.datetime, config_hash: str
+    publisher: Publisher,
+    request: RunRequest,
+    result: RunResult,
+    started: dt.datetime,
+    config_hash: str,
 ) -> None:
     fleet = request.fleet
     seeds = {spec.settings.estimation.seed for spec in fleet.motors}
@@ -308,13 +383,12 @@ def _publish_run(
         "n_nights": result.n_nights,
         "seconds": result.seconds,
     }
-    publish_run_table(fleet.output, RUNS, started, frame(RUNS, [run]))
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
-    publish_run_table(fleet.output, MOTOR_OUTCOMES, started, frame(MOTOR_OUTCOMES, rows))
+    publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
-    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "store_s")
+    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "refit_s", "store_s")
     statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
     return {
         "run_id": run_id,
@@ -324,6 +398,9 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "error_code": outcome.error_code,
         "message": outcome.message,
         "peak_memory_mib": outcome.peak_memory_mib,
+        "n_refitted": outcome.n_refitted,
         **{stage: outcome.seconds.get(stage, 0.0) for stage in stages},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
+        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
+        "growing": list(outcome.growing),
     }

@@ -1,7 +1,7 @@
 """What a motor's task remembers: which files were read, and what came of which night.
 
-One JSON file a motor, beside the tables. It only saves work: without it everything is read again
-and the same tables come out.
+One JSON file a motor and month, beside the tables, so that a night writes no more however long the
+history is. It only saves work: without it everything is read again and the same tables come out.
 """
 
 from __future__ import annotations
@@ -9,12 +9,16 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+from collections import defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.store import replace_whole
+
+# Where files of which no night is known are kept.
+NO_MONTH = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,8 @@ class FileRecord:
     ----------
     size, modified_ns
         While both stay, the content counts as unchanged.
+    read_with
+        Hash of how its content was understood: dialect, channels, nights.
     sha256
         Hash of the content; None where it could not be read.
     first_us, last_us
@@ -32,13 +38,17 @@ class FileRecord:
     nights
         Labels of the nights in which it has samples, or which its failure failed.
     status, error_code, message
-        ``ok`` or ``failed``, and why; of an ``ok`` file what was left out.
+        ``ok``, ``failed``, or ``growing`` for one that is changed while it is read, and why; of an
+        ``ok`` file what was left out.
+    inode
+        Number of the file on its disk: another one has taken its name where this differs.
     """
 
     path: str
     size: int
     modified_ns: int
     sha256: str | None
+    read_with: str = ""
     rows: int | None = None
     first_us: int | None = None
     last_us: int | None = None
@@ -46,6 +56,7 @@ class FileRecord:
     status: str = "ok"
     error_code: str | None = None
     message: str | None = None
+    inode: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +71,16 @@ class NightRecord:
         The model that the next night is judged with; empty without a fit.
     judged_with
         Hash of the model before that the night was judged with.
+    statistics_hash, figures_hash
+        Hashes of the settings that shaped its statistics, and of those that shaped the figures
+        made from them; empty where none did.
     """
 
     status: str
     model: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     judged_with: str = ""
+    statistics_hash: str = ""
+    figures_hash: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,15 +89,12 @@ class Ledger:
 
     Attributes
     ----------
-    settings_hash
-        Hash of all that shapes the motor's figures: another one makes everything new.
     files
         By path relative to the log root.
     nights
         By label.
     """
 
-    settings_hash: str
     files: Mapping[str, FileRecord] = field(default_factory=dict)
     nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)
 
@@ -90,59 +103,115 @@ class Ledger:
         earlier = [label for label, record in self.nights.items() if label < night and record.model]
         return self.nights[max(earlier)].model if earlier else {}
 
+    def by_month(self) -> dict[str, Ledger]:
+        """What is kept in each month's file: a night by its label, a file by its first night."""
+        files: defaultdict[str, dict[str, FileRecord]] = defaultdict(dict)
+        nights: defaultdict[str, dict[dt.date, NightRecord]] = defaultdict(dict)
+        for path, record in self.files.items():
+            files[min(record.nights)[:7] if record.nights else NO_MONTH][path] = record
+        for label, one in self.nights.items():
+            nights[f"{label:%Y-%m}"][label] = one
+        return {month: Ledger(files[month], nights[month]) for month in sorted({*files, *nights})}
 
-def ledger_file(output: Path, motor_id: str) -> Path:
+
+def changed_months(before: Ledger, after: Ledger) -> dict[str, Ledger]:
+    """The months of which something else is to be remembered; an empty one has nothing left."""
+    old, new = before.by_month(), after.by_month()
+    return {
+        month: new.get(month, Ledger())
+        for month in sorted({*old, *new})
+        if old.get(month) != new.get(month)
+    }
+
+
+def ledger_folder(output: Path, motor_id: str) -> Path:
     """Where a motor's ledger lies."""
-    return output / "ledger" / f"{motor_id}.json"
+    return output / "ledger" / motor_id
 
 
-def read_ledger(output: Path, motor_id: str, settings_hash: str) -> Ledger:
-    """A motor's ledger; empty where there is none, it is damaged, or settings are others."""
+def read_ledger(output: Path, motor_id: str) -> Ledger:
+    """A motor's ledger, without the months that are absent or damaged."""
+    files: dict[str, FileRecord] = {}
+    nights: dict[dt.date, NightRecord] = {}
+    for path in sorted(ledger_folder(output, motor_id).glob("*.json")):
+        month = _read_month(path)
+        files |= month.files
+        nights |= month.nights
+    return Ledger(files, nights)
+
+
+def _read_month(path: Path) -> Ledger:
     try:
-        document = json.loads(ledger_file(output, motor_id).read_text("utf-8"))
+        document = json.loads(path.read_text("utf-8"))
         if document.pop("sha256") != _digest(document):
-            return Ledger(settings_hash)
-        if document["settings_hash"] != settings_hash:
-            return Ledger(settings_hash)
+            return Ledger()
         files = {
-            path: FileRecord(**(record | {"nights": tuple(record["nights"])}))
-            for path, record in document["files"].items()
+            name: FileRecord(**(record | {"nights": tuple(record["nights"])}))
+            for name, record in document["files"].items()
         }
         nights = {
             dt.date.fromisoformat(label): NightRecord(
-                record["status"],
-                {mode: tuple(theta) for mode, theta in record["model"].items()},
-                record["judged_with"],
+                **(record | {"model": {k: tuple(v) for k, v in record["model"].items()}})
             )
             for label, record in document["nights"].items()
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return Ledger(settings_hash)
-    return Ledger(settings_hash, files, nights)
+        return Ledger()
+    return Ledger(files, nights)
 
 
-def write_ledger(output: Path, motor_id: str, ledger: Ledger) -> None:
-    """Replace a motor's ledger.
+def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> None:
+    """Replace what is remembered of some months of a motor.
 
     Raises
     ------
     StoreError
-        If it cannot be written.
+        If a file cannot be written.
     """
-    document: dict[str, Any] = {
-        "settings_hash": ledger.settings_hash,
-        "files": {path: asdict(record) for path, record in sorted(ledger.files.items())},
-        "nights": {
-            label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
-        },
-    }
-    document["sha256"] = _digest(document)
-    text = json.dumps(document, indent=1, sort_keys=True)
+    for month, ledger in months.items():
+        document: dict[str, Any] = {
+            "files": {path: asdict(record) for path, record in sorted(ledger.files.items())},
+            "nights": {
+                label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
+            },
+        }
+        document["sha256"] = _digest(document)
+        text = json.dumps(document, separators=(",", ":"), sort_keys=True)
+
+        def write(name: str, text: str = text) -> None:
+            Path(name).write_text(text, "utf-8")
+
+        replace_whole(ledger_folder(output, motor_id) / f"{month}.json", write)
+
+
+def settings_file(output: Path, motor_id: str) -> Path:
+    """Where the settings lie that a motor's last run had."""
+    return ledger_folder(output, motor_id) / "settings"
+
+
+def read_settings(output: Path, motor_id: str) -> dict[str, str]:
+    """Settings of a motor's last run by dotted key; empty where they are not known."""
+    try:
+        document = json.loads(settings_file(output, motor_id).read_text("utf-8"))
+        return {str(key): str(value) for key, value in document.items()}
+    except (OSError, ValueError, AttributeError, RecursionError):
+        return {}
+
+
+def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:
+    """Remember the settings of a motor's run, to name what changed in the next.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be written.
+    """
 
     def write(name: str) -> None:
-        Path(name).write_text(text, "utf-8")
+        Path(name).write_text(json.dumps(dict(settings), indent=0, sort_keys=True), "utf-8")
 
-    replace_whole(ledger_file(output, motor_id), write)
+    if read_settings(output, motor_id) != settings:
+        replace_whole(settings_file(output, motor_id), write)
 
 
 def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
@@ -162,18 +231,16 @@ def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
     StoreError
         If a ledger cannot be written.
     """
-    for path in (output / "ledger").glob("*.json"):
-        if path.stem in keep:
+    label = night.isoformat()
+    for folder in (output / "ledger").glob("*"):
+        if folder.name in keep:
             continue
-        try:
-            settings_hash = json.loads(path.read_text("utf-8"))["settings_hash"]
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
-        ledger = read_ledger(output, path.stem, settings_hash)
-        label = night.isoformat()
-        kept = {name: one for name, one in ledger.files.items() if label not in one.nights}
-        nights = {date: one for date, one in ledger.nights.items() if date != night}
-        write_ledger(output, path.stem, Ledger(settings_hash, kept, nights))
+        before = read_ledger(output, folder.name)
+        after = Ledger(
+            {name: one for name, one in before.files.items() if label not in one.nights},
+            {date: one for date, one in before.nights.items() if date != night},
+        )
+        write_months(output, folder.name, changed_months(before, after))
 
 
 def _digest(document: Mapping[str, Any]) -> str:

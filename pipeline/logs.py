@@ -5,13 +5,16 @@ from __future__ import annotations
 import datetime as dt
 import re
 import stat
+import time
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
+from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
@@ -24,6 +27,7 @@ LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 GLOB_CHARACTERS = frozenset("*?[")
+NO_REACH: Mapping[str, int] = MappingProxyType({})
 
 
 def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
@@ -48,6 +52,17 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
     return names, absent
 
 
+def without_match(spec: MotorSpec) -> tuple[str, ...]:
+    """What to say of the globs of a motor's logs that match no file."""
+    return tuple(
+        f"no file matches {pattern} below {spec.log_root}"
+        for pattern in spec.file.logs.files
+        if GLOB_CHARACTERS & set(pattern)
+        and not (spec.log_root / pattern).exists()
+        and not any(not path.is_dir() for path in spec.log_root.glob(pattern))
+    )
+
+
 def legible(text: str) -> str:
     """Text that tables can hold: bytes of a file's name that are no UTF-8 become their numbers."""
     return text.encode("utf-8", "backslashreplace").decode("utf-8")
@@ -68,7 +83,8 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
     Returns
     -------
     FileRecord
-        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told.
+        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told;
+        ``growing`` where it is changed meanwhile, or was too lately.
     """
     record = look_at(name, path)
     if record.status == "failed":
@@ -76,14 +92,53 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
     same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
     # What could not be read has no hash: its permissions may be others by now.
     if before and before.sha256 and same:
-        return before
+        return before if before.inode == record.inode else replace(before, inode=record.inode)
+    found = _inspected(record, path, before, spec)
+    why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
+    return found if why is None else growing(found, why)
+
+
+def _inspected(
+    record: FileRecord, path: Path, before: FileRecord | None, spec: MotorSpec
+) -> FileRecord:
+    """What a look into a file of another size or time tells."""
     try:
         record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
-        return replace(before, modified_ns=record.modified_ns)
+        return replace(before, modified_ns=record.modified_ns, inode=record.inode)
     return spanned(record, path, spec)
+
+
+def change_of(record: FileRecord, path: Path) -> LogError | None:
+    """What is no more as it was when a file was looked at; None: nothing, or the file is gone."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    size, known = state.st_size, (record.size, record.modified_ns, record.inode)
+    if (size, state.st_mtime_ns, state.st_ino) == known:
+        return None
+    how = f"it went from {record.size} to {size} bytes" if size != record.size else "it changed"
+    return LogError("log_growing", path, f"{how} while it was read; the next run reads it")
+
+
+def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
+    """Why a file that was written to a moment ago is left to a later run; None: it is not."""
+    age_s = (time.time_ns() - record.modified_ns) / 1e9
+    # A clock that is far ahead must not keep a file out for good.
+    if abs(age_s) >= settle_s:
+        return None
+    ago = f"it was written to {max(age_s, 0.0):.0f} s ago"
+    return LogError(
+        "log_growing", path, f"{ago}, and logs.settle_s is {settle_s:g}; a later run reads it"
+    )
+
+
+def growing(record: FileRecord, why: LogError) -> FileRecord:
+    """The record of a file that is left to the next run, as it is being written."""
+    return replace(record, status="growing", error_code=why.code, message=legible(why.message))
 
 
 def look_at(name: str, path: Path) -> FileRecord:
@@ -94,7 +149,7 @@ def look_at(name: str, path: Path) -> FileRecord:
         return failed(
             FileRecord(name, 0, _link_modified_ns(path), None), _not_readable(path, error)
         )
-    record = FileRecord(name, state.st_size, state.st_mtime_ns, None)
+    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, inode=state.st_ino)
     if not stat.S_ISREG(state.st_mode):
         # A pipe would keep whoever opens it waiting.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
@@ -136,11 +191,18 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """The record of a file that was read: its span, its nights, and what was left out of it."""
+    """The record of a file that was read: its span, its nights, and what was left out of it.
+
+    Raises
+    ------
+    LogError
+        ``log_empty``: there are rows, and all cells of all channels in them are blank.
+    """
     stamps = np.concatenate([channel.time_us for channel in log.channels.values()])
     notes = list(log.notes)
     unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
     notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
+    notes += _blank_channels(record, log, spec)
     if not len(stamps):
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
@@ -162,6 +224,25 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
         nights=tuple(map(dt.date.isoformat, labels)),
         message="; ".join(notes) or None,
     )
+
+
+def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
+    """What there is to say of channels that are there, and neither have a value nor say why."""
+    cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
+    blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
+    told = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
+    if blank and len(blank) == len(cells):
+        message = f"there is no sample: {', '.join(told)}"
+        raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
+    # What did not change has no value in a table of what did.
+    silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
+    return [note for name, note in zip(blank, told, strict=True) if name not in silent]
+
+
+def _is_blank(channel: RawChannel) -> bool:
+    if channel.unparsed or not channel.missing.all():
+        return False
+    return channel.bad_quality is None or not channel.bad_quality.any()
 
 
 def labels_of(record: FileRecord) -> set[dt.date]:
@@ -186,13 +267,14 @@ def place_failed(
             continue
         named = _date_in(name)
         if name in before and before[name].nights:
-            labels, basis = before[name].nights, "as read before"
+            labels, basis = before[name].nights, "by what it held before"
         elif named is not None:
             labels, basis = ((named + lag).isoformat(),), "by its name"
         else:
             label = night_of(record.modified_ns // 1000, spec.settings.nights)
             labels, basis = (label.isoformat(),), "by when it was written"
-        message = f"{record.message} (night {', '.join(labels)} {basis})"
+        # The night itself stands beside the message wherever that is shown.
+        message = f"{record.message} (night told {basis})"
         placed[name] = replace(record, nights=labels, message=message)
     return placed
 
@@ -213,27 +295,34 @@ def _lag_of_names(records: Iterable[FileRecord]) -> dt.timedelta:
     return lags.most_common(1)[0][0] if lags else 0 * DAY
 
 
-def slice_night(logs: Iterable[RawLog], night: Night) -> dict[str, RawChannel]:
-    """The samples of a night from all files that have some, file after file."""
+def slice_night(
+    logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int] = NO_REACH
+) -> dict[str, RawChannel]:
+    """The samples of a night from all files that have some, file after file.
+
+    Parameters
+    ----------
+    logs
+        The files' content.
+    night
+        The night.
+    reach_us
+        By channel, from how long before the night samples carry over into it [µs].
+    """
     parts: dict[str, list[RawChannel]] = {}
     for log in logs:
         for name, channel in log.channels.items():
-            inside = (channel.time_us >= night.start_us) & (channel.time_us < night.end_us)
-            rows = slice(None) if inside.all() else inside
-            parts.setdefault(name, []).append(
-                RawChannel(
-                    channel.time_us[rows],
-                    channel.value[rows],
-                    channel.missing[rows],
-                    channel.unparsed,
-                )
-            )
+            start_us = night.start_us - reach_us.get(name, 0)
+            inside = (channel.time_us >= start_us) & (channel.time_us < night.end_us)
+            some = channel.rows(slice(None) if inside.all() else inside)
+            parts.setdefault(name, []).append(some)
+    return {name: RawChannel.joined(pieces) for name, pieces in parts.items()}
+
+
+def reaches_us(spec: MotorSpec) -> dict[str, int]:
+    """How long the last sample of each on-change channel may hold into the next night [µs]."""
     return {
-        name: RawChannel(
-            np.concatenate([part.time_us for part in pieces]),
-            np.concatenate([part.value for part in pieces]),
-            np.concatenate([part.missing for part in pieces]),
-            sum(part.unparsed for part in pieces),
-        )
-        for name, pieces in parts.items()
+        name: round(channel.longest_silence_s * SECOND_US)
+        for name, channel in spec.file.channels.items()
+        if channel.sampling == "on_change" and channel.longest_silence_s
     }

@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leakage import EstimationError, LeakageError
-from pipeline.clean import ChannelRules, CleanChannel, clean_channel
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import CleanChannel, clean_channel
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.night_fit import fit_modes
@@ -30,12 +31,17 @@ from pipeline.night_rows import (
 )
 from pipeline.night_statistics import NightStatistics, night_statistics
 from pipeline.nights import Night
+from pipeline.operation_rows import operation_row
 from pipeline.resample import Quality, Samples, bring_together
 from pipeline.sampling import means_too_long
+from pipeline.units import RUNNING_HOURS
 from pipeline.windows import TRAINING, HandSet, left_out, too_uniform
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
 INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
+
+# Tables that have rows of a night without a fit, too.
+WITHOUT_A_FIT = ("quality", "operation", "block_statistics")
 
 PreviousModel = Mapping[str, tuple[float, ...]]
 
@@ -54,6 +60,8 @@ class NightOutcome:
         θ by flushing mode, for judging this model on the next night; empty without a fit.
     seconds
         Time by stage.
+    tables
+        Names of the tables that are new; None: all.
     """
 
     night: dt.date
@@ -63,6 +71,7 @@ class NightOutcome:
     rows: Rows
     model: PreviousModel = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
+    tables: tuple[str, ...] | None = None
 
 
 class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
@@ -90,7 +99,8 @@ def fit_night(
     night
         The night.
     channels
-        Raw samples of the night by channel.
+        Raw samples of the night by channel; of an on-change one also some from before it, of
+        which the last carries over.
     previous
         The motor's model before, by flushing mode; empty where there is none.
 
@@ -105,6 +115,8 @@ def fit_night(
         with _timed(seconds, "clean_s"):
             samples, quality = _clean(spec, night, channels)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
+            counter = channels.get(RUNNING_HOURS)
+            rows["operation"] = [operation_row(spec, night, samples, counter)]
             _require_enough(samples, quality, spec)
             samples, outside = _choose_parts(spec, night, samples)
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
@@ -149,9 +161,7 @@ def unfitted(
     seconds: Mapping[str, float] | None = None,
 ) -> NightOutcome:
     """The outcome of a night without a fit: one row that says why, and what was counted so far."""
-    kept = {
-        name: part for name, part in (rows or {}).items() if name in ("quality", "block_statistics")
-    }
+    kept = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
     kept["fits"] = [unfitted_row(spec, night, status, reason, code)]
     return NightOutcome(night, status, reason, code, kept, {}, seconds or {})
 
@@ -174,8 +184,10 @@ def _clean(
         raise Insufficient(FAILED, too_long, code="means_too_long")
     cleaned: dict[str, CleanChannel] = {}
     for name, channel in spec.file.channels.items():
-        rules = ChannelRules.of(name, channel, cleaning)
-        cleaned[name] = clean_channel(channels[name], rules)
+        if name == RUNNING_HOURS:
+            continue
+        rules = ChannelRules.of(name, channel, cleaning, spec.file.logs)
+        cleaned[name] = clean_channel(channels[name], rules, night.start_us)
     counted = tuple(
         Quality(
             name,
@@ -199,6 +211,7 @@ def _clean(
         spec.settings.time_base,
         cleaning,
         spec.settings.transport_delay,
+        spec.settings.sensor_health,
     )
     return samples, counted + joint
 

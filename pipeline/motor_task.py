@@ -10,9 +10,11 @@ import datetime as dt
 import logging
 import resource
 import time
-from collections import Counter, OrderedDict, defaultdict
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -20,21 +22,19 @@ from pathlib import Path
 from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
-from pipeline.errors import LogError, StoreError
-from pipeline.ingest import RawLog, read_log
-from pipeline.ledger import FileRecord, Ledger, NightRecord, read_ledger
-from pipeline.logs import (
-    covered,
-    failed,
-    find_logs,
-    inspect_log,
-    labels_of,
-    legible,
-    place_failed,
-    slice_night,
+from pipeline.errors import StoreError
+from pipeline.ledger import (
+    Ledger,
+    NightRecord,
+    changed_months,
+    read_ledger,
+    read_settings,
 )
+from pipeline.log_shelf import LogShelf
+from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
 from pipeline.motor_night import (
     FAILED,
+    INSUFFICIENT_DATA,
     NO_NEW_DATA,
     OK,
     NightOutcome,
@@ -42,21 +42,35 @@ from pipeline.motor_night import (
     fit_night,
     unfitted,
 )
-from pipeline.night_rows import Row, utc
+from pipeline.night_rows import Row
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
+from pipeline.refit import REFITTED_TABLES, StoredNights
 from pipeline.schema import FITS, NIGHT_TABLES
+from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
 from pipeline.store import night_file, stage
 
 log = logging.getLogger(__name__)
 
-# Raise it when the code makes other figures of the same statistics: everything is then done anew.
-FIGURES_VERSION = 2
-# Logs kept in memory: one that ends and one that begins within a night.
-LOGS_IN_MEMORY = 2
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
+
+
+class Work(Enum):
+    """How far a night is made anew: from its log, from its statistics, or the model before only."""
+
+    READ = "read"
+    REFIT = "refit"
+    JUDGE = "judge"
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """A night that is to be made anew: how far, and why, in words."""
+
+    work: Work
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +87,10 @@ class MotorTask:
         Folder for this run's staged rows.
     since, until
         Labels of the first and last night to do; None: no limit.
+    force
+        Whether to make nights anew from their logs that nothing has changed of.
+    retry
+        Whether to try nights and logs again that failed.
     """
 
     spec: MotorSpec
@@ -80,6 +98,8 @@ class MotorTask:
     staging: Path
     since: dt.date | None = None
     until: dt.date | None = None
+    force: bool = False
+    retry: bool = False
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -97,15 +117,23 @@ class MotorOutcome:
     status
         failed if a night failed; else ok if a night was fitted; else what came of its nights.
     error_code, message
-        The first failure.
+        The first failure; without one, why there is no fit at all, and no code.
     counts
         Nights by outcome.
     nights
         Labels of the nights whose rows are staged.
     inputs
         Hashes of the contents that were read, in the order of the files.
+    files
+        Log files by what came of them: read, unchanged, growing, failed or left.
+    growing
+        What there is to say of each file that is changed while it is read.
+    n_refitted
+        Nights that were fitted anew from their stored statistics, without a log.
+    reasons
+        Nights by why they were made anew.
     ledger
-        The motor's new ledger, to be written once its rows are published.
+        What is to be remembered of the months that changed, once its rows are published.
     seconds
         Time by stage.
     peak_memory_mib
@@ -119,24 +147,29 @@ class MotorOutcome:
     counts: Mapping[str, int] = field(default_factory=dict)
     nights: tuple[dt.date, ...] = ()
     inputs: tuple[str, ...] = ()
-    ledger: Ledger | None = None
+    files: Mapping[str, int] = field(default_factory=dict)
+    growing: tuple[str, ...] = ()
+    n_refitted: int = 0
+    reasons: Mapping[str, int] = field(default_factory=dict)
+    ledger: Mapping[str, Ledger] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
 
+    @property
+    def finished(self) -> bool:
+        """Whether the task came to its end, whatever came of its nights."""
+        return self.peak_memory_mib is not None
 
-def settings_hash(spec: MotorSpec) -> str:
-    """Hash of all that shapes a motor's figures; not of how the work is spread, or where."""
-    return hash_of(
-        {
-            "version": FIGURES_VERSION,
-            "motor": spec.file.model_dump(
-                mode="json", exclude={"override": True, "events": {"__all__": {"note"}}}
-            ),
-            "type": spec.motor_type.model_dump(mode="json"),
-            "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
-            "settings": spec.settings.model_dump(mode="json"),
-        }
-    )
+
+def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
+    """What a run would do of a motor now, night by night, and why; nothing is read or written.
+
+    Raises
+    ------
+    StoreError
+        If a published table that it needs is damaged.
+    """
+    return _Nights(task).plan()
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
@@ -174,106 +207,163 @@ def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
 def _still_published(ledger: Ledger, output: Path) -> Ledger:
     """A ledger without the nights whose tables somebody removed: they are to be made anew."""
     gone = {label for label in ledger.nights if not night_file(output, FITS, label).exists()}
-    return replace(
-        ledger,
+    return Ledger(
         files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
         nights={label: one for label, one in ledger.nights.items() if label not in gone},
     )
 
 
+def _without_failures(ledger: Ledger) -> Ledger:
+    """A ledger that knows nothing of the logs and nights that failed."""
+    nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
+    failed = ledger.nights.keys() - nights.keys()
+    files = {
+        name: one
+        for name, one in ledger.files.items()
+        if one.status == "ok" and not labels_of(one) & failed
+    }
+    return Ledger(files, nights)
+
+
 class _Nights:
-    """A motor's files and nights while its task works through them."""
+    """A motor's nights while its task works through them."""
 
     def __init__(self, task: MotorTask) -> None:
         self.task = task
         self.spec = task.spec
-        remembered = read_ledger(task.output, task.spec.motor_id, settings_hash(task.spec))
-        self.before = _still_published(remembered, task.output)
-        self.paths: dict[str, Path] = {}
-        self.files: dict[str, FileRecord] = {}
-        self.open_logs: OrderedDict[str, RawLog] = OrderedDict()
-        self.read: set[str] = set()
-        self.done: dict[dt.date, NightOutcome] = {}
-        self.judged_with: dict[dt.date, str] = {}
         self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.remembered = read_ledger(task.output, task.spec.motor_id)
+        self.before = _still_published(self.remembered, task.output)
+        if task.retry:
+            self.before = _without_failures(self.before)
+        with self._timed("read_s"):
+            self.logs = LogShelf(self.spec, self.before.files)
+        self.hashes = SettingsHashes(self.spec)
+        self.stored = StoredNights(task.output, self.spec)
+        self.done: dict[dt.date, NightOutcome] = {}
+        self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
+        self.kept: set[dt.date] = set()
+        self.reasons: dict[dt.date, str] = {}
+        self.by_settings = self._outdated_by_settings()
 
     def run(self) -> MotorOutcome:
-        absent = self._look()
         # Reading may show that a log covers other nights than its ends had told, so look again.
-        while todo := self._todo():
-            label = min(todo)
+        while plan := self._plan():
+            label = min(plan)
             before = self._model_before(label)
-            outcome = self._night(label, before)
-            self.done[label] = outcome
-            self.judged_with[label] = _hash_of_model(before)
+            outcome = self._night(label, plan[label].work, before)
+            self.reasons[label] = plan[label].reason
+            if outcome is None:
+                self.kept.add(label)
+                continue
+            self._remember(outcome, before)
             for stage_name, seconds in outcome.seconds.items():
                 self.seconds[stage_name] += seconds
+            # Also those that an earlier state of a file had been read for.
+            for waiting in self.logs.waiting() & self.done.keys():
+                self._take_back(waiting)
         for label in self._holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
-        self._stage()
-        return self._outcome(absent)
+            self.records[label] = NightRecord(NO_NEW_DATA)
+        with self._timed("store_s"):
+            self._stage()
+        return self._outcome()
 
-    def _look(self) -> list[str]:
-        """Bring together what is known of all files; returns those that are named but absent."""
+    @contextmanager
+    def _timed(self, stage_name: str) -> Iterator[None]:
         begin = time.perf_counter()
-        self.paths, absent = find_logs(self.spec)
-        looked_at = {
-            name: inspect_log(name, path, self.before.files.get(name), self.spec)
-            for name, path in self.paths.items()
-        }
-        self.files = place_failed(looked_at, self.before.files, self.spec)
-        self.seconds["read_s"] += time.perf_counter() - begin
-        return absent
+        try:
+            yield
+        finally:
+            self.seconds[stage_name] += time.perf_counter() - begin
 
-    def _is_new(self, name: str) -> bool:
-        before, now = self.before.files.get(name), self.files[name]
-        return before is None or now.sha256 is None or before.sha256 != now.sha256
+    def plan(self) -> dict[dt.date, Step]:
+        """Nights that a run would do now, and why; reading may add some."""
+        return dict(sorted(self._plan().items()))
 
-    def _todo(self) -> set[dt.date]:
+    def _outdated_by_settings(self) -> dict[dt.date, Step]:
+        """Nights that were made with other settings, and how far they have to be made anew."""
+        present, found = self.logs.present(), {}
+        if self.task.force:
+            return dict.fromkeys(present, Step(Work.READ, "asked for"))
+        before = read_settings(self.task.output, self.spec.motor_id)
+        changed = changed_settings(before, settings_of(self.spec)) if before else ()
+        why = f"changed setting {', '.join(changed[:4])}" if changed else "changed settings"
+        why += ", …" if len(changed) > 4 else ""
+        for label, record in self.before.nights.items():
+            if not record.statistics_hash:
+                continue
+            if record.statistics_hash != self.hashes.statistics(label):
+                # Where the logs are gone, what is published stays.
+                if label in present:
+                    found[label] = Step(Work.READ, why)
+            elif record.figures_hash != self.hashes.figures(label):
+                found[label] = Step(Work.REFIT if record.model else Work.READ, why)
+        return found
+
+    def _plan(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
-        new = {label for name in self.files if self._is_new(name) for label in self._touched(name)}
-        todo = (new - self.done.keys()) | self._outdated()
-        return {label for label in todo if self.task.wants(label)}
-
-    def _touched(self, name: str) -> set[dt.date]:
-        """Nights in which a file has samples, or had them before it was changed."""
-        record = self.files[name]
-        return labels_of(record) | labels_of(self.before.files.get(name, record))
-
-    def _present(self) -> set[dt.date]:
-        return {label for record in self.files.values() for label in labels_of(record)}
-
-    def _nights(self) -> dict[dt.date, NightRecord]:
-        """What is known of every night by now."""
-        fresh = {
-            label: NightRecord(one.status, one.model, self.judged_with.get(label, ""))
-            for label, one in self.done.items()
+        outdated = self._outdated_by_model()
+        # What is not published yet cannot be judged from the tables.
+        plan = {
+            label: Step(Work.READ, step.reason)
+            for label, step in outdated.items()
+            if label in self.done
         }
-        return {**self.before.nights, **fresh}
+        later = outdated | self.by_settings
+        present, waiting = self.logs.present(), self.logs.waiting()
+        for name in self.logs.files:
+            if (news := self.logs.news_of(name)) is not None:
+                # A night of which there is no log, or not yet, is none to be done.
+                reached = self.logs.touched(name) | (self.logs.reached(name) & present)
+                later |= dict.fromkeys(reached, Step(Work.READ, news))
+        plan |= {label: step for label, step in later.items() if label not in self.done}
+        return {
+            label: step
+            for label, step in plan.items()
+            if label not in self.kept | waiting and self.task.wants(label)
+        }
 
-    def _outdated(self) -> set[dt.date]:
+    def _outdated_by_model(self) -> dict[dt.date, Step]:
         """Nights with a fit that was judged with another model than the one before it now."""
-        present, outdated = self._present(), set()
-        before = _hash_of_model({})
-        for label, record in sorted(self._nights().items()):
+        found, before = {}, _hash_of_model({})
+        for label, record in sorted(self.records.items()):
             if not record.model:
                 continue
-            if record.judged_with != before and label in present:
-                outdated.add(label)
+            if record.judged_with != before:
+                found[label] = Step(Work.JUDGE, "another model before it")
             before = _hash_of_model(record.model)
-        return outdated
+        return found
+
+    def _take_back(self, label: dt.date) -> None:
+        """Leave a night to the next run, as if it had not been done in this one."""
+        del self.done[label]
+        if label in self.before.nights:
+            self.records[label] = self.before.nights[label]
+        else:
+            del self.records[label]
+
+    def _remember(self, outcome: NightOutcome, before: PreviousModel) -> None:
+        label = outcome.night
+        self.done[label] = outcome
+        self.records[label] = NightRecord(
+            outcome.status,
+            outcome.model,
+            _hash_of_model(before),
+            self.hashes.statistics(label),
+            self.hashes.figures(label),
+        )
 
     def _holes(self) -> list[dt.date]:
         """Nights between two logs that no log covers and no row tells of yet."""
         if not self.done:
             return []
-        known = self._nights()
-        told = self._present() | known.keys()
+        told = self.logs.present() | self.records.keys()
         # A file that cannot be read may stand far off: its night is a guess.
-        readable = [record for record in self.files.values() if record.status == "ok"]
+        readable = [one for one in self.logs.files.values() if one.status == "ok"]
         certain = {label for record in readable for label in labels_of(record)}
-        certain |= {label for label, record in known.items() if record.status != FAILED}
+        certain |= {label for label, one in self.records.items() if one.status != FAILED}
         between = {
             label
             for first, last in pairwise(sorted(certain))
@@ -282,94 +372,66 @@ class _Nights:
         }
         return sorted(label for label in between - told if self.task.wants(label))
 
-    def _night(self, label: dt.date, before: PreviousModel) -> NightOutcome:
-        names = sorted(
-            (name for name, record in self.files.items() if label in labels_of(record)),
-            key=lambda name: (self.files[name].first_us or 0, name),
-        )
-        begin = time.perf_counter()
-        logs = [self._log(name) for name in names]
-        self.seconds["read_s"] += time.perf_counter() - begin
-        broken = [self.files[name] for name in names if self.files[name].status == "failed"]
-        if broken:
-            return unfitted(
-                self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
-            )
-        here = night(label, self.spec.settings.nights)
-        channels = slice_night([one for one in logs if one is not None], here)
-        if not any(len(channel.time_us) for channel in channels.values()):
-            return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
+    def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
+        """What comes of a night; None where it stays as published, for want of its log."""
         try:
-            return fit_night(self.spec, here, channels, before)
+            if work is not Work.READ:
+                make = self.stored.refit if work is Work.REFIT else self.stored.judge
+                with self._timed("refit_s"):
+                    outcome = make(label, before)
+                if outcome is not None or label not in self.logs.present():
+                    return outcome
+            return self._read_and_fit(label, before)
+        except StoreError:
+            raise
         except Exception as error:  # a fault of ours in one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
             reason = legible(f"{type(error).__name__}: {error}")
             return unfitted(self.spec, label, FAILED, reason, code="internal")
 
-    def _log(self, name: str) -> RawLog | None:
-        """A log's content, read once while it is needed; a failure goes into its record."""
-        if name in self.open_logs:
-            self.open_logs.move_to_end(name)
-            return self.open_logs[name]
-        record = self.files[name]
-        if record.status == "failed":
-            return None
-        try:
-            content = read_log(self.paths[name], self.spec.file.log_source())
-        except LogError as error:
-            self.files[name] = failed(record, error)
-            return None
-        self.read.add(name)
-        self.files[name] = covered(record, content, self.spec)
-        self.open_logs[name] = content
-        if len(self.open_logs) > LOGS_IN_MEMORY:
-            self.open_logs.popitem(last=False)
-        return content
+    def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
+        here = night(label, self.spec.settings.nights)
+        with self._timed("read_s"):
+            names = self.logs.of_night(label)
+            read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
+        broken = [one for name in names if (one := self.logs.files[name]).status != "ok"]
+        if broken:
+            return unfitted(
+                self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
+            )
+        contents = [one for one in read if one is not None]
+        channels = slice_night(contents, here, reaches_us(self.spec))
+        if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
+            return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
+        return fit_night(self.spec, here, channels, before)
 
     def _model_before(self, label: dt.date) -> PreviousModel:
-        return replace(self.before, nights=self._nights()).model_before(label)
+        return Ledger(nights=self.records).model_before(label)
 
     def _stage(self) -> None:
-        begin = time.perf_counter()
-        rows = {label: dict(outcome.rows) for label, outcome in self.done.items()}
-        for row in self._file_rows():
-            if row["night"] in rows:
-                rows[row["night"]].setdefault("input_files", []).append(row)
-        for table in NIGHT_TABLES if rows else ():
-            path = self.task.staging / table.name / f"{self.spec.motor_id}.arrow"
-            stage(path, table, {label: part.get(table.name, []) for label, part in rows.items()})
-        self.seconds["store_s"] += time.perf_counter() - begin
+        by_table: defaultdict[str, dict[dt.date, list[Row]]] = defaultdict(dict)
+        for label, outcome in self.done.items():
+            for table in NIGHT_TABLES:
+                # A night made anew in part keeps what only its samples tell.
+                if outcome.tables is None or table.name in outcome.tables:
+                    by_table[table.name][label] = outcome.rows.get(table.name, [])
+        for row in self.logs.rows():
+            if row["night"] in by_table["input_files"]:
+                by_table["input_files"][row["night"]].append(row)
+        for table in NIGHT_TABLES:
+            if nights := by_table[table.name]:
+                stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
 
-    def _file_rows(self) -> list[Row]:
-        """Rows of `input_files`: each file once, under its first night."""
-        return [
-            {
-                "motor_id": self.spec.motor_id,
-                "path": name,
-                "night": min(labels_of(record)),
-                "format": self.spec.file.logs.format,
-                "size_bytes": record.size,
-                "sha256": record.sha256,
-                "rows": record.rows,
-                "first_time": None if record.first_us is None else utc(record.first_us),
-                "last_time": None if record.last_us is None else utc(record.last_us),
-                "status": record.status,
-                "error_code": record.error_code,
-                "message": record.message,
-            }
-            for name, record in sorted(self.files.items())
-            if record.nights
-        ]
+    def _why_nothing(self, status: str) -> str | None:
+        """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
+        if not self.logs.files:
+            return "; ".join(without_match(self.spec)) or None
+        if status != INSUFFICIENT_DATA:
+            return None
+        label = min(label for label, one in self.done.items() if one.status == status)
+        return f"night {label}: {self.done[label].reason}"
 
-    def _finished_files(self) -> dict[str, FileRecord]:
-        """Files of which every night is done: the others stay new, for a run that wants them."""
-        return {
-            name: record
-            for name, record in self.files.items()
-            if not self._is_new(name) or self._touched(name) <= self.done.keys()
-        }
-
-    def _outcome(self, absent: list[str]) -> MotorOutcome:
+    def _outcome(self) -> MotorOutcome:
         counts = Counter(outcome.status for outcome in self.done.values())
         errors: list[tuple[str | None, str | None]] = [
             (one.error_code, f"night {label}: {one.reason}")
@@ -378,17 +440,23 @@ class _Nights:
         ]
         errors += [
             (record.error_code, record.message)
-            for record in self.files.values()
+            for record in self.logs.files.values()
             if record.status == "failed" and not record.nights
         ]
-        errors += [("log_missing", f"{name}: named in the config and absent") for name in absent]
+        errors += [
+            ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
+        ]
         if errors:
             status = FAILED
         elif counts[OK]:
             status = OK
         else:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
-        code, message = errors[0] if errors else (None, None)
+        code, message = errors[0] if errors else (None, self._why_nothing(status))
+        after = Ledger(
+            {**self.before.files, **self.logs.finished(self.done)},
+            self.records,
+        )
         return MotorOutcome(
             motor_id=self.spec.motor_id,
             status=status,
@@ -396,12 +464,12 @@ class _Nights:
             message=message,
             counts=counts,
             nights=tuple(sorted(self.done)),
-            inputs=tuple(self.files[name].sha256 or "" for name in sorted(self.read)),
-            ledger=replace(
-                self.before,
-                files={**self.before.files, **self._finished_files()},
-                nights=self._nights(),
-            ),
+            reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
+            n_refitted=sum(one.tables == REFITTED_TABLES for one in self.done.values()),
+            inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
+            files=self.logs.counts(self.done),
+            growing=tuple(self.logs.growing()),
+            ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
             peak_memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         )

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, LeakageError, OperatingConditions, SearchSettings, fit, regressors
+from leakage import Fit, LeakageError, OperatingConditions, regressors
 from leakage.correlation import slowest_correlation_time
 from leakage.identifiability import (
     Excitation,
-    Identification,
-    LeakageJudgement,
-    identify,
-    judge_leakage,
 )
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
-from leakage.uncertainty import Bootstrap, block_bootstrap, lengthened
+from pipeline.block_fit import BlockFit, fit_blocks
 from pipeline.config import MotorSpec
+from pipeline.night_residuals import ROUNDING, PartResiduals, night_residuals
 from pipeline.night_statistics import NightStatistics, condition
 from pipeline.transport_delay import estimated_delay_s
 from pipeline.windows import TRAINING
@@ -30,48 +26,42 @@ Array = NDArray[np.float64]
 
 # Longest memory of the errors that is looked for; beyond it there are no intervals.
 LONGEST_MEMORY_S = 600.0
-# Errors below this share of the flow are rounding.
-ROUNDING = 1e-9
 # Means over this time show a slow error under a larger fast one.
 MEMORY_CELL_S = 30.0
 PA_PER_BAR = 1e5
 
 
 @dataclass(frozen=True, slots=True)
-class FittedMode:
-    """The fit under one mode of flushing, and all that is said of it.
+class FittedMode(BlockFit):
+    """The fit under one mode of flushing, and all that the night's samples say of it.
 
     Attributes
     ----------
-    name
-        none, fixed or estimated.
-    fit, identification
-        Estimates; verdicts and intervals.
-    excitation
-        What the training samples saw.
     error
         Prediction errors of the training samples, shape (n,) [l/min].
-    reference_conditions
-        Where the reference leakage is evaluated.
-    reference, own
-        Leakage at the reference conditions, and at the night's own mean conditions.
-    bootstrap
-        Percentile limits, a cross-check.
     budget
         Effects of the stated tolerances on θ, the reference leakage and the own leakage; empty
         where none is stated, or one leads where the model does not hold.
+    residuals
+        Residual analyses of training and validation samples.
     """
 
-    name: str
-    fit: Fit
-    identification: Identification
-    excitation: Excitation
     error: Array
-    reference_conditions: OperatingConditions
-    reference: LeakageJudgement
-    own: LeakageJudgement
-    bootstrap: Bootstrap
     budget: ErrorBudget
+    residuals: tuple[PartResiduals, ...]
+
+    @classmethod
+    def of(
+        cls,
+        found: BlockFit,
+        *,
+        error: Array,
+        budget: ErrorBudget,
+        residuals: tuple[PartResiduals, ...],
+    ) -> FittedMode:
+        """A fit from blocks with what samples add to it."""
+        shared = {field.name: getattr(found, field.name) for field in fields(found)}
+        return cls(**shared, error=error, budget=budget, residuals=residuals)
 
 
 def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
@@ -112,39 +102,29 @@ def _fit_mode(
     mode: str,
     at: tuple[OperatingConditions, OperatingConditions],
 ) -> FittedMode:
-    estimation = spec.settings.estimation
-    search = SearchSettings(
-        starting_points=estimation.starting_points,
-        gradient_type=estimation.gradient_type,
-        step_tolerance=estimation.step_tolerance,
-        function_tolerance=estimation.function_tolerance,
-        maximum_iterations=estimation.maximum_iterations,
-    )
-    generator = np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, mode))
     training = statistics.factors_of(TRAINING)
-    fitted = fit(statistics.factor_of(TRAINING), spec.motor(night, mode), search, generator)
     rows = statistics.rows_of(TRAINING)
-    error = statistics.z[rows] @ -np.concatenate([fitted.coefficients, (1.0, -1.0)])
-    excitation = _excitation(statistics, rows, error)
-    identification = identify(fitted, training, excitation, statistics.inflation)
-    return FittedMode(
-        name=mode,
-        fit=fitted,
-        identification=identification,
-        excitation=excitation,
-        error=error,
-        reference_conditions=at[0],
-        reference=judge_leakage(fitted, identification, excitation, at[0]),
-        own=judge_leakage(fitted, identification, excitation, at[1]),
-        bootstrap=block_bootstrap(
-            lengthened(training, excitation.blocks_to_merge),
-            fitted.coefficients,
-            ~fitted.certificate.fixed,
-            generator,
-            resamples=estimation.bootstrap_resamples,
+
+    def excite(fitted: Fit) -> Excitation:
+        return _excitation(statistics, rows, _error(statistics, rows, fitted))
+
+    found = fit_blocks(spec, night, mode, training, excite, at, statistics.inflation)
+    return FittedMode.of(
+        found,
+        error=_error(statistics, rows, found.fit),
+        budget=_budget(spec, statistics, found.fit, rows, night, at),
+        residuals=night_residuals(
+            statistics,
+            found.fit.coefficients,
+            found.excitation.correlation_time_s,
+            spec.settings.smoothing,
         ),
-        budget=_budget(spec, statistics, fitted, rows, night, at),
     )
+
+
+def _error(statistics: NightStatistics, rows: NDArray[np.bool_], fitted: Fit) -> Array:
+    error: Array = statistics.z[rows] @ -np.concatenate([fitted.coefficients, (1.0, -1.0)])
+    return error
 
 
 def transport_delays_s(
@@ -268,9 +248,3 @@ def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
         film_pressure_share=model.film_pressure_share_tolerance,
         charge_pressure_bar=model.charge_pressure_tolerance_bar,
     )
-
-
-def night_seed(seed: int, motor_id: str, night: dt.date, mode: str) -> int:
-    """Seed of a fit's draws: the same for the same run seed, motor, night and mode."""
-    text = "|".join((str(seed), motor_id, night.isoformat(), mode))
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")

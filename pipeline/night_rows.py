@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,16 +12,20 @@ from numpy.typing import NDArray
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.uncertainty import Interval
 from leakage.validation import (
+    Agreement,
     agreement,
     criteria,
     effective_sample_count,
     lag_one_autocorrelation,
 )
+from pipeline.block_fit import BlockFit
 from pipeline.config import MotorSpec
-from pipeline.night_fit import FittedMode, own_conditions, transport_delays_s
+from pipeline.night_fit import PA_PER_BAR, FittedMode, own_conditions, transport_delays_s
 from pipeline.night_statistics import NightStatistics
+from pipeline.operation_rows import coarse_histogram
 from pipeline.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.resample import Quality
+from pipeline.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.thinning import keep_extremes
 from pipeline.windows import TRAINING, VALIDATION
@@ -83,7 +87,6 @@ def statistics_rows(
         "temperature": ("c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
         "speed": ("rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
     }
-    upper = np.triu_indices(len(motor.columns))
     rows = []
     for block, r in zip(statistics.blocks, statistics.factors, strict=True):
         part = slice(block.first_row, block.end_row)
@@ -95,7 +98,7 @@ def statistics_rows(
             "part": block.part,
             "n": block.n,
             "columns": list(motor.columns),
-            "statistics": r[upper].tolist(),
+            "statistics": upper_triangle(r),
             "share_reversed": float(np.mean(samples.speed_rpm[part] < 0)),
             "n_beyond_curve": int(beyond[part].sum()),
             "model_hash": statistics.model_hash,
@@ -108,13 +111,11 @@ def statistics_rows(
 
 def _spread(name: str, unit: str, values: Array, edges: tuple[float, ...]) -> Row:
     """Mean, limits and coarse histogram of a channel in a block; the end bins hold all beyond."""
-    bins = np.searchsorted(edges, values, side="right") - 1
-    counts = np.bincount(np.clip(bins, 0, len(edges) - 2), minlength=len(edges) - 1)
     return {
         f"mean_{name}_{unit}": float(values.mean()),
         f"minimum_{name}_{unit}": float(values.min()),
         f"maximum_{name}_{unit}": float(values.max()),
-        f"{name}_histogram": counts.tolist(),
+        f"{name}_histogram": coarse_histogram(values, edges),
     }
 
 
@@ -125,22 +126,30 @@ def fit_rows(
     modes: Sequence[FittedMode],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
-    """Rows of `fits`, `parameters`, `sensitivities` and `starts` for all modes of flushing."""
+    """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
-    figures = [_mode_columns(spec, statistics, mode, previous.get(mode.name)) for mode in modes]
-    on_validation = [row["validation_fit_percent"] for row in figures]
-    best = max((fit for fit in on_validation if fit is not None), default=None)
-    rows: Rows = {"fits": [], "parameters": [], "sensitivities": [], "starts": []}
-    for mode, own in zip(modes, figures, strict=True):
+    period_s = statistics.samples.period_us / 1e6
+    rows: Rows = {
+        "fits": [],
+        "parameters": [],
+        "sensitivities": [],
+        "starts": [],
+        "residual_tests": [],
+        "residual_verdicts": [],
+    }
+    for mode in modes:
         key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
-        own["is_primary"] = mode.name == spec.file.flushing.mode
-        own["is_best_on_validation"] = (
-            None if best is None else own["validation_fit_percent"] == best
-        )
-        rows["fits"].append(shared | key | own)
+        own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
+        rows["fits"].append(own | criteria_columns(own))
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
         rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
         rows["starts"] += [key | row for row in start_rows(mode.fit)]
+        for name, made in (
+            ("residual_tests", residual_test_rows),
+            ("residual_verdicts", residual_verdict_rows),
+        ):
+            rows[name] += [key | row for row in made(mode.residuals, period_s)]
+    mark_modes(rows["fits"], spec.file.flushing.mode)
     return rows
 
 
@@ -173,7 +182,35 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "loss": spec.settings.estimation.loss,
         "oil": spec.file.oil_on(night),
         "model_hash": statistics.model_hash,
+        "columns": list(spec.motor(night, spec.file.flushing.mode).columns),
+        "night_factor": upper_triangle(statistics.judged_on()),
+        "n_kept": len(samples.index),
+        "sample_period_s": samples.period_us / 1e6,
+        "mean_charge_over_case_bar": _mean_charge_bar(statistics),
+        "weight_inflation": statistics.inflation,
+        "is_refitted": False,
     }
+
+
+def _mean_charge_bar(statistics: NightStatistics) -> float | None:
+    charge = statistics.conditions.charge_over_case_pa
+    return None if charge is None else float(charge.mean()) / PA_PER_BAR
+
+
+def _covariance(mode: BlockFit) -> list[float] | None:
+    """Upper triangle of the covariance of θ; a coefficient without a distribution has zeros."""
+    distribution = mode.identification.distribution
+    if distribution is None:
+        return None
+    whole = np.zeros((len(mode.fit.coefficients),) * 2)
+    whole[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
+    return upper_triangle(whole)
+
+
+def upper_triangle(matrix: Array) -> list[float]:
+    """The upper triangle of a square matrix, row by row, as tables hold it."""
+    values: list[float] = matrix[np.triu_indices(len(matrix))].tolist()
+    return values
 
 
 def _mode_columns(
@@ -183,54 +220,107 @@ def _mode_columns(
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
-    certificate, fit = mode.fit.certificate, mode.fit
-    resolution = spec.file.channels["leakage_flow"].resolution
-    training = agreement(statistics.judged_on(TRAINING), fit.coefficients, resolution)
-    validation = agreement(statistics.judged_on(VALIDATION), fit.coefficients, resolution)
-    before = None
-    if previous is not None and len(previous) == len(fit.coefficients):
-        before = agreement(statistics.judged_on(), np.array(previous), resolution).fit_percent
-    condition = certificate.condition_number
+    chosen = statistics.rows_of(TRAINING)
+    consecutive = np.diff(statistics.samples.index[chosen]) == 1
+    phi = lag_one_autocorrelation(mode.error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
-        "training_fit_percent": training.fit_percent,
-        "validation_fit_percent": validation.fit_percent,
-        "previous_model_fit_percent": before,
-        "training_rmse_l_per_min": training.rmse_l_per_min,
-        "validation_rmse_l_per_min": validation.rmse_l_per_min,
-        "cost": certificate.cost,
-        "certificate_gap": fit.certificate_gap,
-        "dual_residual": certificate.dual_residual,
-        "n_starts": len(fit.starts),
-        "n_starts_at_minimum": len(fit.starts_at_minimum),
-        "rank": certificate.rank,
-        "condition_number": condition if np.isfinite(condition) else None,
-        "singular_values": certificate.singular_values.tolist(),
+        "n_starts": len(mode.fit.starts),
+        "n_starts_at_minimum": len(mode.fit.starts_at_minimum),
+        "certificate_gap": mode.fit.certificate_gap,
         "correlation_time_s": mode.excitation.correlation_time_s,
-        "interval_status": mode.identification.interval_status,
-        "n_interval_blocks": mode.identification.n_blocks,
-        **_criteria_columns(statistics, mode, training.n),
-        **_leakage_columns(mode),
+        "n_effective": effective_sample_count(len(mode.error), phi),
+        "lag_one_autocorrelation": phi,
+        **agreement_columns(spec, statistics.judged_on, mode),
+        **previous_model_columns(spec, statistics.judged_on(), previous),
+        **block_fit_columns(mode),
+        **residual_columns(mode.residuals),
+        **leakage_columns(mode),
     }
 
 
-def _criteria_columns(statistics: NightStatistics, mode: FittedMode, n: int) -> Row:
-    """FPE and information criteria, by the number of samples and by the effective one."""
-    d, cost = mode.identification.n_identified, mode.fit.certificate.cost
-    chosen = statistics.rows_of(TRAINING)
-    consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    phi = lag_one_autocorrelation(mode.error, consecutive)
-    effective = effective_sample_count(len(mode.error), phi)
-    # The criteria are those of a squared loss: a robust one has none of them.
-    squared = statistics.inflation == 1.0
-    figures = criteria(cost, d, n if squared else 0)
-    honest = criteria(cost, d, (effective or 0.0) if squared else 0.0)
+def agreement_columns(
+    spec: MotorSpec,
+    judged_on: Callable[[str], Array],
+    mode: BlockFit,
+) -> Row:
+    """How a fit agrees with the samples of both parts.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    judged_on
+        Factor of the samples of a part.
+    mode
+        The fit.
+    """
+    fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
+    training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
+    validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
     return {
-        "n_parameters": d,
-        "n_effective": effective,
-        "lag_one_autocorrelation": phi,
+        "training_fit_percent": training.fit_percent,
+        "validation_fit_percent": validation.fit_percent,
+        "training_rmse_l_per_min": training.rmse_l_per_min,
+        "validation_rmse_l_per_min": validation.rmse_l_per_min,
+        "training_mean_error_l_per_min": training.mean_error_l_per_min,
+        "validation_mean_error_l_per_min": validation.mean_error_l_per_min,
+    }
+
+
+def previous_model_columns(
+    spec: MotorSpec, night_factor: Array, previous: tuple[float, ...] | None
+) -> Row:
+    """How the model before agrees with all of the night's samples.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    night_factor
+        Factor of all kept samples, shape (c, c).
+    previous
+        θ of the model before; None where there is none.
+    """
+    found = Agreement(0, None, None, None)
+    if previous is not None and len(previous) == len(night_factor) - 2:
+        resolution = spec.file.channels["leakage_flow"].resolution
+        found = agreement(night_factor, np.array(previous), resolution)
+    return {
+        "previous_model_fit_percent": found.fit_percent,
+        "previous_model_rmse_l_per_min": found.rmse_l_per_min,
+        "previous_model_mean_error_l_per_min": found.mean_error_l_per_min,
+    }
+
+
+def block_fit_columns(mode: BlockFit) -> Row:
+    """What the blocks of a fit say of it."""
+    certificate, fit = mode.fit.certificate, mode.fit
+    condition = certificate.condition_number
+    return {
+        "cost": certificate.cost,
+        "dual_residual": certificate.dual_residual,
+        "rank": certificate.rank,
+        "condition_number": condition if np.isfinite(condition) else None,
+        "singular_values": certificate.singular_values.tolist(),
+        "coefficients": fit.coefficients.tolist(),
+        "coefficient_covariance": _covariance(mode),
+        "interval_status": mode.identification.interval_status,
+        "n_interval_blocks": mode.identification.n_blocks,
+        "n_parameters": mode.identification.n_identified,
+    }
+
+
+def criteria_columns(row: Row) -> Row:
+    """FPE and information criteria of a row of `fits`, by n_training and by n_effective."""
+    cost, d = row["cost"], row["n_parameters"]
+    # The criteria are those of a squared loss: a robust one has none of them.
+    squared = row["weight_inflation"] == 1.0
+    figures = criteria(cost, d, row["n_training"] if squared else 0)
+    honest = criteria(cost, d, (row["n_effective"] or 0.0) if squared else 0.0)
+    return {
         "fpe": figures.fpe,
         "aic": figures.aic,
         "aicc": figures.aicc,
@@ -241,7 +331,18 @@ def _criteria_columns(statistics: NightStatistics, mode: FittedMode, n: int) -> 
     }
 
 
-def _leakage_columns(mode: FittedMode) -> Row:
+def mark_modes(rows: Sequence[Row], primary: str) -> None:
+    """Mark the primary fit of a night, and the one that is best on validation."""
+    on_validation = [row["validation_fit_percent"] for row in rows]
+    best = max((fit for fit in on_validation if fit is not None), default=None)
+    for row in rows:
+        row["is_primary"] = row["flushing_mode"] == primary
+        row["is_best_on_validation"] = (
+            None if best is None else row["validation_fit_percent"] == best
+        )
+
+
+def leakage_columns(mode: FittedMode) -> Row:
     """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
     reference, own = mode.reference, mode.own
     identified = reference.verdict in ("identified", "fixed")

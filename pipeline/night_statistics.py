@@ -26,7 +26,7 @@ Array = NDArray[np.float64]
 
 # Raise it when the code makes other statistics of the same samples: old blocks then never merge
 # with new ones.
-STATISTICS_VERSION = 1
+STATISTICS_VERSION = 2
 
 # Keys that leave the columns of a free path as they are: they scale its coefficient, or only say
 # how well something is known.
@@ -61,6 +61,11 @@ class NightStatistics:
         What drives their leakage, shape (n,).
     z
         Their columns, smoothed where that was asked for; shape (n, c).
+    unsmoothed
+        The same before smoothing; z itself where none was asked for.
+    short_block
+        Number of each sample's block before neighbours are merged, whose borders no smoothing
+        crosses; shape (n,).
     blocks
         Blocks as they are stored.
     factors
@@ -76,6 +81,8 @@ class NightStatistics:
     samples: Samples
     conditions: OperatingConditions
     z: Array
+    unsmoothed: Array
+    short_block: NDArray[np.int64]
     blocks: tuple[Block, ...]
     factors: Array
     plain_factors: Array
@@ -106,8 +113,8 @@ class NightStatistics:
 
     def rows_of(self, part: str) -> NDArray[np.bool_]:
         """Which of the kept samples belong to a part, shape (n,)."""
-        chosen: NDArray[np.bool_] = self.parts() == part
-        return chosen
+        chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
+        return np.repeat(chosen, [block.n for block in self.blocks])
 
 
 def night_statistics(
@@ -139,11 +146,11 @@ def night_statistics(
     """
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
-    z = np.column_stack([regressors(motor, conditions), samples.leakage_l_per_min])
+    unsmoothed = np.column_stack([regressors(motor, conditions), samples.leakage_l_per_min])
     by_hand = HandSet.of(spec.file.periods, night)
     short = split_into_blocks(samples.time_us, night.start_us, settings.windows, by_hand)
     number = np.repeat(np.arange(len(short)), [block.n for block in short])
-    z = smooth(z, samples.index, number, samples.period_us, settings.smoothing)
+    z = smooth(unsmoothed, samples.index, number, samples.period_us, settings.smoothing)
     stored = merge_neighbours(short, settings.windows.maximum_blocks)
     borders = np.array([*(block.first_row for block in stored), len(z)])
     plain = factors(z, borders)
@@ -161,6 +168,8 @@ def night_statistics(
         samples=samples,
         conditions=conditions,
         z=z,
+        unsmoothed=unsmoothed,
+        short_block=number,
         blocks=stored,
         factors=made,
         plain_factors=plain,

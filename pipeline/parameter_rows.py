@@ -124,6 +124,9 @@ def _feasible(
     high = max(min(largest, path.gap.highest), low)
 
     def eccentricity(h: float) -> float:
+        # The ends of the range as they are: the root below makes 1e-8 of a rounding error.
+        if h in (smallest, largest):
+            return e.highest if h == smallest else e.lowest
         widening = coefficient_m3 / float(path.coefficient([h, 0.0])) - 1.0
         return float(np.clip(np.sqrt(max(widening, 0.0) / 1.5), e.lowest, e.highest))
 

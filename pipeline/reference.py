@@ -109,6 +109,12 @@ def table_reference() -> str:
         "`--output` says otherwise. Rows are sorted by key and no two share it. Times are UTC. "
         "Null means that there is no such figure, never 0. The table `data_dictionary` holds what "
         "this page says.",
+        "Columns are added at the end and never removed, renamed or given another meaning. Files "
+        "that an older version wrote lack what came later: have a reader match columns by name. "
+        "[queries.md](queries.md) does so for DuckDB, Polars and pandas and answers common "
+        "questions; [powerbi.md](powerbi.md) is for Power BI; `motor-leakage export` writes CSV "
+        "([operations.md](operations.md)). The last column names what some readers cannot hold.",
+        _grid(("Table", "One row is", "Columns that are lists"), map(_index_row, TABLES)),
     ]
     columns = data_dictionary()
     for table in TABLES:
@@ -138,6 +144,11 @@ PAGES: Final[Mapping[str, Callable[[], str]]] = {
     "config.md": config_reference,
     "tables.md": table_reference,
 }
+
+
+def _index_row(table: Table) -> Sequence[str]:
+    lists = [name for name, kind in table.schema.items() if isinstance(kind, pl.List)]
+    return f"[{table.name}](#{table.name})", table.row, ", ".join(f"`{name}`" for name in lists)
 
 
 def _place(table: Table) -> str:
@@ -208,7 +219,8 @@ def _kind(field: Schema, root: Schema) -> str:
     if "prefixItems" in field:
         return f"[{', '.join(_kind(_resolved(one, root), root) for one in field['prefixItems'])}]"
     if field.get("type") == "array":
-        return f"list of {_kind(_resolved(field['items'], root), root)}"
+        kinds = [_kind(_resolved(one, root), root) for one in _options(field["items"])]
+        return f"list of {', '.join(kinds)}"
     if "pattern" in field:
         return f"text as `{field['pattern']}`"
     # An exclusive limit takes the place of an inclusive one on the same side.
@@ -236,6 +248,12 @@ def _resolved(field: Schema, root: Schema) -> Schema:
     plain: Schema = {**field, **options[0]} if options else field
     reference = plain.get("$ref", "").rpartition("/")[2]
     return {**plain, **root["$defs"][reference]} if reference else plain
+
+
+def _options(items: Schema) -> Sequence[Schema]:
+    """What an element of a list can be."""
+    options: Sequence[Schema] = items.get("anyOf", [items])
+    return options
 
 
 def _paragraph(text: str) -> str:

@@ -2,7 +2,7 @@
 
 The grid is anchored at the night's start, so it does not depend on which files a night came in.
 Slower channels are interpolated linearly, never across a gap or a refused sample; faster ones are
-averaged over a cell of the grid.
+averaged over a cell of the grid. An on-change channel begins with its last sample before the night.
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.clean import SECOND_US, CleanChannel, Mask, Times, Values, near, transient
-from pipeline.config import Cleaning, TimeBase, TransportDelay
+from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.clean import CleanChannel
+from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
+from pipeline.halts import Halts, settled_halts
+from pipeline.masks import ROUNDING, near, transient
 from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
@@ -23,6 +27,7 @@ AVERAGE_ABOVE = 1.5
 CELL_SHARE = 0.5
 # A mean stands for this share of its period on either side; half, and some for jitter.
 MEAN_REACH = 0.6
+NO_HALTS = Halts()
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
@@ -64,6 +69,10 @@ class Samples:
         Place of the log's first sample on the grid.
     delay
         The transport delay that the samples were paired with; None where it is off.
+    n_logged, n_turning
+        Samples of the grid with a credible speed, and those of them above standstill.
+    halts
+        What the sensors said at depressurised, settled halts.
     """
 
     index: Times
@@ -78,6 +87,9 @@ class Samples:
     n_running: int
     first_index: int = 0
     delay: Delay | None = None
+    n_logged: int = 0
+    n_turning: int = 0
+    halts: Halts = NO_HALTS
 
     def only(self, chosen: Mask) -> Samples:
         """These samples without those that are not chosen; the night stays as long as it was."""
@@ -157,7 +169,7 @@ def _interpolated(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, 
     left = np.where(time[right] == grid_us, right, np.maximum(right - 1, 0))
     distance = time[right] - time[left]
     inside = (time[left] <= grid_us) & (grid_us <= time[right])
-    silent = ~inside | (distance > channel.longest_gap_us)
+    silent = ~inside | (distance > channel.longest_gap_us) | _ended(channel, left, grid_us)
     present = ~silent & kept[left] & kept[right]
     share = (grid_us - time[left]) / np.maximum(distance, 1)
     result = value[left] + share * (value[right] - value[left])
@@ -170,8 +182,17 @@ def _held(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
     last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
     known, last = last >= 0, np.maximum(last, 0)
     silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
+    silent |= _ended(channel, last, grid_us)
     present = ~silent & ~channel.refused[last]
     return np.where(present, channel.value[last], np.nan), present, silent
+
+
+def _ended(channel: CleanChannel, last: NDArray[np.intp], grid_us: Times) -> Mask:
+    """Times behind a sample which says that there is no value from there on."""
+    if channel.ends is None:
+        return np.zeros(len(grid_us), dtype=np.bool_)
+    ended: Mask = channel.ends[last] & (channel.time_us[last] < grid_us)
+    return ended
 
 
 def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
@@ -208,6 +229,7 @@ def bring_together(
     time_base: TimeBase,
     cleaning: Cleaning,
     transport_delay: TransportDelay | None = None,
+    sensor_health: SensorHealth | None = None,
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """All channels on one time base, and the joint rules: gap, standstill, guard, transient.
 
@@ -217,8 +239,8 @@ def bring_together(
         Cleaned channels; the pressure difference by itself or as two ports.
     night_start_us, night_end_us
         The night, half open, UTC microseconds.
-    time_base, cleaning, transport_delay
-        Settings; None: no delay.
+    time_base, cleaning, transport_delay, sensor_health
+        Settings; None: no delay, and the defaults.
 
     Returns
     -------
@@ -226,9 +248,8 @@ def bring_together(
         Kept samples, and counts of the joint rules.
     """
     period = grid_period_us(channels, time_base)
-    first = min(int(channel.time_us[0]) for channel in channels.values())
     last = max(int(channel.time_us[-1]) for channel in channels.values())
-    begin = -(-(first - night_start_us) // period)
+    begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)
     end = min((last - night_start_us) // period, (night_end_us - night_start_us - 1) // period)
     index = np.arange(begin, end + 1, dtype=np.int64)
     grid = night_start_us + index * period
@@ -275,8 +296,24 @@ def bring_together(
             n_running=int((logged & ~masks["standstill"] & ~masks["guard"]).sum()),
             first_index=begin,
             delay=delay,
+            n_logged=int(present["speed"].sum()),
+            n_turning=int((present["speed"] & ~masks["standstill"]).sum()),
+            halts=settled_halts(
+                masks["standstill"], grid, channels, sensor_health or SensorHealth()
+            ),
         ),
         tuple(found),
+    )
+
+
+def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:
+    """Where the log of a night begins: with its first sample, or at once if all carry over."""
+    if all(channel.n_carried for channel in channels.values()):
+        return night_start_us
+    return min(
+        int(channel.time_us[channel.n_carried])
+        for channel in channels.values()
+        if len(channel.time_us) > channel.n_carried
     )
 
 
@@ -289,7 +326,8 @@ def _joint_masks(
     cleaning: Cleaning,
 ) -> dict[str, Mask]:
     speed, pressure = values["speed"], values["pressure_difference"]
-    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < cleaning.standstill_rpm)
+    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
+    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
     events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))

@@ -9,16 +9,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import Channel, Cleaning
 from pipeline.config.motors import ChannelName
 
-Values = NDArray[np.float64]
-Times = NDArray[np.int64]
-Mask = NDArray[np.bool_]
-
-SECOND_US = 1_000_000
 # cm³/µs -> l/min.
 CM3_PER_US_TO_L_PER_MIN = 60.0 * SECOND_US / 1000.0
 # A counter that falls has rolled over if it thereby counted less than this share of its range.

@@ -217,6 +217,98 @@ FITS = Table(
             "The same by cross-correlation of measured and predicted flow; null where it is off, "
             "nothing moves, or the best agreement lies at the longest delay tried",
         ),
+        Column("columns", NAMES, "", "Columns of the statistics: of each free path, one, known, y"),
+        Column(
+            "coefficients", NUMBERS, "m3, l/min", "θ: a coefficient for each free path, then C_f"
+        ),
+        Column(
+            "coefficient_covariance",
+            NUMBERS,
+            "squares of those",
+            "Upper triangle of their covariance, row by row; 0 where fixed; null without intervals",
+        ),
+        Column(
+            "night_factor",
+            NUMBERS,
+            "",
+            "Upper triangle of the factor R of all kept samples of the night, row by row",
+        ),
+        Column("n_kept", pl.Int64, "", "Kept samples of the night, of all parts"),
+        Column("sample_period_s", pl.Float64, "s", "Period of the time base"),
+        Column(
+            "mean_charge_over_case_bar",
+            pl.Float64,
+            "bar",
+            "Mean charge above case pressure; null unless two_sided",
+        ),
+        Column(
+            "weight_inflation",
+            pl.Float64,
+            "",
+            "Factor on standard errors that robust weights ask for; 1 without them",
+        ),
+        Column(
+            "is_refitted",
+            pl.Boolean,
+            "",
+            "Fitted anew from its statistics after a change of settings, without its log: what "
+            "needs samples (`sensitivities`, `starts`, `predictions`, `residual_tests`, ± from "
+            "tolerances, correlation_time_s, n_effective, delays) is of the settings before",
+        ),
+        Column(
+            "training_mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Mean of measured less predicted flow on the training samples",
+        ),
+        Column(
+            "validation_mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "The same on the validation samples",
+        ),
+        Column(
+            "previous_model_rmse_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Root mean squared error of the motor's model before, on all of tonight's samples",
+        ),
+        Column(
+            "previous_model_mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Mean of measured flow less that of the motor's model before, on all of tonight's "
+            "samples",
+        ),
+        Column(
+            "n_effective_summed",
+            pl.Float64,
+            "",
+            "As n_effective, by the sum of all correlations: N/(1 + 2Σρ(k)); smaller where white "
+            "noise hides a slow error; null where the errors remember longer than can be told",
+        ),
+        Column("validation_n_effective", pl.Float64, "", "n_effective of the validation samples"),
+        Column(
+            "validation_n_effective_summed",
+            pl.Float64,
+            "",
+            "n_effective_summed of the validation samples",
+        ),
+        Column(
+            "training_whiteness",
+            pl.String,
+            "",
+            "Whether the unsmoothed training errors tell of one another: passed, failed or "
+            "not_tested; see residual_verdicts",
+        ),
+        Column(
+            "training_independence",
+            pl.String,
+            "",
+            "Whether an input tells of the unsmoothed training errors: failed if any does",
+        ),
+        Column("validation_whiteness", pl.String, "", "The same of the validation errors"),
+        Column("validation_independence", pl.String, "", "The same of the validation errors"),
     ),
 )
 
@@ -306,6 +398,99 @@ STARTS = Table(
     ),
 )
 
+PART_OF_RESIDUALS = (
+    Column("part", pl.String, "", "training, validation or guard"),
+    Column(
+        "smoothed", pl.Boolean, "", "On the smoothed columns, as the fit; else before smoothing"
+    ),
+    Column("test", pl.String, "", "whiteness: autocorrelation (27); independence: (26)"),
+    Column(
+        "input",
+        pl.String,
+        "",
+        "pressure_difference and speed (magnitudes), oil_temperature; none for whiteness",
+    ),
+)
+RESIDUAL_KEY_NAMES = (*FIT_KEY_NAMES, "part", "smoothed", "test", "input")
+
+RESIDUAL_TESTS = Table(
+    "residual_tests",
+    "a fit, a part, a test (and input), a lag",
+    (*RESIDUAL_KEY_NAMES, "lag"),
+    (
+        *FIT_KEY,
+        *PART_OF_RESIDUALS,
+        Column("lag", pl.Int64, "", "In samples; positive: past input on present error"),
+        Column("lag_s", pl.Float64, "s", "The same as time"),
+        Column(
+            "value",
+            pl.Float64,
+            "",
+            "Correlation, over pairs of samples without a gap between them; null where they are "
+            "too few",
+        ),
+        Column(
+            "bound",
+            pl.Float64,
+            "",
+            "99 % of the correlations of independent errors lie within ± this; null at lag 0 of "
+            "whiteness",
+        ),
+        Column("outside", pl.Boolean, "", "The correlation is larger than its bound"),
+        RUN_ID,
+    ),
+)
+
+RESIDUAL_VERDICTS = Table(
+    "residual_verdicts",
+    "a fit, a part, a test (and input)",
+    RESIDUAL_KEY_NAMES,
+    (
+        *FIT_KEY,
+        *PART_OF_RESIDUALS,
+        Column(
+            "verdict",
+            pl.String,
+            "",
+            "failed where p_value is below 0.01, else passed; not_tested",
+        ),
+        Column("reason", pl.String, "", "Why it was not tested; null where it was"),
+        Column("n", pl.Int64, "", "Samples"),
+        Column(
+            "mean_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "Mean of measured less predicted flow, which the tests leave out",
+        ),
+        Column(
+            "statistic",
+            pl.Float64,
+            "",
+            "Of all lags together: Ljung and Box's Q, or the squares of the correlations over "
+            "their covariances",
+        ),
+        Column("degrees_of_freedom", pl.Int64, "", "Of the statistic's chi-square distribution"),
+        Column(
+            "p_value",
+            pl.Float64,
+            "",
+            "Probability that independent errors give a larger statistic by chance",
+        ),
+        Column("n_lags", pl.Int64, "", "Lags with a bound"),
+        Column("n_outside", pl.Int64, "", "Lags whose correlation is larger than its bound"),
+        Column(
+            "n_expected_outside",
+            pl.Float64,
+            "",
+            "How many of independent errors would be, on average: one in a hundred",
+        ),
+        Column("largest_value", pl.Float64, "", "The correlation that is largest in size"),
+        Column("largest_lag", pl.Int64, "", "Its lag, in samples"),
+        Column("largest_lag_s", pl.Float64, "s", "Its lag as time"),
+        RUN_ID,
+    ),
+)
+
 PREDICTIONS = Table(
     "predictions",
     "a fit, a point in time (thinned for plots: extremes are kept, so means are not the night's)",
@@ -335,7 +520,8 @@ QUALITY = Table(
             "reason",
             pl.String,
             "",
-            "The rule; a sample is counted under each that refuses it, and once under any",
+            "The rule; a sample is counted under each that refuses it, and once under any. "
+            "bad_quality: the log itself does not call it good",
         ),
         Column("n_samples", pl.Int64, "", "Samples that the rule looked at"),
         Column("n_refused", pl.Int64, "", "Samples that it refused"),
@@ -370,18 +556,245 @@ BLOCK_STATISTICS = Table(
         Column("mean_pressure_bar", pl.Float64, "bar", "Mean magnitude"),
         Column("minimum_pressure_bar", pl.Float64, "bar", "Smallest magnitude"),
         Column("maximum_pressure_bar", pl.Float64, "bar", "Largest magnitude"),
-        Column("pressure_histogram", COUNTS, "", "Samples by magnitude, bins of 20 bar from 0"),
+        Column("pressure_histogram", COUNTS, "", "Samples by magnitude, 20 bins of 20 bar from 0"),
         Column("mean_temperature_c", pl.Float64, "°C", "Mean"),
         Column("minimum_temperature_c", pl.Float64, "°C", "Smallest"),
         Column("maximum_temperature_c", pl.Float64, "°C", "Largest"),
-        Column("temperature_histogram", COUNTS, "", "Samples, bins of 5 °C from −20 °C"),
+        Column("temperature_histogram", COUNTS, "", "Samples, 28 bins of 5 °C from −20 °C"),
         Column("mean_speed_rpm", pl.Float64, "rpm", "Mean magnitude"),
         Column("minimum_speed_rpm", pl.Float64, "rpm", "Smallest magnitude"),
         Column("maximum_speed_rpm", pl.Float64, "rpm", "Largest magnitude"),
-        Column("speed_histogram", COUNTS, "", "Samples by magnitude, bins of 10 rpm from 0"),
+        Column("speed_histogram", COUNTS, "", "Samples by magnitude, 15 bins of 10 rpm from 0"),
         Column("share_reversed", pl.Float64, "", "Share of samples with negative speed"),
         Column("n_beyond_curve", pl.Int64, "", "Samples beyond the range of a speed curve"),
         Column("model_hash", pl.String, "", "Blocks of different hash never merge"),
+        RUN_ID,
+    ),
+)
+
+OPERATION = Table(
+    "operation",
+    "a motor, a night with samples",
+    ("motor_id", "night"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        Column("logged_hours", pl.Float64, "h", "Time with a credible speed"),
+        Column("kept_hours", pl.Float64, "h", "Time of the samples kept for statistics"),
+        Column("running_share", pl.Float64, "", "Share of the logged time above standstill"),
+        Column(
+            "running_hours",
+            pl.Float64,
+            "h",
+            "Running hours of the night: of the log's counter, else running_share of the night",
+        ),
+        Column("running_hours_source", pl.String, "", "counter or share; null: unknown"),
+        Column("oil", pl.String, "", "The night's oil"),
+        Column("mean_pressure_bar", pl.Float64, "bar", "Mean magnitude of the kept samples"),
+        Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),
+        Column("mean_speed_rpm", pl.Float64, "rpm", "Mean magnitude of the kept samples"),
+        Column("mean_flow_l_per_min", pl.Float64, "l/min", "Mean drain flow of the kept samples"),
+        Column("share_reversed", pl.Float64, "", "Share of kept samples with negative speed"),
+        Column("pressure_histogram", COUNTS, "", "Kept samples, bins of 20 bar from 0"),
+        Column("temperature_histogram", COUNTS, "", "Kept samples, bins of 5 °C from −20 °C"),
+        Column("speed_histogram", COUNTS, "", "Kept samples, bins of 10 rpm from 0"),
+        Column("n_halts", pl.Int64, "", "Halts without pressure that show the sensors' zeros"),
+        Column("pressure_zero_bar", pl.Float64, "bar", "What the pressure difference read at them"),
+        Column(
+            "pressure_zero_standard_error_bar",
+            pl.Float64,
+            "bar",
+            "From the scatter between halts; null for fewer than three",
+        ),
+        Column(
+            "flow_zero_l_per_min",
+            pl.Float64,
+            "l/min",
+            "What the drain flow read at them, the flushing included",
+        ),
+        Column(
+            "flow_zero_standard_error_l_per_min",
+            pl.Float64,
+            "l/min",
+            "From the scatter between halts",
+        ),
+        RUN_ID,
+    ),
+)
+
+
+def _per_time(name: str, per: str) -> tuple[Column, ...]:
+    return tuple(
+        Column(f"slope_{name}{end}", pl.Float64, f"see unit, {per}", what)
+        for end, what in (
+            ("", "Slope by generalised least squares; null below 20 nights"),
+            ("_lower", "Lower end of its interval"),
+            ("_upper", "Upper end of its interval"),
+        )
+    )
+
+
+INDICATOR = Column(
+    "indicator",
+    pl.String,
+    "",
+    "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
+    "and gap_change_ with the path's name, C_f, pressure_zero or flow_zero",
+)
+
+TRENDS = Table(
+    "trends",
+    "a motor, a night, an indicator",
+    ("motor_id", "night", "indicator"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        INDICATOR,
+        Column("value", pl.Float64, "see unit", "The night's figure; null where gated"),
+        Column("unit", pl.String, "", "l/min, m3, %, bar or 1"),
+        Column("lower", pl.Float64, "see unit", "Lower end of its 95 % interval"),
+        Column("upper", pl.Float64, "see unit", "Upper end of its 95 % interval"),
+        Column("n_nights", pl.Int64, "", "Nights that were fitted together for it"),
+        Column("gated_reason", pl.String, "", "Why the night does not count; null where it does"),
+        Column("baseline_start", pl.Date, "", "First night of the baseline in use"),
+        Column("baseline_mean", pl.Float64, "see unit", "Its mean; null before there is one"),
+        Column("deviation_percent", pl.Float64, "%", "(value − baseline) / baseline"),
+        Column("running_hours", pl.Float64, "h", "Running hours since the motor's first night"),
+        Column(
+            "running_hours_estimated",
+            pl.Boolean,
+            "",
+            "Some of them belong to nights without a log, by the mean share of the 30 before",
+        ),
+        *_per_time("per_1000_h", "1000 running hours"),
+        *_per_time("per_year", "year of 365.25 days"),
+        Column("theil_sen_per_year", pl.Float64, "see unit, year", "Median of all pairs' slopes"),
+        Column("theil_sen_outside", pl.Boolean, "", "It lies outside the slope's interval"),
+        Column("n_slope", pl.Int64, "", "Nights behind the slope"),
+        Column("provisional", pl.Boolean, "", "The slope rests on fewer than 60 nights"),
+        Column("p_value", pl.Float64, "", "Of no slope, two-sided"),
+        Column("q_value", pl.Float64, "", "The same, controlling false discoveries in the fleet"),
+        Column("cusum", pl.Float64, "sd", "One-sided CUSUM of the whitened deviations"),
+        Column("cusum_limit", pl.Float64, "sd", "Beyond it the motor has changed"),
+        Column(
+            "state",
+            pl.String,
+            "",
+            "ok (no change of external leakage), warning, alarm, common_cause, stale or "
+            "insufficient",
+        ),
+        Column("state_reason", pl.String, "", "The state in words; null where ok"),
+        Column("path", pl.String, "", "Path whose growth explains the change; null: none does"),
+        Column("path_probability", pl.Float64, "", "That it does, given the fits' covariance"),
+        Column("path_reason", pl.String, "", "Why paths cannot be told apart"),
+        Column("limit", pl.Float64, "see unit", "The limit that the days count to"),
+        Column("days_to_limit", pl.Float64, "d", "Until the limit, at the slope per year"),
+        Column("days_to_limit_lower", pl.Float64, "d", "Lower end of its Fieller set"),
+        Column("days_to_limit_upper", pl.Float64, "d", "Upper end; null where it has none"),
+        Column(
+            "days_to_limit_status",
+            pl.String,
+            "",
+            "finite, no_trend, already_crossed, beyond_horizon, unbounded or insufficient",
+        ),
+        Column("oil", pl.String, "", "The night's oil"),
+        Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),
+        Column("flushing_mode", pl.String, "", "none, fixed or estimated"),
+        Column("share_reversed", pl.Float64, "", "Share of kept samples with negative speed"),
+        Column(
+            "coverage",
+            pl.Float64,
+            "",
+            "Overlap of the night's pressures, temperatures and speeds with the baseline's, the "
+            "smallest of the three; 1: the same, 0: none",
+        ),
+        Column(
+            "outside_fitted_range",
+            pl.Boolean,
+            "",
+            "The indicator's conditions lie outside what the night's samples saw",
+        ),
+        Column(
+            "sensor_health",
+            pl.String,
+            "",
+            "What the zeros at halts say of the sensors: ok, drifted or unknown",
+        ),
+        RUN_ID,
+    ),
+)
+
+ALARMS = Table(
+    "alarms",
+    "a change of state",
+    ("motor_id", "night", "indicator"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        Column("time", TIMESTAMP, "UTC", "End of the night, never the clock"),
+        INDICATOR,
+        Column("from_state", pl.String, "", "State of the night before"),
+        Column("to_state", pl.String, "", "State of the night"),
+        Column("reason", pl.String, "", "In words, with figures and intervals"),
+        Column("deviation_percent", pl.Float64, "%", "Of the night from the baseline"),
+        Column("way", pl.String, "", "level, change, both, recovered, recomputed or baseline"),
+        Column("path", pl.String, "", "Path whose growth explains the change"),
+        RUN_ID,
+    ),
+)
+
+BASELINES = Table(
+    "baselines",
+    "a motor, an indicator, a baseline as it was frozen in a night",
+    ("motor_id", "night", "indicator"),
+    (
+        MOTOR_ID,
+        Column("night", pl.Date, "", "Night in which it was frozen"),
+        INDICATOR,
+        Column("start", pl.Date, "", "First good night"),
+        Column("end", pl.Date, "", "Last good night"),
+        Column("n", pl.Int64, "", "Good nights"),
+        Column("mean", pl.Float64, "see unit", "Winsorised mean"),
+        Column("sd", pl.Float64, "see unit", "Robust standard deviation, not below its floor"),
+        Column("unit", pl.String, "", "Unit of both"),
+        Column("phi", pl.Float64, "", "Night-to-night correlation, detrended and bias-corrected"),
+        Column("provisional", pl.Boolean, "", "To be replaced when there are more nights"),
+        Column("sloped", pl.Boolean, "", "The baseline itself has a slope: wear may hide in it"),
+        Column("reason", pl.String, "", "What it starts with: first nights, an event, a reset"),
+        Column("own_pressure_bar", pl.Float64, "bar", "The motor's own reference conditions"),
+        Column("own_temperature_c", pl.Float64, "°C", "The motor's own reference conditions"),
+        Column("own_speed_rpm", pl.Float64, "rpm", "The motor's own reference conditions"),
+        RUN_ID,
+    ),
+)
+
+CHANGE_POINTS = Table(
+    "change_points",
+    "a motor, an indicator, a change as it was seen from a night",
+    ("motor_id", "night", "indicator", "change_night"),
+    (
+        MOTOR_ID,
+        Column("night", pl.Date, "", "Night from which it was seen; the latest holds"),
+        INDICATOR,
+        Column("change_night", pl.Date, "", "First night after the change"),
+        Column("size_percent", pl.Float64, "%", "Step, relative to the level before"),
+        Column("model", pl.String, "", "step, or trend and step: which explains the nights best"),
+        RUN_ID,
+    ),
+)
+
+DECISIONS = Table(
+    "decisions",
+    "what people said of a motor",
+    ("motor_id", "time", "kind", "indicator"),
+    (
+        MOTOR_ID,
+        Column("time", TIMESTAMP, "UTC", "When it was said"),
+        Column("kind", pl.String, "", "acknowledged, finding or baseline_reset"),
+        INDICATOR,
+        Column("night", pl.Date, "", "Night that it refers to"),
+        Column("finding", pl.String, "", "confirmed or not_confirmed; null: no finding"),
+        Column("note", pl.String, "", "In words"),
         RUN_ID,
     ),
 )
@@ -444,7 +857,13 @@ MOTOR_OUTCOMES = Table(
             "failed if a night failed; else ok if a night was fitted; else what came of its nights",
         ),
         Column("error_code", pl.String, "", "Code of the first failure"),
-        Column("message", pl.String, "", "The first failure in words, with its file or night"),
+        Column(
+            "message",
+            pl.String,
+            "",
+            "The first failure in words, with its file or night; without a failure, why nothing "
+            "could be fitted, or null",
+        ),
         Column("n_ok", pl.Int64, "", "Nights with a fit"),
         Column("n_stood_still", pl.Int64, "", "Nights in which the motor stood still"),
         Column("n_insufficient_data", pl.Int64, "", "Nights with too little to fit"),
@@ -456,6 +875,25 @@ MOTOR_OUTCOMES = Table(
         Column("fit_s", pl.Float64, "s", "Seconds for certificate, search and validation"),
         Column("store_s", pl.Float64, "s", "Seconds for staging the rows"),
         Column("peak_memory_mib", pl.Float64, "MiB", "Largest memory of the worker so far"),
+        Column("n_refitted", pl.Int64, "", "Nights fitted anew from statistics, without a log"),
+        Column("refit_s", pl.Float64, "s", "Seconds for that"),
+        Column("growing", NAMES, "", "Log files that were changed while they were read, in words"),
+        Column("n_files_read", pl.Int64, "", "Log files that were read"),
+        Column("n_files_unchanged", pl.Int64, "", "Log files done by a run before, and not read"),
+        Column(
+            "n_files_growing",
+            pl.Int64,
+            "",
+            "Log files that were changed while they were read: left to the next run, and with them "
+            "their nights",
+        ),
+        Column("n_files_failed", pl.Int64, "", "Log files that cannot be read"),
+        Column(
+            "n_files_left",
+            pl.Int64,
+            "",
+            "New log files of nights that were not asked for, or that wait for a growing file",
+        ),
     ),
 )
 
@@ -480,12 +918,17 @@ NIGHT_TABLES = (
     PARAMETERS,
     SENSITIVITIES,
     STARTS,
+    RESIDUAL_TESTS,
+    RESIDUAL_VERDICTS,
     PREDICTIONS,
     QUALITY,
+    OPERATION,
     BLOCK_STATISTICS,
     INPUT_FILES,
 )
-TABLES = (*NIGHT_TABLES, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
+# The same, made from the tables above after all motors are done.
+TREND_TABLES = (TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
+TABLES = (*NIGHT_TABLES, *TREND_TABLES, DECISIONS, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pl.DataFrame:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.clean import SECOND_US, Times
+from pipeline.arrays import SECOND_US, Times
 from pipeline.config import Smoothing
 
 Array = NDArray[np.float64]

@@ -7,15 +7,19 @@ memory does not grow with the fleet's history. Data files hold no clock time of 
 from __future__ import annotations
 
 import datetime as dt
+import errno
+import hashlib
 import logging
 import os
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
+import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
@@ -37,7 +41,16 @@ def night_file(output: Path, table: Table, night: dt.date) -> Path:
     return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
 
 
-def write_table(path: Path, rows: pl.DataFrame) -> None:
+def last_night(output: Path, table: Table) -> dt.date | None:
+    """The last night that a table has a file of; None where it has none."""
+    for month in sorted(table_folder(output, table).glob("month=*"), reverse=True):
+        labels = [path.stem for path in month.glob("*.parquet")]
+        if labels:
+            return dt.date.fromisoformat(max(labels))
+    return None
+
+
+def write_table(path: Path, rows: pl.DataFrame) -> str:
     """Write a table file whole or not at all.
 
     Parameters
@@ -46,6 +59,11 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
         The file; folders above it are made.
     rows
         Its rows, in their final order.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, as it was read back from the disk.
 
     Raises
     ------
@@ -66,11 +84,25 @@ def write_table(path: Path, rows: pl.DataFrame) -> None:
             # Metadata of the schema would be left out with it.
             table.add_key_value_metadata({VERSION_KEY: str(SCHEMA_VERSION)})
 
-    replace_whole(path, write)
+    def compare(name: str) -> None:
+        written = pl.from_arrow(
+            pq.read_table(name, page_checksum_verification=True, partitioning=None)
+        )
+        assert isinstance(written, pl.DataFrame)
+        if not written.equals(rows, null_equal=True):
+            raise OSError(errno.EIO, "what was read back is not what was written")
+
+    return replace_whole(path, write, compare)
 
 
-def replace_whole(path: Path, write: Callable[[str], None], *, durable: bool = True) -> None:
-    """Write a file beside its final name, flush it to the disk, then rename it.
+def replace_whole(
+    path: Path,
+    write: Callable[[str], None],
+    compare: Callable[[str], None] = lambda _: None,
+    *,
+    durable: bool = True,
+) -> str:
+    """Write a file beside its final name, flush it, read it back, then rename it.
 
     Parameters
     ----------
@@ -78,8 +110,15 @@ def replace_whole(path: Path, write: Callable[[str], None], *, durable: bool = T
         The file; folders above it are made.
     write
         Writes the content to the name that it is given.
+    compare
+        Reads it again, and raises OSError where it is not what was to be written.
     durable
         Whether the file must outlive a power cut; one that can be made again need not.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, as it was read back.
 
     Raises
     ------
@@ -90,9 +129,11 @@ def replace_whole(path: Path, write: Callable[[str], None], *, durable: bool = T
         name = _temporary_beside(path)
         try:
             write(name)
-            if durable:
-                with Path(name).open("rb") as written:
+            with Path(name).open("rb") as written:
+                if durable:
                     os.fsync(written.fileno())
+                digest = hashlib.file_digest(written, "sha256").hexdigest()
+            compare(name)
             Path(name).chmod(0o644)
             Path(name).replace(path)
         except BaseException:
@@ -103,6 +144,7 @@ def replace_whole(path: Path, write: Callable[[str], None], *, durable: bool = T
             _flush_folder(path.parent)
     except (OSError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
+    return digest
 
 
 def _temporary_beside(path: Path) -> str:
@@ -151,6 +193,54 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         raise StoreError(
             "store_read", f"{path.name} of {table.name} is damaged: {error}"
         ) from error
+
+
+def read_rows(
+    output: Path,
+    table: Table,
+    motor_ids: Sequence[str],
+    columns: Sequence[str] = (),
+    month: str = "*",
+) -> pl.DataFrame:
+    """The published rows of some motors in all night files of a table, or in those of a month.
+
+    Parameters
+    ----------
+    output, table
+        Which table.
+    motor_ids
+        Whose rows.
+    columns
+        Which columns; all if none. Those that an older file had not are null.
+    month
+        YYYY-MM; all by default.
+
+    Returns
+    -------
+    polars.DataFrame
+        In no particular order.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged.
+    """
+    chosen = list(columns or table.schema)
+    empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
+    paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+    if not paths:
+        return empty.select(chosen)
+    # A flipped bit would otherwise be a step in a trend.
+    checked = ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    layout = ds.ParquetFileFormat(default_fragment_scan_options=checked)
+    wanted = ds.field("motor_id").isin(list(motor_ids))
+    try:
+        files = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
+        rows = pl.from_arrow(files.to_table(columns=chosen, filter=wanted, use_threads=False))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
+    assert isinstance(rows, pl.DataFrame)
+    return rows.cast(pl.Schema({name: table.schema[name] for name in chosen}))
 
 
 def _require_known_version(path: Path, content: pa.Table) -> None:
@@ -217,13 +307,34 @@ def stage(
         raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 
 
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A night's file after it was published.
+
+    Attributes
+    ----------
+    path
+        The file.
+    sha256
+        Of its content; None where the night has no rows, and no file.
+    lost_rows
+        Whether the file that was there was damaged and put aside as ``.damaged``: the rows of the
+        motors that were not published with it have to be made anew.
+    """
+
+    path: Path
+    sha256: str | None
+    lost_rows: bool
+
+
 def publish_night(
     output: Path,
     table: Table,
     night: dt.date,
     staged: Mapping[str, pl.DataFrame],
     run_id: str,
-) -> bool:
+    finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
+) -> Published:
     """Put the rows of some motors into a night's file; those of the others stay.
 
     Parameters
@@ -236,12 +347,13 @@ def publish_night(
         New rows by motor id; a motor without rows loses those it had.
     run_id
         The run that writes them.
+    finish
+        What is still to be done with all rows of the night together.
 
     Returns
     -------
-    bool
-        Whether the present file was damaged and put aside as ``.damaged``: the rows of the other
-        motors are then lost, and have to be made anew.
+    Published
+        What is there now, and whether rows of other motors were lost.
 
     Raises
     ------
@@ -258,13 +370,14 @@ def publish_night(
         rows.with_columns(pl.lit(run_id).alias("run_id")).select(table.schema.keys())
         for rows in staged.values()
     ]
-    rows = pl.concat(parts).sort(table.key)
+    rows = finish(pl.concat(parts).sort(table.key))
+    digest = None
     if rows.height:
-        write_table(path, rows)
+        digest = write_table(path, rows)
     elif path.exists():
         path.unlink()
         _flush_folder(path.parent)
-    return existed and before is None
+    return Published(path, digest, lost_rows=existed and before is None)
 
 
 def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:
@@ -281,10 +394,13 @@ def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:
         return None
 
 
-def publish_run_table(output: Path, table: Table, started: dt.datetime, rows: pl.DataFrame) -> None:
+def publish_run_table(
+    output: Path, table: Table, started: dt.datetime, rows: pl.DataFrame
+) -> Published:
     """Write one of the tables that have a file a run."""
     name = f"{started:%Y%m%dT%H%M%S%fZ}.parquet"
-    write_table(table_folder(output, table) / f"month={started:%Y-%m}" / name, rows)
+    path = table_folder(output, table) / f"month={started:%Y-%m}" / name
+    return Published(path, write_table(path, rows), lost_rows=False)
 
 
 def remove_leftovers(folders: Sequence[Path]) -> None:

@@ -1,6 +1,6 @@
 """Names and units of the channels, and the one place where a reading becomes a canonical one.
 
-Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min. The factors
+Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min, h. The factors
 are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811, appendix B, for
 inch, pound-force and the gallons).
 """
@@ -78,6 +78,14 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
                 "imperial_gal/min": Conversion(_IMPERIAL_GALLON_L),
             }
         ),
+        "time": _table(
+            {
+                "h": Conversion(1.0),
+                "min": Conversion(1.0, 60.0),
+                "s": Conversion(1.0, 3600.0),
+                "d": Conversion(24.0),
+            }
+        ),
     }
 )
 """Units that a log may be in, by quantity; the first of each is the canonical one."""
@@ -92,9 +100,13 @@ QUANTITIES: Mapping[str, str] = MappingProxyType(
         "oil_temperature": "temperature",
         "speed": "speed",
         "leakage_flow": "flow",
+        "running_hours": "time",
     }
 )
 """Quantity of each channel."""
+
+RUNNING_HOURS = "running_hours"
+"""A counter: no sample of it is judged, interpolated or needed."""
 
 CHANNELS: tuple[str, ...] = tuple(QUANTITIES)
 """Names of the channels, everywhere."""

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.clean import SECOND_US, Times
+from pipeline.arrays import SECOND_US, Times
 from pipeline.config import Windows
 from pipeline.config.motors import Periods
 from pipeline.nights import Night

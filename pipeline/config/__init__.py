@@ -4,31 +4,39 @@ from pipeline.config.faults import ConfigError, Fault
 from pipeline.config.loading import Fleet, MotorSpec, load_fleet
 from pipeline.config.motors import Channel, Event, MotorFile
 from pipeline.config.settings import (
+    Alarms,
     Cleaning,
     Estimation,
+    Execution,
     Nights,
+    SensorHealth,
     Settings,
     Smoothing,
     TimeBase,
     TransportDelay,
+    Trend,
     Windows,
 )
 
 __all__ = [
+    "Alarms",
     "Channel",
     "Cleaning",
     "ConfigError",
     "Estimation",
     "Event",
+    "Execution",
     "Fault",
     "Fleet",
     "MotorFile",
     "MotorSpec",
     "Nights",
+    "SensorHealth",
     "Settings",
     "Smoothing",
     "TimeBase",
     "TransportDelay",
+    "Trend",
     "Windows",
     "load_fleet",
 ]

@@ -70,13 +70,16 @@ class MotorSpec:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """A fleet's whole config."""
+    """A fleet's whole config; `settings` are those that no motor overrides."""
 
     name: str
     motors: tuple[MotorSpec, ...]
     execution: Execution
     log_root: Path
     output: Path
+    motor_types: Mapping[str, MotorTypeFile]
+    oils: Mapping[str, OilFile]
+    settings: Settings
 
 
 def load_fleet(path: Path) -> Fleet:
@@ -121,7 +124,16 @@ def load_fleet(path: Path) -> Fleet:
     if faults or fleet is None:
         raise ConfigError(faults)
     output = Path("out") if folders.output is None else base / folders.output
-    return Fleet(fleet.name, tuple(specs), fleet.execution, log_root, output.resolve())
+    return Fleet(
+        name=fleet.name,
+        motors=tuple(specs),
+        execution=fleet.execution,
+        log_root=log_root,
+        output=output.resolve(),
+        motor_types=types.parsed,
+        oils=oils.parsed,
+        settings=fleet,
+    )
 
 
 def _folders(document: Document) -> Folders:

@@ -220,6 +220,17 @@ class LaminarPath(Section):
 DeclaredPath = Annotated[AnnularGapPath | SpeedCurvePath | LaminarPath, Field(discriminator="law")]
 
 
+class LeakageLimits(Section):
+    """Absolute limits of the reference leakage; there is no universal one, so none by default."""
+
+    warning_l_per_min: Positive | None = Field(
+        None, description="Reference leakage that is a warning whatever the baseline"
+    )
+    alarm_l_per_min: Positive | None = Field(
+        None, description="Reference leakage that is an alarm whatever the baseline"
+    )
+
+
 class MotorTypeFile(Section):
     """`motor_types/<motor_type>.toml`."""
 
@@ -227,6 +238,10 @@ class MotorTypeFile(Section):
     path: tuple[DeclaredPath, ...] = Field(min_length=1, description="Leakage paths of the type")
     surface_roughness_um: tuple[Positive, Positive] = Field(
         (0.2, 0.2), description="R_a of the two surfaces of a gap, for the film thickness ratio"
+    )
+
+    limits: LeakageLimits = Field(
+        default_factory=lambda: LeakageLimits(), description="Absolute limits, where there are any"
     )
 
     @model_validator(mode="after")

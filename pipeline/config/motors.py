@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import AwareDatetime, Field, field_validator, model_validator
@@ -15,7 +15,7 @@ from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.errors import UsageError
 from pipeline.ingest import ChannelSource, LogSource
-from pipeline.ingest.contract import MISSING_TOKENS
+from pipeline.ingest.contract import GOOD_QUALITY, MISSING_TOKENS, QualityValue
 from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.time_stamps import require_time_format
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
@@ -30,6 +30,7 @@ ChannelName = Literal[
     "oil_temperature",
     "speed",
     "leakage_flow",
+    "running_hours",
 ]
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
@@ -43,6 +44,7 @@ FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
     "oil_temperature": (-40.0, 120.0),
     "speed": (-500.0, 500.0),
     "leakage_flow": (0.0, 200.0),
+    "running_hours": (0.0, 1e6),
 }
 
 
@@ -62,9 +64,23 @@ class Channel(Section):
         "value",
         min_length=1,
         description="Field in the message of an MCAP topic: a key, or a path such as "
-        "`hydraulics.pressure.a` or `pressures[0].value`",
+        "`hydraulics.pressure.a`, `pressures[0].value` or, in a map, `temperatures.oil`",
     )
     unit: str = Field(description="Unit in the log")
+    quality_source: str = Field(
+        "",
+        description="Column of what the log says of this channel's samples (CSV, Parquet; in the "
+        "layouts `long` and `file_per_channel` of the row), or path of a field in the same message "
+        "(MCAP). A sample that it does not call good is refused as `bad_quality`, and of an "
+        "`on_change` channel nothing holds from there on. Empty: none",
+    )
+    quality_good: tuple[QualityValue, ...] = Field(
+        GOOD_QUALITY,
+        description="What stands there beside a good sample, as text (without regard to case), "
+        "number or truth value; all else is bad, and so is a blank beside a value. OPC DA: "
+        "`[192]`; OPC UA: `[0]`, which in OPC DA is bad and is therefore never taken for good "
+        "unless it stands here",
+    )
     scale: float = Field(1.0, description="Factor on the logged number, before the unit")
     offset: float = Field(0.0, description="Added to the scaled number, in the log's unit")
     valid_range: tuple[float, float] | None = Field(
@@ -103,7 +119,8 @@ class Channel(Section):
     between: Literal["interpolate", "hold"] = Field(
         "interpolate",
         description="Between two samples: `interpolate` (a compressed archive), or `hold` the "
-        "first one (a value sent on change; `on_change` only)",
+        "first one (a value sent on change; `on_change` only). The last `on_change` sample before "
+        "a night is the first of these two at its start, if silence may be that long",
     )
     mean_of_s: Positive | None = Field(
         None, description="Period of which a sample is the mean; needed for `mean`"
@@ -132,8 +149,8 @@ class Channel(Section):
     )
 
     @model_validator(mode="after")
-    def _sampled_in_one_way(self) -> Channel:
-        refuse("channel", _sampling_faults(self))
+    def _consistent(self) -> Channel:
+        refuse("channel", chain(_sampling_faults(self), _quality_faults(self)))
         return self
 
     @field_validator("field")
@@ -144,6 +161,14 @@ class Channel(Section):
         except UsageError as error:
             raise ValueError(error.message) from error
         return field
+
+    @field_validator("quality_good", mode="before")
+    @classmethod
+    def _words(cls, good: object) -> object:
+        words = tuple(good) if isinstance(good, list | tuple) else ()
+        if not words or not all(isinstance(word, str | int | float) for word in words):
+            raise ValueError("expected a list of at least one text, number, true or false")
+        return words
 
     @field_validator("scale")
     @classmethod
@@ -158,6 +183,11 @@ class Channel(Section):
         if limits is not None and not limits[0] < limits[1]:
             raise ValueError("expected [lowest, highest]")
         return limits
+
+
+def _quality_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
+    if "quality_good" in channel.model_fields_set and not channel.quality_source:
+        yield ("quality_good",), "expected quality_source beside it", channel.quality_good
 
 
 def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
@@ -219,6 +249,11 @@ class Logs(Section):
     missing_tokens: tuple[str, ...] = Field(
         MISSING_TOKENS, description="CSV: what a cell without a value holds"
     )
+    settle_s: NonNegative = Field(
+        0.0,
+        description="A new file that was written to within this time before it is looked at is "
+        "left to a later run. Without it only a file that changes while it is read is",
+    )
     stamp: str = Field(
         "",
         description="MCAP: path of a time stamp within the message, such as `header.stamp`, to use "
@@ -277,7 +312,7 @@ class Logs(Section):
 
     def source(self, channels: tuple[ChannelSource, ...]) -> LogSource:
         """What the reader is told, with the channels that it is to read."""
-        dialect = self.model_dump(exclude={"files", "time"})
+        dialect = self.model_dump(exclude={"files", "time", "settle_s"})
         return LogSource(channels=channels, time_source=self.time, **dialect)
 
 
@@ -390,6 +425,8 @@ class MotorFile(Section):
     @model_validator(mode="after")
     def _complete(self) -> MotorFile:
         refuse("motor", channel_faults({name: part.unit for name, part in self.channels.items()}))
+        if self.logs.format == "mcap":
+            refuse("motor", _quality_paths(self.channels))
         return self
 
     def oil_on(self, night: dt.date) -> str:
@@ -410,11 +447,22 @@ class MotorFile(Section):
                 field=self.channels[name].field,
                 scale=self.channels[name].scale,
                 offset=self.channels[name].offset,
+                quality_source=self.channels[name].quality_source,
+                quality_good=self.channels[name].quality_good,
             )
             for name in CHANNELS
             if name in self.channels
         )
         return self.logs.source(channels)
+
+
+def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Place, str, object]]:
+    """Paths of qualities that lead to no field of an MCAP message."""
+    for name, channel in channels.items():
+        try:
+            field_path(channel.quality_source or "none")
+        except UsageError as error:
+            yield ("channels", name, "quality_source"), error.message, channel.quality_source
 
 
 def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:

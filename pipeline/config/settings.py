@@ -294,6 +294,95 @@ class ReferenceConditions(Section):
     speed_rpm: NonNegative = Field(30.0, description="Motor speed")
 
 
+class SensorHealth(Section):
+    """Which halts show the zero of the pressure and flow sensors; published in `operation`."""
+
+    settle_s: NonNegative = Field(
+        45.0, description="Time after the motor has stopped that is left out"
+    )
+    minimum_s: Positive = Field(
+        20.0, description="Credible samples, as time, that a halt needs after that"
+    )
+    depressurised_below_bar: Positive = Field(
+        5.0, description="|pressure difference| all the while; a halt under load shows no zero"
+    )
+
+
+class Trend(Section):
+    """The motor against its own past: baseline, slope, change and time to limit."""
+
+    baseline_nights: int = Field(60, ge=30, description="Good nights of a frozen baseline")
+    provisional_nights: int = Field(
+        30, ge=30, description="Good nights after which a provisional baseline is used"
+    )
+    confidence: Share = Field(0.95, lt=1, description="Coverage of the slope's interval")
+    horizon_years: Positive = Field(
+        5.0, description="A limit that is reached later than this is `beyond_horizon`"
+    )
+    false_discovery_rate: Share = Field(
+        0.1, lt=1, description="Slopes with a `q_value` below this are called trends"
+    )
+    merge_nights: int = Field(
+        7,
+        ge=1,
+        description="Nights with too few samples alone are fitted together with up to this many "
+        "before them; 1: never",
+    )
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Trend:
+        if self.provisional_nights > self.baseline_nights:
+            raise ValueError("expected provisional_nights no more than baseline_nights")
+        return self
+
+
+class Alarms(Section):
+    """When an indicator is called `warning` or `alarm`, and when no longer."""
+
+    warning_percent: Positive = Field(15.0, description="Rise over the baseline that is a warning")
+    alarm_percent: Positive = Field(30.0, description="Rise over the baseline that is an alarm")
+    on_nights: tuple[int, int] = Field(
+        (3, 5), description="On after this many of that many nights in a row beyond a level"
+    )
+    deadband_percent: NonNegative = Field(
+        5.0, description="Points below a level that an indicator must fall before it is off"
+    )
+    off_nights: int = Field(5, ge=1, description="Nights in a row below that, before it is off")
+    stale_after_nights: int = Field(
+        7, ge=1, description="Nights without a trusted figure after which a state is `stale`"
+    )
+    false_alarms_per_year: Positive = Field(
+        0.1,
+        description="False alarms a motor and year, over all its indicators together, that the "
+        "limits of the change test are calibrated for",
+    )
+    common_cause_percent: Positive = Field(
+        5.0,
+        description="`common_cause` stands in place of alarms where the other motors of the oil "
+        "circuit moved alike; not where a motor's own loss factors moved apart by more than these "
+        "points and by half of the largest: oil moves all paths alike",
+    )
+    command: tuple[str, ...] = Field(
+        (),
+        description="Program and arguments, run once a run that changed a state, without a shell; "
+        "it gets the new rows of `alarms` as JSON on its standard input",
+    )
+    webhook_url: str = Field(
+        "", description="The same rows are posted there as JSON; empty: nowhere"
+    )
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Alarms:
+        needed, of = self.on_nights
+        if not 1 <= needed <= of:
+            raise ValueError("expected on_nights as [m, n] with 1 <= m <= n")
+        if self.warning_percent >= self.alarm_percent:
+            raise ValueError("expected warning_percent below alarm_percent")
+        if self.webhook_url and not self.webhook_url.startswith(("http://", "https://")):
+            raise ValueError("expected webhook_url to begin with http:// or https://")
+        return self
+
+
 class Execution(Section):
     """How the work is spread; nothing here changes a figure."""
 
@@ -315,6 +404,9 @@ class Settings(Section):
     model: Model = Field(default_factory=lambda: Model())
     estimation: Estimation = Field(default_factory=lambda: Estimation())
     reference: ReferenceConditions = Field(default_factory=lambda: ReferenceConditions())
+    sensor_health: SensorHealth = Field(default_factory=lambda: SensorHealth())
+    trend: Trend = Field(default_factory=lambda: Trend())
+    alarms: Alarms = Field(default_factory=lambda: Alarms())
 
     @model_validator(mode="after")
     def _smoothing_fits_a_block(self) -> Settings:

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
-from pipeline.ingest.time_stamps import TimeStamps
+from pipeline.ingest.quality import is_bad
+from pipeline.ingest.time_stamps import TimeStamps, example_of
 from pipeline.units import to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
@@ -60,16 +61,30 @@ class Readings:
 
 
 def raw_channel(
-    path: Path, source: ChannelSource, time_us: NDArray[np.int64], readings: Readings
+    path: Path,
+    source: ChannelSource,
+    time_us: NDArray[np.int64],
+    readings: Readings,
+    quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
     """Channel in its canonical unit.
+
+    Parameters
+    ----------
+    path, source
+        The log, and where the channel is in it.
+    time_us : (n,) int64
+    readings
+        As they stand in the log.
+    quality : (n,) uint8
+        Of `quality_states`; None: the log says nothing of its samples.
 
     Raises
     ------
     LogError
         ``log_type``: the channel holds something, but not one number.
     """
-    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings))
+    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings), quality)
 
 
 def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
@@ -82,11 +97,17 @@ def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
 
 
 def canonical_channel(
-    path: Path, source: ChannelSource, time_us: NDArray[np.int64], readings: Readings
+    path: Path,
+    source: ChannelSource,
+    time_us: NDArray[np.int64],
+    readings: Readings,
+    quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel whose readings are in its canonical unit already; errors as of `raw_channel`."""
+    """Channel whose readings are in its canonical unit already; otherwise as `raw_channel`."""
+    bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
-    if unparsed and readings.missing.all():
+    told = bad is not None and bool(bad[readings.unparsed].all())
+    if unparsed and readings.missing.all() and not told:
         raise LogError(
             "log_type",
             path,
@@ -94,40 +115,20 @@ def canonical_channel(
             f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             source.source,
         )
-    return RawChannel(_frozen(time_us), _frozen(readings.raw), _frozen(readings.missing), unparsed)
+    return RawChannel(
+        _frozen(time_us),
+        _frozen(readings.raw),
+        _frozen(readings.missing),
+        unparsed,
+        None if bad is None else _frozen(bad),
+    )
 
 
-def time_name(source: LogSource) -> str:
-    """How the time column of a table is named in messages."""
-    return f"{source.time_source!r} in format {source.time_format}"
-
-
-def require_time(path: Path, stamps: TimeStamps, name: str) -> int:
-    """Number of rows without a time; more than half of them is an error ``log_time``.
-
-    Parameters
-    ----------
-    name
-        What the stamps are called and how they were read.
-    """
-    rows = stamps.readable.size
-    unreadable = rows - int(np.count_nonzero(stamps.readable))
-    if 2 * stamps.skipped > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{stamps.skipped} of {rows} time stamps, read as {name}, lie in an hour that does not "
-            "exist in the zone, as its clocks go forward: where the logger's clock does not, set "
-            "time_zone to a fixed one such as Etc/GMT-1",
-        )
-    if 2 * unreadable > rows:
-        raise LogError(
-            "log_time",
-            path,
-            f"{unreadable} of {rows} time stamps cannot be read as {name}, or lie before 1990 or "
-            "after 2200: give the right time format, or have the logger's clock set",
-        )
-    return unreadable
+def time_name(source: LogSource, example: str | None = None) -> str:
+    """How the time column of a table is named in messages, with a stamp that is not readable."""
+    form = source.time_format
+    here = f"; here is {example[:40]!r}" if example else ""
+    return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
 
 
 def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[str, int]]:
@@ -143,22 +144,115 @@ def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[
     LogError
         ``log_time``: more than half of the rows have no good time.
     """
-    future = stamps.readable & (stamps.time_us > time.time_ns() // 1000 + _DAY_US)
-    ahead = int(np.count_nonzero(future))
-    if 2 * ahead > stamps.readable.size:
+    (past,), refused = judged_together(path, [stamps], name)
+    return past, refused
+
+
+def judged_together(
+    path: Path, parts: Sequence[TimeStamps], name: str
+) -> tuple[list[TimeStamps], dict[str, int]]:
+    """Stamps of a log that come in parts, judged as one; otherwise as `judged`."""
+    latest_us = time.time_ns() // 1000 + _DAY_US
+    rows = sum(part.readable.size for part in parts)
+    ahead = sum(int(np.count_nonzero(_future(part, latest_us))) for part in parts)
+    skipped = sum(part.skipped for part in parts)
+    unreadable = rows - sum(int(np.count_nonzero(part.readable)) for part in parts)
+    _require_time(path, rows, {"ahead": ahead, "skipped": skipped, "unreadable": unreadable}, name)
+    past = list(parts)
+    if ahead:
+        past = [replace(p, readable=p.readable & ~_future(p, latest_us)) for p in parts]
+    return past, {
+        "rows without a readable time": unreadable - skipped,
+        "rows at a local time that the zone's clock change leaves out": skipped,
+        "rows with a time more than a day in the future": ahead,
+    }
+
+
+def _future(stamps: TimeStamps, latest_us: int) -> NDArray[np.bool_]:
+    return stamps.readable & (stamps.time_us > latest_us)
+
+
+def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -> None:
+    """More than half of the rows without a good time are an error ``log_time``."""
+    if 2 * counts["ahead"] > rows:
         raise LogError(
             "log_time",
             path,
-            f"{ahead} of {stamps.readable.size} time stamps, read as {name}, lie more than a day "
-            "in the future: have the logger's clock set, or give the right time format",
+            f"{counts['ahead']} of {rows} time stamps, read as {name}, lie more than a day in the "
+            "future: have the logger's clock set, or give the right time format",
         )
-    past = stamps if not ahead else replace(stamps, readable=stamps.readable & ~future)
-    unreadable = require_time(path, past, name)
-    return past, {
-        "rows without a readable time": unreadable - stamps.skipped - ahead,
-        "rows at a local time that the zone's clock change leaves out": stamps.skipped,
-        "rows with a time more than a day in the future": ahead,
+    if 2 * counts["skipped"] > rows:
+        raise LogError(
+            "log_time",
+            path,
+            f"{counts['skipped']} of {rows} time stamps, read as {name}, lie in an hour that does "
+            "not exist in the zone, as its clocks go forward: where the logger's clock does not, "
+            "set time_zone to a fixed one such as Etc/GMT-1",
+        )
+    without = counts["unreadable"] + counts["ahead"]
+    if 2 * without > rows:
+        raise LogError(
+            "log_time",
+            path,
+            f"{without} of {rows} time stamps cannot be read as {name}, lie before 1990 or after "
+            "2200, or in the future: give the right time format, or have the logger's clock set",
+        )
+
+
+def without_rows_of_others(
+    channels: Mapping[str, RawChannel], columns: Mapping[str, str]
+) -> dict[str, RawChannel]:
+    """Channels of a table without those blank cells that tell of no missing reading.
+
+    Where each channel is logged at times of its own, a table has a row for each of them, which is
+    blank for the others. So is a channel most of whose readings stand alone in their rows; one that
+    shares them was to have a reading there.
+
+    Parameters
+    ----------
+    channels
+        By name, all of the same rows.
+    columns
+        Column of each channel; several may have the same.
+
+    Examples
+    --------
+    >>> def channel(*value):
+    ...     return RawChannel(np.arange(4), np.array(value), np.isnan(value), 0)
+    >>> one, other = channel(1.0, np.nan, 2.0, np.nan), channel(np.nan, 7.0, np.nan, 8.0)
+    >>> apart = without_rows_of_others({"a": one, "b": other}, {"a": "x", "b": "y"})
+    >>> apart["a"].time_us.tolist(), apart["b"].time_us.tolist()
+    ([0, 2], [1, 3])
+    """
+    by_column = {columns[name]: channel.missing for name, channel in channels.items()}
+    if len(by_column) < 2 or not any(missing.any() for missing in by_column.values()):
+        return dict(channels)
+    readings = np.zeros(next(iter(by_column.values())).size, dtype=np.int16)
+    for missing in by_column.values():
+        readings += ~missing
+    apart: dict[str, RawChannel] = {}
+    for name, channel in channels.items():
+        of_its_rows = readings[~channel.missing]
+        alone = 2 * np.count_nonzero(of_its_rows == 1) > of_its_rows.size
+        # What a row says of a reading's quality counts though the reading is blank.
+        told = (
+            ~channel.missing
+            if channel.bad_quality is None
+            else (~channel.missing | channel.bad_quality)
+        )
+        apart[name] = _rows(channel, told) if alone else channel
+    return apart
+
+
+def _rows(channel: RawChannel, kept: NDArray[np.bool_]) -> RawChannel:
+    """Some rows of everything that a channel has of each."""
+    values = {one.name: getattr(channel, one.name) for one in fields(channel)}
+    chosen: dict[str, Any] = {
+        name: _frozen(value[kept])
+        for name, value in values.items()
+        if isinstance(value, np.ndarray)
     }
+    return replace(channel, **chosen)
 
 
 def raw_log(

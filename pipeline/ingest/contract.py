@@ -25,7 +25,7 @@ Codes of the `LogError` that readers raise:
 from __future__ import annotations
 
 import codecs
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 from zoneinfo import ZoneInfo
@@ -43,6 +43,15 @@ LogLayout = Literal["wide", "long", "file_per_channel"]
 
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
 """Cells of a CSV that mean "no sample". ``NaN`` does not: it is a reading that is not finite."""
+
+QualityValue = str | int | float | bool
+"""What a column of qualities may hold."""
+
+GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
+"""What historians write beside a good sample: the word, or OPC DA's code without any remark.
+
+0 is not among them. It is good in OPC UA and bad in OPC DA, so whoever has it says which it is.
+"""
 
 THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
 """Marks that may stand between groups of three digits."""
@@ -67,6 +76,11 @@ class ChannelSource:
         ``pressures[0].value`` (MCAP only; `pipeline.ingest.mcap_paths.field_path`).
     scale, offset
         For sensors logged in counts, volts or milliamperes.
+    quality_source
+        Column of the samples' quality (CSV, Parquet), or its path in the message (MCAP). Empty:
+        the log says nothing of its samples.
+    quality_good
+        What stands there beside a good sample.
     """
 
     channel: str
@@ -75,6 +89,8 @@ class ChannelSource:
     field: str = "value"
     scale: float = 1.0
     offset: float = 0.0
+    quality_source: str = ""
+    quality_good: tuple[QualityValue, ...] = GOOD_QUALITY
 
     def __post_init__(self) -> None:
         conversion(self.channel, self.unit)
@@ -145,6 +161,10 @@ class LogSource:
             raise UsageError(
                 "log_source", f"log format {self.format!r} is none of csv, parquet, mcap"
             )
+        if self.format == "mcap":
+            for channel in self.channels:
+                if channel.quality_source:
+                    field_path(channel.quality_source, channel.source)
         names = [channel.channel for channel in self.channels]
         if not names or len(names) != len(set(names)):
             raise UsageError("log_source", "a log has at least one channel, and each channel once")
@@ -170,12 +190,49 @@ class RawChannel:
         not missing.
     unparsed
         Number of cells that held something that is no number; they are in `missing` too.
+    bad_quality : (n,) bool
+        Samples that the log itself does not call good; also blank cells, where their quality is
+        stated. None: the source names no quality.
     """
 
     time_us: NDArray[np.int64]
     value: NDArray[np.float64]
     missing: NDArray[np.bool_]
     unparsed: int
+    bad_quality: NDArray[np.bool_] | None = None
+
+    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> RawChannel:
+        """Some of its samples; the count of what is no number stays that of all."""
+        bad = self.bad_quality
+        return RawChannel(
+            self.time_us[chosen],
+            self.value[chosen],
+            self.missing[chosen],
+            self.unparsed,
+            None if bad is None else bad[chosen],
+        )
+
+    @staticmethod
+    def joined(parts: Sequence[RawChannel]) -> RawChannel:
+        """Samples one after the other; where a part says nothing of its quality, it is not bad."""
+        bad = None
+        if any(part.bad_quality is not None for part in parts):
+            none = np.bool_(False)
+            bad = np.concatenate(
+                [
+                    np.broadcast_to(none, part.missing.shape)
+                    if part.bad_quality is None
+                    else part.bad_quality
+                    for part in parts
+                ]
+            )
+        return RawChannel(
+            np.concatenate([part.time_us for part in parts]),
+            np.concatenate([part.value for part in parts]),
+            np.concatenate([part.missing for part in parts]),
+            sum(part.unparsed for part in parts),
+            bad,
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,6 +7,7 @@ speed and nothing else, and is counted.
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
@@ -63,6 +64,17 @@ def time_types(source: LogSource) -> tuple[pa.DataType, ...]:
     if source.time_format in EPOCH_UNITS:
         return (pa.int64(),)
     return (pa.float64(),) if source.time_format == EXCEL_DAYS else ()
+
+
+def with_missing_tokens(source: LogSource, table: pa.Table, kept: Collection[str]) -> pa.Table:
+    """A table in whose columns of text, but for some, the tokens of a missing sample are null."""
+    tokens = pa.array(source.missing_tokens, pa.string())
+    for at, name in enumerate(table.column_names):
+        column = table.column(at)
+        if name not in kept and pa.types.is_string(column.type):
+            is_token = pc.is_in(column, value_set=tokens)
+            table = table.set_column(at, name, pc.if_else(is_token, None, column))
+    return table
 
 
 def readings(path: Path, source: LogSource, name: str, cells: pa.ChunkedArray) -> Readings:

@@ -6,8 +6,11 @@ half a figure looks like a figure. Where a header comes again in the middle, it 
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
@@ -79,6 +82,22 @@ def _span_of_ends(path: Path, source: LogSource, times: Columns) -> tuple[int, i
     return min(first[0], last[0]), max(first[1], last[1])
 
 
+class _Ragged(NamedTuple):
+    """A row of another width: its piece, its line within it, both from 0, and its cells."""
+
+    piece: int
+    line: int
+    cells: int
+
+
+def _first(ragged: Sequence[Any], data: bytes, start: int, piece: int) -> _Ragged:
+    """The first of some rows, which come in any order, as blocks of a piece are parsed at once."""
+    cells = {re.split(r"[\r\n]", row.text)[0].encode(): row.actual_columns for row in ragged}
+    above = len(data[:start].splitlines())
+    rows = enumerate(data[start:].splitlines(), above)
+    return next(_Ragged(piece, at, cells[row]) for at, row in rows if row in cells)
+
+
 class _Reader:
     """Takes the pieces of a file one after the other, and gives the log."""
 
@@ -91,11 +110,13 @@ class _Reader:
         self.torn = 0
         self.rows = 0
         self.ragged = 0
-        self.ragged_cells = 0
+        self.first_ragged = _Ragged(0, 0, 0)
+        self.pieces = 0
         numbers: tuple[pa.DataType, ...] = () if source.thousands else (pa.float64(),)
         # What each column may be parsed as at once; what fails is not tried again.
         self.types: dict[str, tuple[pa.DataType, ...]] = dict.fromkeys(columns.numbers, numbers)
         self.types |= dict.fromkeys(columns.time, csv_cells.time_types(source))
+        self.types |= dict.fromkeys(columns.qualities, (pa.string(),))
 
     def read(self, lines: Lines) -> None:
         """Take a piece."""
@@ -103,11 +124,12 @@ class _Reader:
         if lines.torn or not lines.data:
             self.header.require(torn=lines.torn)
             return
+        self.pieces += 1
         start = rows_begin(self.header, lines.data)
         if self._read_at_once(lines.data, start):
             return
         for section in sections(self.header, lines.data, start):
-            self._read_section(section)
+            self._read_section(section, lines.data, start)
 
     def _read_at_once(self, data: bytes, start: int) -> bool:
         """Read a piece all of whose cells are numbers and stamps, so that no header is in it."""
@@ -117,7 +139,7 @@ class _Reader:
         whole = Section(memoryview(data)[start:], len(self.header.names), self.header.position, 0)
         try:
             types = {key: self.types[name][0] for name, key in keys.items()}
-            table, ragged = _parse(self.source, whole, types)
+            table, ragged = self._parse(whole, types)
         except pa.ArrowInvalid:
             return False
         if ragged:
@@ -129,10 +151,14 @@ class _Reader:
     def log(self) -> RawLog:
         """What was read."""
         self.require_rows_of_one_width()
+        ragged = "rows with too many or too few cells"
+        if self.ragged:
+            first = self.first_ragged
+            ragged += f", the first in line {self._line(first)} with {first.cells}"
         return self.table.log(
             {
                 "last row without a line end (it may be cut)": self.torn,
-                "rows with too many or too few cells": self.ragged,
+                ragged: self.ragged,
                 "lines that repeat the header": self.header.repeated,
             }
         )
@@ -144,11 +170,25 @@ class _Reader:
                 "log_not_csv",
                 self.path,
                 f"{self.ragged} of {self.ragged + self.rows} rows have not the header's "
-                f"{len(self.header.names)} cells, the first has {self.ragged_cells}: check "
+                f"{len(self.header.names)} cells, the first has {self.first_ragged.cells}: check "
                 "separator and skip_rows",
+                f"line {self._line(self.first_ragged)}",
             )
 
-    def _read_section(self, section: Section) -> None:
+    def _line(self, row: _Ragged) -> int:
+        """Number of a row's line in the file, from 1."""
+        # Counted only where it is asked for, which costs a sound file nothing.
+        pieces = islice(read_lines(self.path, self.source.encoding), row.piece + 1)
+        line, last = row.line + 1, b""
+        for number, lines in enumerate(pieces):
+            # A line end of two characters may be cut in two.
+            line -= last.endswith(b"\r") and lines.data.startswith(b"\n")
+            if number < row.piece:
+                line += len(lines.data.splitlines())
+            last = lines.data
+        return line
+
+    def _read_section(self, section: Section, data: bytes, start: int) -> None:
         keys = {
             name: str(section.position[name])
             for name in self.columns.all
@@ -161,17 +201,19 @@ class _Reader:
                 "log_damaged",
                 self.path,
                 f"the rows cannot be told apart: {error}",
-                f"after line {section.line}",
+                f"after line {section.line}" if section.line else None,
             ) from error
-        if any("\n" in row.text.rstrip("\r\n") for row in ragged):
+        swallowed = [row for row in ragged if "\n" in row.text.rstrip("\r\n")]
+        if swallowed:
+            first = _first(swallowed, data, start, self.pieces - 1)
             raise LogError(
                 "log_damaged",
                 self.path,
                 "a quotation mark is opened and not closed in its row",
-                f"after line {section.line}",
+                f"line {self._line(first)}",
             )
         if ragged and not self.ragged:
-            self.ragged_cells = ragged[0].actual_columns
+            self.first_ragged = _first(ragged, data, start, self.pieces - 1)
         self.ragged += len(ragged)
         self.rows += table.num_rows
         self._add({name: table.column(key) for name, key in keys.items()})
@@ -182,13 +224,13 @@ class _Reader:
         while any(types.values()):
             first = {key: kinds[0] if kinds else pa.string() for key, kinds in types.items()}
             try:
-                return _parse(self.source, section, first)
+                return self._parse(section, first)
             except pa.ArrowInvalid:
                 failed = self._next_types(section, keys)
                 if not failed:
                     break
                 types = {key: self.types.get(name) or () for name, key in keys.items()}
-        return _parse(self.source, section, dict.fromkeys(keys.values(), pa.string()))
+        return self._parse(section, dict.fromkeys(keys.values(), pa.string()))
 
     def _next_types(self, section: Section, keys: dict[str, str]) -> bool:
         """Which of a section's columns are not what they were taken for; False: none."""
@@ -196,7 +238,7 @@ class _Reader:
         for name, key in keys.items():
             while kinds := self.types.get(name, ()):
                 try:
-                    _parse(self.source, section, {key: kinds[0]})
+                    self._parse(section, {key: kinds[0]})
                     break
                 except pa.ArrowInvalid:
                     self.types[name] = kinds[1:]
@@ -211,11 +253,25 @@ class _Reader:
                 for name in self.columns.numbers
             },
             None if self.columns.name is None else cells[self.columns.name],
+            {name: cells[name] for name in self.columns.qualities},
         )
+
+    def _parse(self, section: Section, types: dict[str, pa.DataType]) -> tuple[pa.Table, list[Any]]:
+        """A section's columns, by position, and the rows that are left out."""
+        if not self.columns.qualities:
+            return _parse(self.source, section, types)
+        # What means "no sample" in a column of readings is an answer in one of qualities.
+        table, ragged = _parse(self.source, section, types, text_can_be_null=False)
+        kept = {str(section.position[name]) for name in self.columns.qualities}
+        return csv_cells.with_missing_tokens(self.source, table, kept), ragged
 
 
 def _parse(
-    source: LogSource, section: Section, types: dict[str, pa.DataType]
+    source: LogSource,
+    section: Section,
+    types: dict[str, pa.DataType],
+    *,
+    text_can_be_null: bool = True,
 ) -> tuple[pa.Table, list[Any]]:
     ragged: list[Any] = []
 
@@ -234,7 +290,7 @@ def _parse(
             include_columns=list(types),
             column_types=types,
             null_values=list(source.missing_tokens),
-            strings_can_be_null=True,
+            strings_can_be_null=text_can_be_null,
             decimal_point=source.decimal,
         ),
     )

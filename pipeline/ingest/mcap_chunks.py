@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.mcap_layout import LARGEST_CHUNK
+from pipeline.ingest.mcap_layout import LARGEST_CHUNK, PREFIX, fields_at, record_offsets
 
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _COMPRESSIONS = {"": None, "lz4": "lz4", "zstd": "zstd"}
+_INDEX_HEAD = 6
+_MOST_GAPS = 64
 
 
 def unpacked_chunk(path: Path, content: memoryview, where: str) -> memoryview:
@@ -67,3 +72,62 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
 def _first_bytes(packed: memoryview, codec: str, count: int) -> memoryview:
     with pa.CompressedInputStream(pa.BufferReader(pa.py_buffer(packed)), codec) as stream:
         return memoryview(stream.read_buffer(count))
+
+
+def indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:
+    """Where messages begin in a chunk, in ascending order, as its message index records say.
+
+    Parameters
+    ----------
+    indexes
+        Contents of the records.
+    """
+    parts = [np.empty(0, "<u8")]
+    for index in indexes:
+        numbers = max(len(index) - _INDEX_HEAD, 0) // 16 * 2
+        times_and_positions = np.frombuffer(index[_INDEX_HEAD:], "<u8", numbers)
+        parts.append(times_and_positions[1::2])
+    # Too large ones become negative, and are then of no use.
+    return np.sort(np.concatenate(parts).astype(np.int64), kind="stable")
+
+
+def offsets_in_chunk(
+    records: memoryview, positions: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], int]:
+    """Where the records of a chunk begin, and where the last of them ends.
+
+    Parameters
+    ----------
+    records
+        Of the chunk.
+    positions : (n,) int64
+        Where some of them may begin, in ascending order: believed only where each step, taken from
+        the chunk's begin, leads from one to the next.
+    """
+    found = _steps(records, positions)
+    if found is not None:
+        return found, len(records)
+    offsets, end = record_offsets(records)
+    return np.array(offsets, np.int64), end
+
+
+def _steps(records: memoryview, positions: NDArray[np.int64]) -> NDArray[np.int64] | None:
+    """All offsets; None where the positions are not among them."""
+    if not positions.size or positions[0] < 0 or positions[-1] > len(records) - PREFIX.size:
+        return None
+    lengths = fields_at(records, positions + 1, "<u8")
+    if lengths.max() > len(records):
+        return None
+    ends = np.append(0, positions + (PREFIX.size + lengths.astype(np.int64)))
+    starts = np.append(positions, len(records))
+    gaps = np.flatnonzero(ends != starts).tolist()
+    if len(gaps) > _MOST_GAPS:
+        return None
+    parts = [positions]
+    for gap in gaps:
+        # Schemas and channels have no index.
+        between, end = record_offsets(records[ends[gap] : starts[gap]])
+        if ends[gap] + end != starts[gap]:
+            return None
+        parts.append(ends[gap] + np.array(between, np.int64))
+    return np.sort(np.concatenate(parts), kind="stable")

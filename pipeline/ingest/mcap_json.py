@@ -40,7 +40,12 @@ _Tree = dict[str | int, Any]
 """Arrow types by path, step by step."""
 
 
-def json_decoder(fields: Sequence[FieldPath], stamp: FieldPath | None, time_format: str) -> Decoder:
+def json_decoder(
+    fields: Sequence[FieldPath],
+    stamp: FieldPath | None,
+    time_format: str,
+    qualities: Sequence[FieldPath] = (),
+) -> Decoder:
     """Decoder of JSON messages.
 
     Parameters
@@ -51,14 +56,17 @@ def json_decoder(fields: Sequence[FieldPath], stamp: FieldPath | None, time_form
         Where its time stamp is: a number, a text, or an object of seconds and nanoseconds.
     time_format
         How a stamp is written that is a number or text.
+    qualities
+        What is wanted as it stands: text, a number or a truth value.
     """
 
     def decode(payloads: Payloads) -> Decoded:
+        types = _quality_types(payloads, qualities)
         for kinds in _stamp_kinds(payloads, stamp, time_format):
-            decoded = _at_once(payloads, fields, kinds, time_format)
+            decoded = _at_once(payloads, fields, kinds, time_format, types)
             if decoded is not None:
                 return decoded
-        return _one_by_one(payloads, fields, stamp, time_format)
+        return _one_by_one(payloads, fields, stamp, time_format, qualities)
 
     return decode
 
@@ -97,8 +105,7 @@ def _stamp_kinds(
     can be told."""
     if stamp is None:
         return [{}]
-    first = payloads.text[payloads.start[0] :][: payloads.length[0]].tobytes()
-    value = _value(_object(first), stamp)
+    value = _value(_first(payloads), stamp)
     if isinstance(value, str):
         return [{stamp: pa.string()}]
     if isinstance(value, dict) and (names := _names(value)):
@@ -108,6 +115,25 @@ def _stamp_kinds(
     # As a float64, nanoseconds since 1970 come in steps of 256.
     whole: dict[FieldPath, pa.DataType] = {stamp: pa.int64()}
     return [whole] if time_format == "epoch_ns" else [whole, {stamp: pa.float64()}]
+
+
+def _quality_types(
+    payloads: Payloads, qualities: Sequence[FieldPath]
+) -> dict[FieldPath, pa.DataType]:
+    """Types of what is wanted as it stands, as the first message has it."""
+    first = _first(payloads) if qualities else None
+    types: dict[FieldPath, pa.DataType] = {}
+    for path in qualities:
+        value = _value(first, path)
+        is_number = isinstance(value, int | float)
+        types[path] = pa.float64() if is_number else pa.string()
+        if isinstance(value, bool):
+            types[path] = pa.bool_()
+    return types
+
+
+def _first(payloads: Payloads) -> dict[str, Any] | None:
+    return _object(payloads.text[payloads.start[0] :][: payloads.length[0]].tobytes())
 
 
 def _names(value: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -122,15 +148,23 @@ def _at_once(
     fields: Sequence[FieldPath],
     stamp_types: Mapping[FieldPath, pa.DataType],
     time_format: str,
+    quality_types: Mapping[FieldPath, pa.DataType],
 ) -> Decoded | None:
     """Readings, where every line is one object and every wanted value of its type or null; else
     None."""
-    table = _table(payloads, {**dict.fromkeys(fields, pa.float64()), **stamp_types})
+    # A stamp may be a reading too, but not where it is text.
+    if any(stamp_types.get(field) == pa.string() for field in fields):
+        return None
+    types = {**dict.fromkeys(fields, pa.float64()), **stamp_types}
+    if any(types.get(path, kind) != kind for path, kind in quality_types.items()):
+        return None
+    table = _table(payloads, {**types, **quality_types})
     if table is None:
         return None
     readings = {field: _readings(_column(table, field)) for field in fields}
     parts = [_column(table, part) for part in stamp_types]
-    return Decoded(readings, _stamps(parts, time_format) if parts else None)
+    qualities = {path: _column(table, path) for path in quality_types}
+    return Decoded(readings, _stamps(parts, time_format) if parts else None, qualities)
 
 
 def _table(payloads: Payloads, types: Mapping[FieldPath, pa.DataType]) -> pa.Table | None:
@@ -202,7 +236,8 @@ def _element(lists: pa.ListArray, position: int) -> pa.Array:
 
 def _readings(column: pa.Array) -> Readings:
     missing = column.is_null().to_numpy(zero_copy_only=False)
-    raw: NDArray[np.float64] = pc.fill_null(column, np.nan).to_numpy(zero_copy_only=False)
+    numbers = pc.fill_null(column.cast(pa.float64(), safe=False), np.nan)
+    raw: NDArray[np.float64] = numbers.to_numpy(zero_copy_only=False)
     return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
 
 
@@ -219,7 +254,11 @@ def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
 
 
 def _one_by_one(
-    payloads: Payloads, fields: Sequence[FieldPath], stamp: FieldPath | None, time_format: str
+    payloads: Payloads,
+    fields: Sequence[FieldPath],
+    stamp: FieldPath | None,
+    time_format: str,
+    qualities: Sequence[FieldPath],
 ) -> Decoded:
     count = payloads.start.size
     raw = {field: np.full(count, np.nan) for field in fields}
@@ -227,6 +266,7 @@ def _one_by_one(
     unparsed = {field: np.zeros(count, dtype=np.bool_) for field in fields}
     examples: dict[FieldPath, str] = {}
     stamps: list[object] = []
+    words: dict[FieldPath, list[str | None]] = {path: [] for path in qualities}
     text = payloads.text.tobytes()
     spans = zip(payloads.start.tolist(), payloads.length.tolist(), strict=True)
     for i, (start, length) in enumerate(spans):
@@ -242,11 +282,19 @@ def _one_by_one(
                 examples.setdefault(field, repr(payload if message is None else value)[:60])
         if stamp is not None:
             stamps.append(_value(message, stamp))
+        for path in qualities:
+            words[path].append(_word(_value(message, path)))
     readings = {
         field: Readings(raw[field], missing[field], unparsed[field], examples.get(field))
         for field in fields
     }
-    return Decoded(readings, None if stamp is None else _mixed_stamps(stamps, time_format))
+    cells = {path: pa.array(words[path], pa.string()) for path in qualities}
+    return Decoded(readings, None if stamp is None else _mixed_stamps(stamps, time_format), cells)
+
+
+def _word(value: object) -> str | None:
+    # Halves of letters beyond the first 65 536 are no text to Arrow.
+    return None if value is None else str(value).encode(errors="replace").decode()
 
 
 def _mixed_stamps(values: Sequence[object], time_format: str) -> WrittenStamps:

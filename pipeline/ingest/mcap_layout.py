@@ -11,7 +11,10 @@ import zlib
 from collections.abc import Mapping
 from itertools import pairwise
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 
@@ -101,6 +104,17 @@ def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
         append(start)
         start = end
     return offsets, start
+
+
+def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[Any]:
+    """Numbers of one type at any positions, aligned or not."""
+    kind = np.dtype(dtype)
+    if not at.size:
+        return np.empty(0, kind)
+    everywhere: NDArray[Any] = np.ndarray(
+        (len(buffer) - kind.itemsize + 1,), kind, buffer, strides=(1,)
+    )
+    return everywhere[at]
 
 
 def read_channel(path: Path, content: bytes) -> tuple[int, Channel]:

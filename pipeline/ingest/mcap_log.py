@@ -1,29 +1,40 @@
 """Logs as MCAP: a topic a channel, a field of its messages the reading.
 
 Messages are taken from the file in pieces of some megabytes, and each piece is decoded at once; of
-a piece only the readings and time stamps are kept.
+a piece only the readings and time stamps are kept. What cannot be taken at once is taken message by
+message, by the `json` module or Protobuf's runtime; messages of ROS 2 need no second way. The
+format's own reader is the oracle in the tests, which list what only that lets through.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings, judged, raw_channel, raw_log, span
-from pipeline.ingest.contract import LogSource, RawChannel, RawLog
-from pipeline.ingest.mcap_cdr import cdr_decoder
+from pipeline.ingest.assembly import judged, judged_together, raw_channel, raw_log, span
+from pipeline.ingest.contract import (
+    ChannelSource,
+    LogSource,
+    QualityValue,
+    RawChannel,
+    RawLog,
+)
+from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
+from pipeline.ingest.mcap_columns import ReadingsColumn, StampsColumn
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
 from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
-from pipeline.ingest.mcap_paths import FieldPath, field_path
-from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
+from pipeline.ingest.mcap_paths import FieldPath, field_path, path_text
+from pipeline.ingest.mcap_payloads import Decoded, Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
+from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import (
     TimeStamps,
     WrittenStamps,
@@ -33,12 +44,27 @@ from pipeline.ingest.time_stamps import (
 )
 
 _PIECE = 8 * 2**20
-_NO_SCHEMA = Schema("", "", b"")
+_COST_OF_MESSAGE = 64
+"""Bytes that a message takes while it is decoded, besides its payload."""
 
-_Wanted = Mapping[str, tuple[FieldPath, ...]]
+_NO_SCHEMA = Schema("", "", b"")
+_ENCODINGS = {("protobuf", "protobuf"), *(("cdr", language) for language in ROS2_LANGUAGES)}
+
+_Quality = tuple[FieldPath, tuple[QualityValue, ...]]
+"""A field of qualities, and what is good there."""
+
+
+class _Fields(NamedTuple):
+    """What is wanted of each message of a topic: readings, and what it says of them."""
+
+    readings: tuple[FieldPath, ...]
+    qualities: tuple[_Quality, ...]
+
+
+_Wanted = Mapping[str, _Fields]
 """Fields by topic."""
 
-_Key = tuple[str, Schema, tuple[FieldPath, ...]]
+_Key = tuple[str, Schema, _Fields]
 """Encoding, schema and fields: what messages have to share to be decoded together."""
 
 
@@ -46,8 +72,9 @@ _Key = tuple[str, Schema, tuple[FieldPath, ...]]
 class _Parts:
     """What the pieces hold of one topic, in the order of the file."""
 
-    stamps: list[WrittenStamps]
-    fields: dict[FieldPath, list[Readings]]
+    stamps: StampsColumn
+    fields: dict[FieldPath, ReadingsColumn]
+    states: dict[_Quality, list[NDArray[np.uint8]]]
 
 
 @dataclass(slots=True)
@@ -86,25 +113,28 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
     wanted = _wanted(source)
     content = _content(path, source, wanted)
     _require_topics(path, wanted, content)
-    stamps, slices = _all_stamps(content.parts, source.time_zone)
-    judged_stamps, refused = judged(path, stamps, _time_name(source))
+    placed_stamps = [_placed(parts, source.time_zone) for parts in content.parts.values()]
+    stamps, refused = judged_together(path, placed_stamps, _time_name(source))
+    del placed_stamps
     channels: dict[str, RawChannel] = {}
-    for topic, fields in wanted.items():
-        readable = judged_stamps.readable[slices[topic]]
-        time_us = judged_stamps.time_us[slices[topic]]
+    for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
+        readable, time_us = judged_stamps.readable, judged_stamps.time_us
         time_us = time_us if readable.all() else time_us[readable]
-        for one in fields:
-            # The parts are given up, so that a long log is not held twice.
-            readings = Readings.joined(content.parts[topic].fields.pop(one)).rows(readable)
+        states = _states(path, source, topic, content.parts[topic], readable)
+        for one in fields.readings:
+            # The columns are given up, so that a long log is not held twice.
+            readings = content.parts[topic].fields.pop(one).taken().rows(readable)
             if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
                 _require_field(path, source, topic, one)
             channels |= {
-                channel.channel: raw_channel(path, channel, time_us, readings)
+                channel.channel: raw_channel(
+                    path, channel, time_us, readings, states.get(_quality_of(channel))
+                )
                 for channel in source.channels
                 if channel.source == topic and field_path(channel.field, topic) == one
             }
     in_order = {channel.channel: channels[channel.channel] for channel in source.channels}
-    rows = int(np.count_nonzero(judged_stamps.readable))
+    rows = sum(int(np.count_nonzero(judged_stamps.readable)) for judged_stamps in stamps)
     refused = {reason.replace("rows", "messages", 1): n for reason, n in refused.items()}
     return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
 
@@ -146,7 +176,13 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
         return None
     log_times = [statistics.first_log_time, statistics.last_log_time]
     stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
-    return span(path, [stamps.time_us]) if stamps.readable.all() else None
+    try:
+        good, refused = judged(path, stamps, _time_name(source))
+    except LogError:
+        return None  # The messages themselves say how many of them have no good time.
+    # A single stamp may be wrong that the messages themselves would show to be so.
+    whole = good.readable.all() and not any(refused.values())
+    return span(path, [stamps.time_us]) if whole else None
 
 
 def _time_name(source: LogSource) -> str:
@@ -160,17 +196,48 @@ def _times(messages: Messages, time_source: str) -> NDArray[np.uint64]:
 
 
 def _wanted(source: LogSource) -> _Wanted:
-    wanted: dict[str, dict[FieldPath, None]] = {}
-    for channel in source.channels:
-        path = field_path(channel.field, channel.source)
-        wanted.setdefault(channel.source, {})[path] = None
-    return {topic: tuple(fields) for topic, fields in wanted.items()}
+    return {
+        topic: _fields(source, topic) for topic in dict.fromkeys(c.source for c in source.channels)
+    }
+
+
+def _fields(source: LogSource, topic: str) -> _Fields:
+    channels = [channel for channel in source.channels if channel.source == topic]
+    readings = dict.fromkeys(field_path(channel.field, topic) for channel in channels)
+    qualities = dict.fromkeys(_quality_of(c) for c in channels if c.quality_source)
+    return _Fields(tuple(readings), tuple(qualities))
+
+
+def _quality_of(channel: ChannelSource) -> _Quality:
+    """Where a channel's quality is, and what is good there."""
+    named = channel.quality_source
+    return field_path(named, channel.source) if named else (), channel.quality_good
+
+
+def _states(
+    path: Path, source: LogSource, topic: str, parts: _Parts, readable: NDArray[np.bool_]
+) -> dict[_Quality, NDArray[np.uint8]]:
+    """What the messages of a topic with a good time say of their samples."""
+    found: dict[_Quality, NDArray[np.uint8]] = {}
+    for quality, pieces in parts.states.items():
+        states = np.concatenate([np.empty(0, np.uint8), *pieces])
+        if states.size and (states == BLANK).all():
+            _require_field(path, source, topic, quality[0])
+        found[quality] = states[readable]
+    return found
 
 
 def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
     names = tuple(wanted)
     content = _Content(
-        {name: _Parts([], {one: [] for one in fields}) for name, fields in wanted.items()}
+        {
+            name: _Parts(
+                StampsColumn(),
+                {one: ReadingsColumn() for one in fields.readings},
+                {one: [] for one in fields.qualities},
+            )
+            for name, fields in wanted.items()
+        }
     )
     decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1
@@ -183,30 +250,33 @@ def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
         for number, chosen in _runs(decoders.number[messages.channel_id], in_turn=in_turn):
             # Messages of one topic keep their order, whatever decodes them.
             for other in [other for other in held if in_turn and other != number]:
-                _decode(decoders, other, held.pop(other), names, content)
+                _decode(path, decoders, other, held.pop(other), names, content)
             topic = decoders.topic[messages.channel_id]
             times = _times(messages, source.time_source)
             stretches = held.setdefault(number, [])
             stretches.append(payloads_of(messages, chosen, topic, times))
-            if sum(stretch.text.size for stretch in stretches) >= _PIECE:
-                _decode(decoders, number, held.pop(number), names, content)
+            if (
+                sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in stretches)
+                >= _PIECE
+            ):
+                _decode(path, decoders, number, held.pop(number), names, content)
         content.topics = tuple(sorted({one.topic for one in messages.channels.values()}))
         content.loss = messages.loss
     for number, stretches in held.items():
-        _decode(decoders, number, stretches, names, content)
+        _decode(path, decoders, number, stretches, names, content)
     return content
 
 
-def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, NDArray[np.bool_]]]:
+def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, NDArray[np.intp]]]:
     """Messages of each decoder; `in_turn`, each stretch of them by itself."""
     if in_turn:
         edges = np.flatnonzero(np.diff(numbers)) + 1
         for stretch in np.split(np.arange(numbers.size), edges):
             if stretch.size and numbers[stretch[0]] >= 0:
-                yield int(numbers[stretch[0]]), np.isin(np.arange(numbers.size), stretch)
+                yield int(numbers[stretch[0]]), stretch
         return
     for number in np.unique(numbers[numbers >= 0]).tolist():
-        yield number, numbers == number
+        yield number, np.flatnonzero(numbers == number)
 
 
 def _is_shared(decoders: _Decoders) -> bool:
@@ -216,6 +286,7 @@ def _is_shared(decoders: _Decoders) -> bool:
 
 
 def _decode(
+    path: Path,
     decoders: _Decoders,
     number: int,
     stretches: Sequence[Payloads],
@@ -230,19 +301,19 @@ def _decode(
     for topic in np.unique(payloads.topic).tolist():
         rows = payloads.topic == topic
         parts = content.parts[names[topic]]
-        parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows]))
-        for one, readings in decoded.fields.items():
-            parts.fields[one].append(_compact(readings.rows(rows)))
+        parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
+        for one, column in parts.fields.items():
+            column.append(decoded.fields[one].rows(rows))
+        for (one, good), states in parts.states.items():
+            cells = _cells(decoded, one).filter(pa.array(rows))
+            states.append(quality_states(path, path_text(one), cells, good))
 
 
-def _compact(readings: Readings) -> Readings:
-    """The same readings without the room that a parser has left, or marks that mark nothing."""
-    marks = [
-        mark if mark.any() else np.broadcast_to(np.False_, mark.shape)
-        for mark in (readings.missing, readings.unparsed)
-    ]
-    raw = readings.raw if readings.raw.flags.owndata else readings.raw.copy()
-    return Readings(raw, marks[0], marks[1], readings.example)
+def _cells(decoded: Decoded, quality: FieldPath) -> pa.Array:
+    if quality in decoded.qualities:
+        return decoded.qualities[quality]
+    readings = decoded.fields[quality]
+    return pa.array(readings.raw, mask=readings.missing)
 
 
 def _add_decoders(
@@ -264,19 +335,17 @@ def _add_decoders(
         decoders.number[channel_id] = list(decoders.by_key).index(key)
 
 
-def _key(
-    path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: tuple[FieldPath, ...]
-) -> _Key:
+def _key(path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: _Fields) -> _Key:
     if channel.encoding == "json":
         return channel.encoding, _NO_SCHEMA, fields
     schema = schemas.get(channel.schema_id, _NO_SCHEMA)
-    if (channel.encoding, schema.encoding) not in {("cdr", "ros2msg"), ("protobuf", "protobuf")}:
+    if (channel.encoding, schema.encoding) not in _ENCODINGS:
         raise LogError(
             "log_encoding",
             path,
             f"messages of topic {channel.topic!r} are encoded as {channel.encoding!r} with a "
             f"schema in {schema.encoding!r}; read are 'json', 'protobuf' with descriptors, and "
-            "'cdr' with 'ros2msg'",
+            "'cdr' with 'ros2msg' or 'ros2idl'",
             channel.topic,
         )
     return channel.encoding, schema, fields
@@ -285,10 +354,20 @@ def _key(
 def _decoder(path: Path, source: LogSource, topic: str, key: _Key) -> Decoder:
     encoding, schema, fields = key
     stamp = field_path(source.stamp) if source.stamp else None
+    qualities = tuple(dict.fromkeys(one for one, _ in fields.qualities))
     if encoding == "json":
-        return json_decoder(fields, stamp, source.time_format)
+        return json_decoder(fields.readings, stamp, source.time_format, qualities)
     made = cdr_decoder if encoding == "cdr" else protobuf_decoder
-    return made(path, topic, schema, fields, stamp, source.time_format)
+    numbers = tuple(dict.fromkeys((*fields.readings, *qualities)))
+    return made(path, topic, schema, numbers, stamp, source.time_format)
+
+
+def _placed(parts: _Parts, zone: str) -> TimeStamps:
+    """Stamps of a topic, which gives its own up; marks that mark all alike take no memory."""
+    stamps = placed([parts.stamps.taken()], zone)
+    if not stamps.readable.all():
+        return stamps
+    return replace(stamps, readable=np.broadcast_to(np.True_, stamps.readable.shape))
 
 
 def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:
@@ -307,20 +386,3 @@ def _require_field(path: Path, source: LogSource, topic: str, one: FieldPath) ->
         channels = [c for c in messages.channels.values() if c.topic == topic]
     if all(channel.encoding == "json" for channel in channels):
         require_json_field(path, topic, one, salvage=source.salvage)
-
-
-def _all_stamps(parts: Mapping[str, _Parts], zone: str) -> tuple[TimeStamps, dict[str, slice]]:
-    """Stamps of all topics one after the other, and where each topic's are; the parts give theirs
-    up."""
-    by_topic: list[TimeStamps] = []
-    for of_topic in parts.values():
-        by_topic.append(placed(of_topic.stamps, zone))
-        of_topic.stamps.clear()
-    ends = np.cumsum([0, *(stamps.readable.size for stamps in by_topic)]).tolist()
-    slices = [slice(start, end) for start, end in pairwise(ends)]
-    skipped = sum(stamps.skipped for stamps in by_topic)
-    readable = np.concatenate([stamps.readable for stamps in by_topic])
-    times = [stamps.time_us for stamps in by_topic]
-    del by_topic
-    time_us = times[0] if len(times) == 1 else np.concatenate(times)
-    return TimeStamps(time_us, readable, skipped), dict(zip(parts, slices, strict=True))

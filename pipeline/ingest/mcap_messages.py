@@ -1,7 +1,8 @@
 """The messages of an MCAP file, as arrays of what their heads say and where their payloads lie.
 
 Messages stand bare in the data section, or in compressed chunks, which hold records again. Only
-stepping from length to length is done record by record; all fields are then taken at once.
+stepping from length to length is done record by record, and that only where no index tells the
+steps; all fields are then taken at once.
 """
 
 from __future__ import annotations
@@ -10,15 +11,15 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.mcap_chunks import unpacked_chunk
+from pipeline.ingest.mcap_chunks import indexed_positions, offsets_in_chunk, unpacked_chunk
 from pipeline.ingest.mcap_layout import (
     CHANNEL,
     CHUNK,
@@ -34,6 +35,7 @@ from pipeline.ingest.mcap_layout import (
     Schema,
     Statistics,
     Summary,
+    fields_at,
     read_channel,
     read_schema,
     read_summary,
@@ -113,8 +115,8 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
         pieces = _data_section(path, file, summary.start, channels, schemas, damage is None)
         try:
             for messages in pieces:
-                present, times = np.unique(messages.channel_id, return_counts=True)
-                counts[present] += times
+                of_channels = np.bincount(messages.channel_id)
+                counts[: of_channels.size] += of_channels
                 read_to = messages.read_to
                 yield messages
         except LogError as error:
@@ -260,21 +262,26 @@ def _messages_of_block(
     place: int,
 ) -> Iterator[Messages]:
     """Messages that stand bare, and those of chunks, in the order of the file."""
-    chunks = np.flatnonzero(np.frombuffer(block, np.uint8)[offsets] == CHUNK)
+    opcodes = np.frombuffer(block, np.uint8)[offsets]
+    chunks = np.flatnonzero(opcodes == CHUNK).tolist()
     stops = [*offsets[1:].tolist(), len(block)]
-    for before, chunk in pairwise([-1, *chunks.tolist(), len(offsets)]):
+
+    def content(i: int) -> memoryview:
+        return block[offsets[i] + PREFIX.size : stops[i]]
+
+    for before, chunk in pairwise([-1, *chunks, len(offsets)]):
         stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
         kept = offsets[before + 1 : chunk]
         yield _messages(path, block, kept, channels, schemas, place + stop)
         if chunk == len(offsets):
             return
         where = f"chunk at byte {place + offsets[chunk]}"
-        records = unpacked_chunk(path, block[offsets[chunk] + PREFIX.size : stops[chunk]], where)
-        inside, end = record_offsets(records)
+        records = unpacked_chunk(path, content(chunk), where)
+        indexes = takewhile(lambda i: opcodes[i] == MESSAGE_INDEX, range(chunk + 1, len(offsets)))
+        inside, end = offsets_in_chunk(records, indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
-        kept = np.array(inside, np.int64)
-        yield _messages(path, records, kept, channels, schemas, place + stops[chunk])
+        yield _messages(path, records, inside, channels, schemas, place + stops[chunk])
 
 
 def _messages(
@@ -293,7 +300,7 @@ def _messages(
     if (ends - starts < _MESSAGE_HEAD).any():
         raise LogError("log_damaged", path, "a message is shorter than its own head")
     channel_id_of_each = fields_at(buffer, starts + 9, "<u2")
-    unknown = set(np.unique(channel_id_of_each).tolist()) - channels.keys()
+    unknown = set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - channels.keys()
     if unknown:
         raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
     return Messages(
@@ -328,14 +335,3 @@ def _declare(
             schema_id, schema = read_schema(path, content)
             if schemas.setdefault(schema_id, schema) != schema:
                 raise LogError("log_damaged", path, f"schema {schema_id} is declared twice over")
-
-
-def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[Any]:
-    """Numbers of one type at any positions, aligned or not."""
-    kind = np.dtype(dtype)
-    if not at.size:
-        return np.empty(0, kind)
-    everywhere: NDArray[Any] = np.ndarray(
-        (len(buffer) - kind.itemsize + 1,), kind, buffer, strides=(1,)
-    )
-    return everywhere[at]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.ingest.assembly import Readings
@@ -45,10 +46,22 @@ class Payloads:
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Readings of the wanted fields of messages, and the stamps in them where they are wanted."""
+    """Readings of the wanted fields of messages, and the stamps in them where they are wanted.
+
+    Attributes
+    ----------
+    fields
+        Readings by path.
+    stamps
+        None where the log time is to be used.
+    qualities
+        What messages of JSON say of their samples, by path: text, numbers or truth values. With
+        other encodings it is a number, and among the fields.
+    """
 
     fields: Mapping[FieldPath, Readings]
     stamps: WrittenStamps | None
+    qualities: Mapping[FieldPath, pa.Array] = field(default_factory=dict)
 
 
 Decoder = Callable[[Payloads], Decoded]
@@ -56,7 +69,7 @@ Decoder = Callable[[Payloads], Decoded]
 
 def payloads_of(
     messages: Messages,
-    chosen: NDArray[np.bool_],
+    chosen: NDArray[np.intp],
     topic: NDArray[np.int16],
     time_ns: NDArray[np.uint64],
 ) -> Payloads:
@@ -66,14 +79,16 @@ def payloads_of(
     ----------
     messages
         n messages.
-    chosen : (n,) bool
+    chosen : (m,) intp
+        Positions of those that are wanted, one at least, in the order of the file.
     topic : (n,) int16
     time_ns : (n,) uint64
         Their topics, and the times that go with them.
     """
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
     length = ends - starts
-    text = _as_lines(messages.buffer, starts, ends)
+    low, high = int(starts[0]), int(ends[-1])
+    text = _as_lines(messages.buffer[low:high], starts - low, ends - low)
     return Payloads(text, _starts(length), length, topic[chosen], time_ns[chosen])
 
 

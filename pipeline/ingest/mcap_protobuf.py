@@ -1,12 +1,18 @@
 """Messages of Protobuf, laid out as the descriptors in the schema record say.
 
-A field that is not set is missing where Protobuf can tell (messages, ``optional``, ``oneof``,
-proto2), and its default where it cannot: plain numbers of proto3, of which a 0 is never written.
+Payloads are decoded by Protobuf's own runtime, which the format's own reader uses too. A field that
+is not set is missing where Protobuf can tell (messages, ``optional``, ``oneof``, and all of proto2,
+whatever default its schema names), and its default where it cannot: plain numbers of proto3, of
+which a 0 is never written. Truth values and members of an enum are their numbers, a wrapper such as
+``google.protobuf.DoubleValue`` is the number in it, and a map's key is a step of a path.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +21,10 @@ from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
+from pipeline.ingest.mcap_fields import number_kind, stamp_parts
 from pipeline.ingest.mcap_layout import Schema
-from pipeline.ingest.mcap_paths import FieldPath, path_text
+from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import (
-    NANOSECONDS,
-    SECONDS,
     Decoded,
     Decoder,
     Payloads,
@@ -28,7 +33,20 @@ from pipeline.ingest.mcap_payloads import (
 )
 from pipeline.ingest.time_stamps import WrittenStamps
 
-_Follow = Callable[[Any], Any]
+_Step = Callable[[Any], Any]
+
+_NUMBERS = {1: "i4", 2: "i8", 3: "u4", 4: "u8", 5: "f8", 6: "f4", 7: "?", 8: "i4"}
+"""NumPy's names by the runtime's ``CPPTYPE_INT32`` and so on, truth values and enums included."""
+
+_KEYS: Mapping[int, str | int] = {1: 0, 2: 0, 3: 0, 4: 0, 7: "true", 9: "KEY"}
+"""Keys that a map may have, by the runtime's name of their type."""
+
+_TRUTH = {"true": True, "false": False}
+_WHOLE_NUMBER = re.compile(r"-?\d{1,20}")
+_WRAPPERS = frozenset(
+    f"google.protobuf.{name}Value"
+    for name in ("Double", "Float", "Int64", "UInt64", "Int32", "UInt32", "Bool")
+)
 
 
 def protobuf_decoder(
@@ -61,9 +79,9 @@ def protobuf_decoder(
         leads nowhere, or to something else than a number.
     """
     message_class, decode_error = _message_class(path, schema)
-    root = message_class.DESCRIPTOR
-    parts = [] if stamp is None else _stamp_parts(root, stamp)
-    kinds = {one: _kind(path, topic, root, one) for one in (*fields, *parts)}
+    root = _Place(message_class.DESCRIPTOR)
+    parts = [] if stamp is None else stamp_parts(root, stamp)
+    kinds = {one: number_kind(path, topic, root, one) for one in (*fields, *parts)}
     follows = [_follow(root, one) for one in kinds]
 
     def decode(payloads: Payloads) -> Decoded:
@@ -101,7 +119,7 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
         ) from error
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(schema.data).file
-        waiting = {file.name: file for file in files}
+        waiting = _by_name(files)
         pool = descriptor_pool.DescriptorPool()
         while waiting:
             _add_file(pool, waiting, next(iter(waiting)))
@@ -114,6 +132,13 @@ def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
     return found, DecodeError
 
 
+def _by_name(files: Sequence[Any]) -> dict[str, Any]:
+    names = [file.name for file in files]
+    if len(set(names)) < len(names):
+        raise ValueError("two files have one name")
+    return dict(zip(names, files, strict=True))
+
+
 def _add_file(pool: Any, waiting: dict[str, Any], name: str) -> None:
     """Add a file to the pool, after those that it imports."""
     file = waiting.pop(name)
@@ -123,34 +148,79 @@ def _add_file(pool: Any, waiting: dict[str, Any], name: str) -> None:
     pool.Add(file)
 
 
-def _kind(path: Path, topic: str, root: Any, wanted: FieldPath) -> str:
-    """NumPy's name of the type of a field."""
-    message, field, in_array = root, None, False
-    for step in wanted:
-        if isinstance(step, int):
-            inside, in_array = in_array, False
-        else:
-            by_name = {} if in_array or message is None else message.fields_by_name
-            field = by_name.get(step)
-            inside = field is not None
-            if field is not None:
-                message, in_array = field.message_type, _is_repeated(field)
-        if not inside or field is None:
-            raise LogError(
-                "log_column_missing",
-                path,
-                f"messages of topic {topic!r} have no field {path_text(wanted)!r}; there are "
-                + ", ".join(repr(name) for name in _names(root, "", 0)[:40]),
-                topic,
-            )
-    kind = None if in_array or field is None else _NUMBERS.get(field.cpp_type)
-    if kind is None:
-        raise LogError("log_type", path, f"field {path_text(wanted)!r} is no number", topic)
-    return kind
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """A place in a message, as `pipeline.ingest.mcap_fields` asks for it.
+
+    Attributes
+    ----------
+    message
+        Descriptor of the message that is here; None where there is none.
+    field
+        Descriptor of the field whose value this is, or whose values these are.
+    is_many
+        Whether all values of a repeated field are here, or all entries of a map.
+    """
+
+    message: Any
+    field: Any = None
+    is_many: bool = False
+
+    @property
+    def is_map(self) -> bool:
+        """Whether entries of a map are here."""
+        has_message = self.is_many and self.message is not None
+        return bool(has_message and self.message.GetOptions().map_entry)
+
+    @property
+    def is_wrapper(self) -> bool:
+        """Whether a message is here that only wraps a number, so that it can be absent."""
+        name = None if self.message is None or self.is_many else self.message.full_name
+        return name in _WRAPPERS
+
+    @property
+    def number(self) -> str | None:
+        """NumPy's name of the type of the number that is here."""
+        if self.is_wrapper:
+            return _NUMBERS[self.message.fields_by_name["value"].cpp_type]
+        return None if self.is_many or self.field is None else _NUMBERS.get(self.field.cpp_type)
+
+    @property
+    def what(self) -> str:
+        """What is here, in words."""
+        if self.is_many:
+            return "a map" if self.is_map else "an array"
+        return "text or bytes" if self.message is None else f"a message {self.message.full_name}"
+
+    def steps(self) -> list[str | int]:
+        """The steps inwards; any key of a map serves to find what it holds."""
+        if self.is_map:
+            return [_KEYS[self.message.fields_by_name["key"].cpp_type]]
+        if self.is_many:
+            return [0]
+        return [] if self.message is None else list(self.message.fields_by_name)
+
+    def inside(self, step: str | int) -> _Place | None:
+        """What is one step further inwards."""
+        if self.is_map:
+            value = self.message.fields_by_name["value"]
+            return None if _key(self.message, step) is None else _Place(value.message_type, value)
+        if self.is_many:
+            return _Place(self.message, self.field) if isinstance(step, int) else None
+        field = None if self.message is None else self.message.fields_by_name.get(step)
+        return None if field is None else _Place(field.message_type, field, _is_repeated(field))
 
 
-_NUMBERS = {1: "i4", 2: "i8", 3: "u4", 4: "u8", 5: "f8", 6: "f4"}
-"""NumPy's names by the runtime's ``CPPTYPE_INT32`` and so on; neither truth values nor enums."""
+def _key(entry: Any, step: str | int) -> Any:
+    """Key of a map that a step means; None where it cannot mean one."""
+    kind = entry.fields_by_name["key"].cpp_type
+    if _KEYS[kind] == "KEY":
+        return step if isinstance(step, str) else None
+    if _KEYS[kind] == "true":
+        return _TRUTH.get(str(step))
+    key = int(step) if _WHOLE_NUMBER.fullmatch(str(step)) else None
+    limits = np.iinfo(_NUMBERS[kind])
+    return key if key is not None and limits.min <= key <= limits.max else None
 
 
 def _is_repeated(field: Any) -> bool:
@@ -159,55 +229,40 @@ def _is_repeated(field: Any) -> bool:
     return bool(field.label == field.LABEL_REPEATED if is_repeated is None else is_repeated)
 
 
-def _names(message: Any, before: str, depth: int) -> list[str]:
-    """Paths to all numbers, an array's by its first element."""
-    names: list[str] = []
-    for field in message.fields:
-        name = before + field.name + ("[0]" if _is_repeated(field) else "")
-        if field.cpp_type in _NUMBERS:
-            names.append(name)
-        # A message may hold itself.
-        elif field.message_type is not None and depth < 5 and len(names) < 40:
-            names += _names(field.message_type, name + ".", depth + 1)
-    return names
-
-
-def _follow(root: Any, path: FieldPath) -> _Follow:
+def _follow(root: _Place, path: FieldPath) -> _Step:
     """Function of a message that gives what a path leads to; None where that is not set."""
-    steps: list[tuple[str | int, bool]] = []
-    message = root
+    steps: list[_Step] = []
+    place: _Place | None = root
     for step in path:
-        has_presence = False
-        if isinstance(step, str):
-            field = message.fields_by_name[step]
-            message, has_presence = field.message_type, field.has_presence
-        steps.append((step, has_presence))
+        if place is None:
+            raise LookupError(path)
+        steps.append(_step(place, step))
+        place = place.inside(step)
+    if place is not None and place.is_wrapper:
+        steps.append(attrgetter("value"))
+    if len(steps) == 1:
+        return steps[0]
 
     def follow(message: Any) -> Any:
-        for step, has_presence in steps:
-            if isinstance(step, int):
-                if step >= len(message):
-                    return None
-                message = message[step]
-            elif has_presence and not message.HasField(step):
+        for step in steps:
+            message = step(message)
+            if message is None:
                 return None
-            else:
-                message = getattr(message, step)
         return message
 
     return follow
 
 
-def _stamp_parts(root: Any, stamp: FieldPath) -> list[FieldPath]:
-    """Paths to the seconds and nanoseconds of a stamp, or to the one number that it is."""
-    message = root
-    for step in stamp:
-        field = message.fields_by_name.get(step) if message is not None else None
-        message = message if isinstance(step, int) else getattr(field, "message_type", None)
-    names = [] if message is None else list(message.fields_by_name)
-    seconds = [(*stamp, name) for name in SECONDS if name in names]
-    nanoseconds = [(*stamp, name) for name in NANOSECONDS if name in names]
-    return [*seconds[:1], *nanoseconds[:1]] if seconds and nanoseconds else [stamp]
+def _step(place: _Place, step: str | int) -> _Step:
+    """Function of what is at a place that gives what is one step further inwards."""
+    if place.is_map:
+        key = _key(place.message, step)
+        return lambda entries: entries.get(key)
+    if isinstance(step, int):
+        return lambda values: values[step] if step < len(values) else None
+    if place.message.fields_by_name[step].has_presence:
+        return lambda message: getattr(message, step) if message.HasField(step) else None
+    return attrgetter(step)
 
 
 def _each(payloads: Payloads) -> Iterator[bytes]:

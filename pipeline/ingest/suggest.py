@@ -1,58 +1,40 @@
 """How a log seems to be written: the TOML to paste into a motor's file.
 
-A guess from the first lines, each part by what most of them agree on; the reader judges it in the
-end. What cannot be told, such as a channel's unit, is left as a question in a comment.
+A guess from the first lines, rows or messages; the reader judges it in the end. What cannot be told
+is a comment beside what was assumed, or a question.
 """
 
 from __future__ import annotations
 
-import codecs
-import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from itertools import islice
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from glob import escape
 from pathlib import Path
 
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from pipeline.errors import LogError
-from pipeline.ingest.csv_text import read_lines, unpacked
-from pipeline.ingest.guesses import (
-    channel_of,
-    decimal_and_thousands,
-    is_number,
-    is_time_name,
-    time_format_of,
-    unit_of,
+from pipeline.ingest.contract import MISSING_TOKENS
+from pipeline.ingest.guess_cells import Marks, as_number, marks_of, strange_tokens
+from pipeline.ingest.guess_channels import likely_units
+from pipeline.ingest.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
+from pipeline.ingest.guess_files import suffix_of
+from pipeline.ingest.guess_layout import (
+    Column,
+    Layout,
+    Source,
+    Times,
+    find_layout,
+    find_times,
+    kind_of,
 )
-from pipeline.units import CHANNELS
+from pipeline.ingest.guess_mcap import McapGuess, guess_mcap
+from pipeline.ingest.guess_parquet import parquet_columns, parquet_scan
+from pipeline.units import CHANNELS, canonical_unit
 
-_HEAD_BYTES = 2**16
-_MOST_LINES = 400
-_SEPARATORS = (";", "\t", "|", ",")
-_ENCODINGS = ("utf-8", "cp1252")
-
-
-@dataclass(frozen=True, slots=True)
-class CsvGuess:
-    """What the first lines of a CSV tell.
-
-    Attributes
-    ----------
-    names, units
-        Cells of the header and of the line of units below it, if there is one.
-    columns
-        First cells of each column.
-    """
-
-    encoding: str
-    separator: str
-    skip_rows: int
-    unit_rows: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    columns: tuple[tuple[str, ...], ...]
+_SCANNED_BYTES = 2**23
+_MOST_UNUSED = 40
+_MOST_LIKELY = 3
+_SAMPLES_SHOWN = 3
+_NEEDED = ("oil_temperature", "speed", "leakage_flow")
 
 
 def suggest(path: Path) -> str:
@@ -61,7 +43,8 @@ def suggest(path: Path) -> str:
     Parameters
     ----------
     path
-        A CSV (plain, gzip or Zstandard), a Parquet file or an MCAP.
+        A CSV (plain, gzip or Zstandard), a Parquet file or an MCAP. In the layout of a file a
+        channel, any of them; the others lie beside it.
 
     Returns
     -------
@@ -79,184 +62,218 @@ def suggest(path: Path) -> str:
         with path.open("rb") as file:
             magic = file.read(8)
         if magic.startswith(b"PAR1"):
-            return "\n".join(_parquet_lines(path)) + "\n"
-        if magic.startswith(b"\x89MCAP"):
-            return "\n".join([*_logs_lines(path, "mcap"), *_questions(CHANNELS)]) + "\n"
-        return "\n".join(_csv_lines(path, guess_csv(path))) + "\n"
+            lines = _parquet_lines(path)
+        elif magic.startswith(b"\x89MCAP"):
+            lines = _mcap_lines(path, guess_mcap(path))
+        else:
+            lines = _csv_lines(path, csv_head(path))
+        return "\n".join(lines) + "\n"
     except OSError as error:
         raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error
 
 
-def guess_csv(path: Path) -> CsvGuess:
-    """Encoding, separator, header and first cells of a CSV.
+def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:
+    columns = _csv_columns(head)
+    cells = [one.cells for one in columns if one.kind == "number"]
+    marks = marks_of(cell for own in cells for cell in own)
+    at = {name: i for i, name in enumerate(head.names)}
+    encodings = [head.encoding]
 
-    Raises
-    ------
-    LogError
-        ``log_not_csv``: no two lines have the same number of cells, more than one.
-    """
-    encoding = _encoding(path)
-    lines = _first_lines(path, encoding)
-    found = [
-        (width, -rank, separator, begin)
-        for rank, separator in enumerate(_SEPARATORS)
-        for width, begin in [_table(lines, separator)]
+    def read(other: Path) -> list[Column]:
+        neighbour = csv_head(other)
+        encodings.append(neighbour.encoding)
+        return _csv_columns(neighbour)
+
+    def picked(rows: Iterable[Sequence[str]], names: Sequence[str]) -> Iterator[tuple[str, ...]]:
+        return (tuple(row[at[name]] for name in names) for row in rows)
+
+    times = find_times(columns, marks, path, lambda names: picked(csv_last_rows(path, head), names))
+    layout = find_layout(
+        columns,
+        times,
+        path,
+        scan=lambda names: picked(csv_rows(path, head, _SCANNED_BYTES), names),
+        read=read,
+    )
+    # Numbers of the channels that the first lines do not hold.
+    cells += [one.samples for one in layout.sources]
+    marks = marks_of(cell for own in cells for cell in own)
+    if marks.decimal == head.separator:
+        raise LogError(
+            "log_not_csv",
+            path,
+            "a comma is the decimal mark and separates the cells, too: such a log is not read, "
+            "have it written with another separator",
+        )
+    yield from _head_lines(path, "csv", layout.files)
+    yield from _time_lines(times)
+    yield from _layout_lines(layout)
+    # UTF-8 may be no more than text without any other letter.
+    encoding = next((name for name in encodings if name != "utf-8"), "utf-8")
+    yield from _dialect_lines(replace(head, encoding=encoding), marks, cells)
+    yield from _channel_lines(layout.sources, marks)
+    yield from _unused_lines("columns", layout.unused)
+
+
+def _csv_columns(head: CsvHead) -> list[Column]:
+    units = head.units or ("",) * len(head.names)
+    cells = list(zip(*head.rows, strict=True)) or [()] * len(head.names)
+    return [
+        Column(name, unit, kind_of(own), own)
+        for name, unit, own in zip(head.names, units, cells, strict=True)
+        if name and head.names.count(name) == 1
     ]
-    width, _, separator, begin = max(found)
-    if width < 2:
-        raise LogError("log_not_csv", path, "the first lines are no table of two columns or more")
-    rows = [_cells(line, separator) for line in lines[begin:]]
-    names = rows[0]
-    samples = 1
-    while samples < min(4, len(rows)) and not any(map(is_number, rows[samples])):
-        samples += 1
-    same = [row for row in rows[samples:] if len(row) == width and row != names]
-    units = rows[1] if samples > 1 else ()
-    return CsvGuess(
-        encoding, separator, begin, samples - 1, names, units, tuple(zip(*same, strict=True))
-    )
-
-
-def _encoding(path: Path) -> str:
-    head = next(unpacked(path, _HEAD_BYTES), b"")
-    for bom, name in (
-        (codecs.BOM_UTF8, "utf-8"),
-        (codecs.BOM_UTF16_LE, "utf-16"),
-        (codecs.BOM_UTF16_BE, "utf-16"),
-    ):
-        if head.startswith(bom):
-            return name
-    # Text has no NUL: in UTF-16 every other byte of plain letters is one.
-    if 5 * head.count(0) > 2 * len(head):
-        return "utf-16-be" if head[:1] == b"\0" else "utf-16-le"
-    for name in _ENCODINGS:
-        try:
-            codecs.getincrementaldecoder(name)().decode(head)
-        except UnicodeDecodeError:
-            continue
-        return name
-    return "latin-1"
-
-
-def _first_lines(path: Path, encoding: str) -> list[str]:
-    data = next(iter(read_lines(path, encoding, _HEAD_BYTES))).data
-    return [line.decode() for line in islice(data.splitlines(), _MOST_LINES)]
-
-
-def _cells(line: str, separator: str) -> tuple[str, ...]:
-    parts = line.split(separator)
-    return tuple(part.strip().strip('"').strip() for part in parts)
-
-
-def _table(lines: Sequence[str], separator: str) -> tuple[int, int]:
-    """Number of cells that most lines have, and the first line that has as many."""
-    counts = [line.count(separator) + 1 for line in lines]
-    wide = [count for count in counts if count > 1]
-    # A decimal comma makes rows of many widths; what separates makes one.
-    width = max(set(wide), key=wide.count, default=1)
-    if 2 * wide.count(width) <= len([line for line in lines if line.strip()]) - 3:
-        return 1, 0
-    begin = counts.index(width) if width in counts else 0
-    cells = _cells(lines[begin], separator) if lines else ()
-    return (width, begin) if not any(map(is_number, cells)) else (1, 0)
-
-
-def _csv_lines(path: Path, guess: CsvGuess) -> Iterator[str]:
-    times = [i for i, name in enumerate(guess.names) if is_time_name(name)] or [0]
-    time = times[0]
-    decimal, thousands = decimal_and_thousands(
-        [cell for i, column in enumerate(guess.columns) if i not in times for cell in column],
-        guess.separator,
-    )
-    columns = [cell for cell in (guess.columns[time] if guess.columns else ()) if cell]
-    time_format = time_format_of(columns, decimal)
-    yield from _logs_lines(path, "csv")
-    yield f"time = {_quoted(guess.names[time])}"
-    known = time_format or "iso8601"
-    yield f"time_format = {_quoted(known)}" + ("" if time_format else "  # not recognised: which?")
-    if time_format and not re.search(r"epoch|%z", time_format) and not _has_zone(columns):
-        yield 'time_zone = "UTC"  # the stamps name no zone: which is it?'
-    defaults = {
-        "separator": (guess.separator, ","),
-        "decimal": (decimal, "."),
-        "thousands": (thousands, ""),
-        "encoding": (guess.encoding, "utf-8"),
-    }
-    yield from (
-        f"{key} = {_quoted(value)}"
-        for key, (value, default) in defaults.items()
-        if value != default
-    )
-    if guess.skip_rows:
-        yield f"skip_rows = {guess.skip_rows}"
-    if guess.unit_rows:
-        yield f"unit_rows = {guess.unit_rows}"
-    units = guess.units or ("",) * len(guess.names)
-    others = [i for i in range(len(guess.names)) if i not in times]
-    yield from _channel_lines([guess.names[i] for i in others], [units[i] for i in others])
-
-
-def _has_zone(stamps: Sequence[str]) -> bool:
-    return any(re.search(r"(Z|[+-]\d\d:?\d\d)$", stamp) for stamp in stamps)
 
 
 def _parquet_lines(path: Path) -> Iterator[str]:
-    try:
-        with pq.ParquetFile(path) as file:
-            schema = file.schema_arrow
-            names = [file.schema.column(i).path for i in range(len(file.schema))]
-    except (OSError, ValueError, pa.ArrowException) as error:
-        raise LogError("log_damaged", path, f"the Parquet file cannot be read: {error}") from error
-    times = [name for name in names if is_time_name(name)] or names[:1]
-    yield from _logs_lines(path, "parquet")
-    yield f"time = {_quoted(times[0])}"
-    kind = str(schema.field(times[0]).type) if times[0] in schema.names else ""
-    if not kind.startswith("timestamp"):
-        yield f'time_format = "iso8601"  # the column is of type {kind or "?"}: which?'
-    elif "tz=" not in kind:
-        yield 'time_zone = "UTC"  # the stamps name no zone: which is it?'
-    rest = [name for name in names if name not in times]
-    yield from _channel_lines(rest, [""] * len(rest))
+    columns = parquet_columns(path)
+    times = find_times(columns, Marks(), path, lambda _: ())
+    layout = find_layout(
+        columns,
+        times,
+        path,
+        scan=lambda names: parquet_scan(path, names),
+        read=parquet_columns,
+    )
+    yield from _head_lines(path, "parquet", layout.files)
+    yield from _time_lines(times)
+    yield from _layout_lines(layout)
+    yield from _channel_lines(layout.sources, Marks())
+    yield from _unused_lines("columns", layout.unused)
 
 
-def _logs_lines(path: Path, log_format: str) -> Iterator[str]:
+def _mcap_lines(path: Path, guess: McapGuess) -> Iterator[str]:
+    yield from (f"# {_comment(line)}" for line in guess.listing)
+    yield from _head_lines(path, "mcap", ())
+    yield f"time = {_quoted(guess.time)}{_remark(guess.remark)}"
+    if guess.stamp:
+        yield f"stamp = {_quoted(guess.stamp)}"
+        if guess.stamp_format:
+            yield from _time_lines(Times("", "", guess.stamp_format))
+    yield from _channel_lines(guess.sources, Marks())
+    yield from _unused_lines("fields", guess.unused)
+
+
+def _head_lines(path: Path, log_format: str, patterns: Sequence[str]) -> Iterator[str]:
+    folder = escape(path.resolve().parent.name)
+    files = [f"{folder}/{name}" for name in patterns or [f"*{escape(suffix_of(path))}"]]
     yield "[logs]"
     yield f'format = "{log_format}"'
-    suffix = "".join(path.suffixes[-2:]) if path.suffix in (".gz", ".zst") else path.suffix
-    yield f"files = [{_quoted(f'{path.parent.name}/*{suffix}')}]  # below the log root"
+    yield f"files = [{', '.join(map(_quoted, files))}]  # below the folder of the logs"
 
 
-def _channel_lines(names: Sequence[str], units: Sequence[str]) -> Iterator[str]:
-    found: dict[str, tuple[str, str]] = {}
-    unused: list[str] = []
-    for name, unit in zip(names, units, strict=True):
-        channel = channel_of(name)
-        if channel is None or channel in found:
-            unused.append(name)
-        else:
-            found[channel] = (name, unit)
-    for channel, (name, unit) in found.items():
-        known = unit_of(channel, unit) or unit_of(channel, name)
+def _time_lines(times: Times) -> Iterator[str]:
+    guess = times.guess
+    if times.time:
+        yield f"time = {_quoted(times.time)}"
+    if times.date:
+        yield f"date_column = {_quoted(times.date)}"
+    if not guess.formats:
+        yield 'time_format = "iso8601"  # not recognised: which is it?'
+    elif not times.is_typed:
+        yield f"time_format = {_quoted(guess.formats[0])}{_remark(_other_readings(times))}"
+    if not guess.has_zone:
+        yield 'time_zone = "UTC"  # the stamps name no zone: which is it?'
+
+
+def _other_readings(times: Times) -> str:
+    """What else stamps can mean of which day and month cannot be told apart."""
+    formats, readings = times.guess.formats, times.guess.readings
+    if len(formats) < 2:
+        return ""
+    others = ", ".join(
+        f"{reading} with {_quoted(form)}"
+        for form, reading in zip(formats[1:], readings[1:], strict=True)
+    )
+    return f"day or month first? The log begins on {readings[0]} so, on {others}"
+
+
+def _layout_lines(layout: Layout) -> Iterator[str]:
+    if layout.kind != "wide":
+        yield f'layout = "{layout.kind}"'
+    if layout.channel_column:
+        yield f"channel_column = {_quoted(layout.channel_column)}"
+    if layout.value_column:
+        yield f"value_column = {_quoted(layout.value_column)}"
+
+
+def _dialect_lines(head: CsvHead, marks: Marks, numbers: Iterable[Sequence[str]]) -> Iterator[str]:
+    remark = ""
+    if not marks.is_certain:
+        other = "," if marks.decimal == "." else "."
+        remark = f'or is it between thousands: decimal = "{other}", thousands = "{marks.decimal}"?'
+    if head.separator != ",":
+        yield f"separator = {_quoted(head.separator)}"
+    if marks.decimal != "." or remark:
+        yield f"decimal = {_quoted(marks.decimal)}{_remark(remark)}"
+    if marks.thousands:
+        yield f"thousands = {_quoted(marks.thousands)}"
+    if head.encoding != "utf-8":
+        yield f"encoding = {_quoted(head.encoding)}"
+    if head.skip_rows:
+        yield f"skip_rows = {head.skip_rows}"
+    if head.unit_rows:
+        yield f"unit_rows = {head.unit_rows}"
+    tokens = dict.fromkeys(token for cells in numbers for token in strange_tokens(cells))
+    if tokens:
+        written = ", ".join(map(_quoted, (*MISSING_TOKENS, *tokens)))
+        yield f"missing_tokens = [{written}]"
+
+
+def _channel_lines(sources: Sequence[Source], marks: Marks) -> Iterator[str]:
+    for one in sources:
         yield ""
-        yield f"[channels.{channel}]"
-        yield f"source = {_quoted(name)}"
-        yield f'unit = "{known}"' if known else 'unit = "?"  # the log does not say it'
-    missing = {"oil_temperature", "speed", "leakage_flow"} - found.keys()
-    if not {"pressure_difference", "high_port_pressure"} & found.keys():
+        yield f"[channels.{one.channel}]"
+        yield f"source = {_quoted(one.source)}" + ("" if one.field else _shown(one.samples))
+        if one.field and one.field != "value":
+            yield f"field = {_quoted(one.field)}{_shown(one.samples)}"
+        yield _unit_line(one, marks)
+    found = {one.channel for one in sources}
+    missing = set(_NEEDED) - found
+    if "low_port_pressure" in found:
+        missing |= {"high_port_pressure"} - found
+    elif "high_port_pressure" in found:
+        missing.add("low_port_pressure")
+    elif "pressure_difference" not in found:
         missing.add("pressure_difference")
-    yield from _questions([name for name in CHANNELS if name in missing])
+    if missing:
+        yield ""
+        names = ", ".join(name for name in CHANNELS if name in missing)
+        yield f"# not found, give source and unit: {names}"
+
+
+def _unit_line(source: Source, marks: Marks) -> str:
+    if source.unit:
+        return f'unit = "{source.unit}"'
+    numbers = [as_number(cell, marks) for cell in source.samples]
+    likely = likely_units(source.channel, [number for number in numbers if number is not None])
+    assumed = likely[0] if likely else canonical_unit(source.channel)
+    by = f" (by its size {' or '.join(likely)})" if 0 < len(likely) <= _MOST_LIKELY else ""
+    return f'unit = "{assumed}"{_remark(f"the log does not say it{by}: which is it?")}'
+
+
+def _unused_lines(what: str, unused: Mapping[str, Sequence[str]]) -> Iterator[str]:
     if unused:
         yield ""
-        yield "# columns not used: " + ", ".join(map(_quoted, unused))
+        yield f"# {what} not used:"
+    for name in list(unused)[:_MOST_UNUSED]:
+        yield f"#   {_comment(_quoted(name))}{_shown(unused[name]).replace('#', '').rstrip()}"
 
 
-def _questions(channels: Sequence[str]) -> Iterator[str]:
-    if channels:
-        yield ""
-        yield "# not found, give source and unit: " + ", ".join(channels)
+def _shown(samples: Sequence[str]) -> str:
+    return _remark("; ".join(sample[:20] for sample in samples[:_SAMPLES_SHOWN]))
+
+
+def _remark(text: str) -> str:
+    return f"  # {_comment(text)}" if text else ""
+
+
+def _comment(text: str) -> str:
+    """Text that a comment may hold."""
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _quoted(text: str) -> str:
     """Text as a TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
-    return '"' + "".join(c if c.isprintable() else f"\\u{ord(c):04x}" for c in escaped) + '"'
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

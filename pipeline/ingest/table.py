@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import pyarrow as pa
@@ -22,12 +23,24 @@ from pipeline.ingest.assembly import (
     raw_log,
     span,
     time_name,
+    without_rows_of_others,
 )
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import (
+    ChannelSource,
+    LogSource,
+    QualityValue,
+    RawChannel,
+    RawLog,
+)
+from pipeline.ingest.quality import quality_states
 from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
 
 _MOST_NAMES = 2**15 - 1
 _MOST_PIECES = 16
+_NO_QUALITIES: Mapping[str, pa.ChunkedArray] = MappingProxyType({})
+
+_Quality = tuple[str, tuple[QualityValue, ...]]
+"""A column of qualities, and what is good there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +55,20 @@ class Columns:
         Of the channel's name; None where it is not in the rows.
     numbers
         Of readings, each once.
+    qualities
+        Of what the log says of its samples, each once.
     """
 
     time: tuple[str, ...]
     name: str | None
     numbers: tuple[str, ...]
+    qualities: tuple[str, ...] = ()
 
     @property
     def all(self) -> tuple[str, ...]:
         """All of them, each once."""
-        names = (*self.time, *(() if self.name is None else (self.name,)), *self.numbers)
-        return tuple(dict.fromkeys(names))
+        names = () if self.name is None else (self.name,)
+        return tuple(dict.fromkeys((*self.time, *names, *self.numbers, *self.qualities)))
 
 
 def wanted_columns(path: Path, source: LogSource) -> Columns:
@@ -66,22 +82,38 @@ def wanted_columns(path: Path, source: LogSource) -> Columns:
     stamps = (source.date_column, source.time_source) if source.date_column else ()
     times = stamps or (source.time_source,)
     if source.layout == "long":
-        return Columns(times, source.channel_column, (source.value_column,))
+        qualities = _qualities(source.channels)
+        return Columns(times, source.channel_column, (source.value_column,), qualities)
     if source.layout == "file_per_channel":
-        if not any(is_of_file(channel, path) for channel in source.channels):
+        here = [channel for channel in source.channels if is_of_file(channel, path)]
+        if not here:
             patterns = ", ".join(repr(channel.source) for channel in source.channels)
             raise LogError(
                 "log_column_missing",
                 path,
                 f"the file's name is that of no channel: their sources are {patterns}",
             )
-        return Columns(times, None, (source.value_column,))
-    return Columns(times, None, tuple(dict.fromkeys(c.source for c in source.channels)))
+        return Columns(times, None, (source.value_column,), _qualities(here))
+    numbers = tuple(dict.fromkeys(channel.source for channel in source.channels))
+    return Columns(times, None, numbers, _qualities(source.channels))
+
+
+def _qualities(channels: Iterable[ChannelSource]) -> tuple[str, ...]:
+    named = (channel.quality_source for channel in channels if channel.quality_source)
+    return tuple(dict.fromkeys(named))
 
 
 def is_of_file(channel: ChannelSource, path: Path) -> bool:
     """Whether a file of one channel holds this one."""
     return fnmatchcase(path.name, channel.source)
+
+
+def _quality_of(channel: ChannelSource) -> _Quality:
+    return channel.quality_source, channel.quality_good
+
+
+def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArray[np.uint8] | None:
+    return None if states is None else states[rows]
 
 
 class Table:
@@ -101,12 +133,15 @@ class Table:
         self._parts: dict[str, list[Readings]] = {}
         self._names: list[NDArray[np.int16]] = []
         self._seen: dict[str, int] = {}
+        # Of all rows, by what they are called and what is good.
+        self._states: dict[_Quality, list[NDArray[np.uint8]]] = {}
 
     def add(
         self,
         written: WrittenStamps,
         readings: Mapping[str, Readings],
         names: pa.ChunkedArray | None = None,
+        qualities: Mapping[str, pa.ChunkedArray] = _NO_QUALITIES,
     ) -> None:
         """Add rows.
 
@@ -118,6 +153,8 @@ class Table:
             By column.
         names
             Channels' names as they stand in the rows (layout "long").
+        qualities
+            Cells of the columns of qualities, by column.
         """
         self._written.append(written)
         if names is not None:
@@ -126,6 +163,10 @@ class Table:
             self._add_by_channel(readings)
         if names is not None:
             self._names.append(self._codes(names))
+        for column, good in dict.fromkeys(map(_quality_of, self.source.channels)):
+            if column in qualities:
+                states = quality_states(self.path, column, qualities[column], good)
+                self._states.setdefault((column, good), []).append(states)
 
     def _add_by_channel(self, readings: Mapping[str, Readings]) -> None:
         for channel in self.source.channels:
@@ -184,12 +225,20 @@ class Table:
             return self._long_log(stamps, refused)
         whole = bool(stamps.readable.all())
         time_us = stamps.time_us if whole else stamps.time_us[stamps.readable]
+        states = self._joined_states()
         channels: dict[str, RawChannel] = {}
         for channel in self.source.channels:
             readings, here = self._joined(channel.channel), np.empty(0, np.int64)
+            quality = None
             if self._column(channel) is not None:
                 readings, here = readings.rows(stamps.readable), time_us
-            channels[channel.channel] = canonical_channel(self.path, channel, here, readings)
+                quality = _of_rows(states.get(_quality_of(channel)), stamps.readable)
+            channels[channel.channel] = canonical_channel(
+                self.path, channel, here, readings, quality
+            )
+        if self.source.layout == "wide":
+            columns = {channel.channel: channel.source for channel in self.source.channels}
+            channels = without_rows_of_others(channels, columns)
         return raw_log(channels, time_us.size, refused)
 
     def _column(self, channel: ChannelSource) -> str | None:
@@ -201,14 +250,22 @@ class Table:
     def _joined(self, name: str) -> Readings:
         return Readings.joined(self._parts.pop(name, []))
 
+    def _joined_states(self) -> dict[_Quality, NDArray[np.uint8]]:
+        return {quality: np.concatenate(parts) for quality, parts in self._states.items()}
+
     def _long_log(self, stamps: TimeStamps, refused: Mapping[str, int]) -> RawLog:
         names = np.concatenate([np.empty(0, np.int16), *self._names])
         readings = self._joined("")
+        states = self._joined_states()
         channels = {}
         for channel in self.source.channels:
             rows = (names == self._seen.get(channel.source, -2)) & stamps.readable
             channels[channel.channel] = raw_channel(
-                self.path, channel, stamps.time_us[rows], readings.rows(rows)
+                self.path,
+                channel,
+                stamps.time_us[rows],
+                readings.rows(rows),
+                _of_rows(states.get(_quality_of(channel)), rows),
             )
         absent = [c.source for c in self.source.channels if c.source not in self._seen]
         there = ", ".join(repr(name[:40]) for name in list(self._seen)[:40])
@@ -222,4 +279,4 @@ class Table:
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
         stamps = placed(self._written, self.source.time_zone)
-        return judged(self.path, stamps, time_name(self.source))
+        return judged(self.path, stamps, time_name(self.source, stamps.example))

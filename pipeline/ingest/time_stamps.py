@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
-from datetime import datetime, timedelta
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,7 @@ __all__ = [
     "EXCEL_DAYS",
     "TimeStamps",
     "WrittenStamps",
+    "example_of",
     "from_epoch",
     "from_naive",
     "from_text",
@@ -54,7 +55,11 @@ _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
 _EXCEL_ZERO_MS = (datetime(1899, 12, 30) - EPOCH) // timedelta(milliseconds=1)
 _DAY_MS = 86_400_000
-_NONE, _LOCAL, _WITH_ZONE = 0, 1, 2
+_NONE, _LOCAL, WITH_ZONE = 0, 1, 2
+
+
+_LOOKED_AT = 1000
+_EXAMPLE = datetime(2025, 3, 1, 6)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +75,13 @@ class WrittenStamps:
         Microseconds since 1970, on the wall clock or in UTC.
     kind : (n,) int8
         0 no stamp, 1 on the wall clock, 2 in UTC.
+    example
+        The first cell that holds something and no stamp, for a message.
     """
 
     time_us: NDArray[np.int64]
     kind: NDArray[np.int8]
+    example: str | None = None
 
 
 def require_time_format(time_format: str) -> None:
@@ -113,6 +121,25 @@ def require_time_format(time_format: str) -> None:
         raise UsageError("time_format", f"time format {time_format!r}: {error}") from error
 
 
+def example_of(time_format: str) -> str:
+    """A stamp as a format has it, for a message.
+
+    Examples
+    --------
+    >>> example_of("%d.%m.%Y %H:%M:%S"), example_of("epoch_ms")
+    ('01.03.2025 06:00:00', '1740808800000')
+    """
+    if time_format == "iso8601":
+        return f"{_EXAMPLE.isoformat()}Z"
+    since = _EXAMPLE - EPOCH
+    if time_format == EXCEL_DAYS:
+        return str(_EXCEL_ZERO_MS / -_DAY_MS + since / timedelta(days=1))
+    if time_format in EPOCH_UNITS:
+        per_us = 1000 if time_format == "epoch_ns" else 1
+        return str(since // MICROSECOND * per_us // EPOCH_UNITS[time_format])
+    return _EXAMPLE.replace(tzinfo=UTC).strftime(time_format)
+
+
 def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
     """Time stamps written as text.
 
@@ -143,6 +170,15 @@ def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     texts, time_format
         As for `from_text`.
     """
+    written = _written_as_text(texts, time_format)
+    strange = np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]
+    if not strange.size:
+        return written
+    cells = (cell for cell in texts.take(pa.array(strange)).to_pylist() if cell and cell.strip())
+    return replace(written, example=next(cells, None))
+
+
+def _written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if time_format == "iso8601":
         return _from_iso8601(texts)
     if time_format in EPOCH_UNITS:
@@ -170,9 +206,19 @@ def written_as_numbers(
     >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
     [1740808800000000]
     """
+    written = _written_as_numbers(numbers, time_format)
+    strange = numbers[np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]].tolist()
+    # Blank cells are 0 or nan by now.
+    examples = (str(number) for number in strange if number and number == number)
+    return replace(written, example=next(examples, None))
+
+
+def _written_as_numbers(
+    numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
+) -> WrittenStamps:
     if time_format in EPOCH_UNITS:
         stamps = from_epoch(numbers, time_format)
-        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
+        return WrittenStamps(stamps.time_us, _kinds(stamps.readable, WITH_ZONE))
     since_1970_ms = np.asarray(numbers, dtype=np.float64) * _DAY_MS + _EXCEL_ZERO_MS
     fits = np.abs(since_1970_ms) < LATEST_US / 1000
     local_ms = np.rint(np.where(fits, since_1970_ms, 0.0)).astype(np.int64)
@@ -189,15 +235,36 @@ def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
     zone
         Zone of stamps that carry none.
     """
-    time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
-    kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
+    stamps = _placed(parts, zone)
+    example = next((part.example for part in parts if part.example is not None), None)
+    return replace(stamps, example=example or _implausible(parts, stamps))
+
+
+def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | None:
+    """The first stamp that is read and cannot be, such as one of a clock that was never set."""
+    begin = 0
+    for part in parts:
+        readable = stamps.readable[begin : begin + part.kind.size]
+        rows = np.flatnonzero(~readable & (part.kind != _NONE))[:1]
+        if rows.size:
+            return str(EPOCH + timedelta(microseconds=int(part.time_us[rows[0]])))
+        begin += part.kind.size
+    return None
+
+
+def _placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
+    if len(parts) == 1:
+        time_us, kind = parts[0].time_us, parts[0].kind
+    else:
+        time_us = np.concatenate([np.empty(0, np.int64), *(part.time_us for part in parts)])
+        kind = np.concatenate([np.empty(0, np.int8), *(part.kind for part in parts)])
     local = kind == _LOCAL
     if not local.any():
-        return from_naive(time_us, kind == _WITH_ZONE, "UTC")
+        return from_naive(time_us, kind == WITH_ZONE, "UTC")
     stamps = from_naive(time_us, local, zone)
-    if not (kind == _WITH_ZONE).any():
+    if not (kind == WITH_ZONE).any():
         return stamps
-    return _either(stamps, from_naive(time_us, kind == _WITH_ZONE, "UTC"))
+    return _either(stamps, from_naive(time_us, kind == WITH_ZONE, "UTC"))
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
@@ -267,7 +334,7 @@ def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
     stamps
         As for `from_arrow_timestamps`.
     """
-    kind = _WITH_ZONE if stamps.type.tz else _LOCAL
+    kind = WITH_ZONE if stamps.type.tz else _LOCAL
     readable = stamps.is_valid().to_numpy().astype(bool)
     counts = pc.fill_null(stamps.cast(pa.int64()), 0).to_numpy()
     unit = stamps.type.unit
@@ -288,7 +355,7 @@ def _from_iso8601_cell_by_cell(texts: list[str | None]) -> WrittenStamps:
         except ValueError:
             continue
         offset = stamp.utcoffset()
-        kind[i] = _LOCAL if offset is None else _WITH_ZONE
+        kind[i] = _LOCAL if offset is None else WITH_ZONE
         time_us[i] = (stamp.replace(tzinfo=None) - EPOCH - (offset or timedelta())) // MICROSECOND
     return WrittenStamps(time_us, kind)
 
@@ -310,7 +377,7 @@ def _from_epoch_cell_by_cell(texts: pa.ChunkedArray, time_format: str) -> Writte
     parsed = cells.cast(pl.Float64, strict=False).fill_null(np.nan).to_numpy()
     as_float = from_epoch(np.where(whole.is_null().to_numpy(), parsed, np.nan), time_format)
     stamps = _either(as_whole, as_float)
-    return WrittenStamps(stamps.time_us, _kinds(stamps.readable, _WITH_ZONE))
+    return WrittenStamps(stamps.time_us, _kinds(stamps.readable, WITH_ZONE))
 
 
 def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
@@ -322,7 +389,7 @@ def _from_strptime(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if ",%f" in time_format:
         texts = pc.replace_substring(texts, ",", ".")
     stamps = _strptime(pl.Series("time", texts), time_format)
-    kind = _WITH_ZONE if "%z" in time_format else _LOCAL
+    kind = WITH_ZONE if "%z" in time_format else _LOCAL
     readable = stamps.is_not_null().to_numpy()
     return WrittenStamps(stamps.to_physical().fill_null(0).to_numpy(), _kinds(readable, kind))
 

@@ -33,11 +33,14 @@ class TimeStamps:
         does not exist.
     skipped
         How many are local times that do not exist, as the clock was put forward over them.
+    example
+        The first one that is not readable, as it is written, for a message.
     """
 
     time_us: NDArray[np.int64]
     readable: NDArray[np.bool_]
     skipped: int = 0
+    example: str | None = None
 
 
 def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: str) -> TimeStamps:

@@ -103,7 +103,7 @@ def test_a_flow_that_moves_less_than_the_sensor_resolves_has_no_fit(
 
 
 def test_no_samples_agree_with_nothing() -> None:
-    assert agreement(np.zeros((6, 6)), TRUTH) == Agreement(0, None, None)
+    assert agreement(np.zeros((6, 6)), TRUTH) == Agreement(0, None, None, None)
 
 
 # --- information criteria -------------------------------------------------------------------

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import polars as pl
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.channel_check import ChannelCheck
@@ -91,6 +93,18 @@ def test_no_logs_at_all(tmp_path: Path) -> None:
     assert note.startswith("no file matches M1/*.parquet below ")
 
 
+def test_a_pattern_without_a_match_beside_one_with_a_match(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"M1/*.parquet", "M1/*/late-*.parquet"')
+    fleet = write_configs(tmp_path, {"M1": text})
+    operation = operate()
+    values = operation.channels(operation.pressure_bar)
+    write_log(tmp_path / "logs" / "M1" / "a[1].parquet", operation.time_us, values)
+    one = checks_of(fleet)["M1"]
+    assert one.n_files == 1
+    (note,) = one.notes
+    assert note.startswith("no file matches M1/*/late-*.parquet below ")
+
+
 def test_a_newest_log_that_cannot_be_read_is_a_fault(own_fleet: OwnFleet) -> None:
     """A column that is not there shows only where a log is read."""
     fleet = own_fleet("CB400-02")
@@ -136,7 +150,7 @@ def test_each_channel_of_the_newest_log_is_described(own_fleet: OwnFleet) -> Non
     channels = channels_of(own_fleet("CB400-01"), "CB400-01")
     assert set(channels) == {"pressure_difference", "oil_temperature", "speed", "leakage_flow"}
     for name, one in channels.items():
-        assert one.suspicion == ""
+        assert (one.configured, one.looks, one.remarks) == ("periodic", "periodic", ())
         assert one.rate_hz == pytest.approx(1.0 if name == "oil_temperature" else 5.0, rel=0.01)
         assert 0 <= one.share_missing <= one.share_refused < 0.2
     assert 30 < (channels["oil_temperature"].median or 0) < 70
@@ -154,10 +168,81 @@ def test_a_wrong_unit_is_suspected_and_the_right_one_named(
     own_fleet: OwnFleet, right: str, wrong: str, channel: str
 ) -> None:
     fleet = own_fleet("CB1120-01")
-    assert channels_of(fleet, "CB1120-01")[channel].suspicion == ""
-    motor = fleet.parent / "motors" / "CB1120-01.toml"
-    motor.write_text(motor.read_text("utf-8").replace(f'"{right}"', f'"{wrong}"'), "utf-8")
-    assert right in channels_of(fleet, "CB1120-01")[channel].suspicion
+    assert channels_of(fleet, "CB1120-01")[channel].remarks == ()
+    change(fleet, "CB1120-01", (f'"{right}"', f'"{wrong}"'))
+    channels = channels_of(fleet, "CB1120-01")
+    (remark,) = channels[channel].remarks
+    assert right in remark
+    # The others are as they were: a wrong unit of theirs is not theirs.
+    assert [name for name, one in channels.items() if one.remarks] == [channel]
+
+
+UNITS = {"kPa": "bar", "K": "degC", "1/s": "rad/s", "m3/h": "l/min"}
+
+
+@pytest.mark.parametrize("wrong", [("kPa", "K"), ("kPa", "K", "m3/h"), ("K", "m3/h")])
+def test_each_of_several_wrong_units_is_suspected_and_no_other(
+    own_fleet: OwnFleet, wrong: tuple[str, ...]
+) -> None:
+    """The flow is judged by what the others would be in a unit that makes them usual."""
+    fleet = own_fleet("CB1120-01")
+    change(fleet, "CB1120-01", *((f'"{right}"', f'"{UNITS[right]}"') for right in wrong))
+    remarks = {
+        one.channel: remark
+        for one in channels_of(fleet, "CB1120-01").values()
+        for remark in one.remarks
+    }
+    of_unit = {"kPa": "pressure_difference", "K": "oil_temperature", "m3/h": "leakage_flow"}
+    assert set(remarks) == {of_unit[right] for right in wrong}
+    for right in wrong:
+        assert right in remarks[of_unit[right]]
+
+
+def test_wrong_units_of_a_usual_size_are_named_beside_the_flow(own_fleet: OwnFleet) -> None:
+    """20 MPa taken for 20 bar and 50 °C for 50 °F are usual; only the flow does not fit them."""
+    fleet = own_fleet("CB400-01")
+    wrong = ('unit = "bar"', 'unit = "bar"\nscale = 0.1'), ('unit = "degC"', 'unit = "degF"')
+    change(fleet, "CB400-01", *wrong)
+    channels = channels_of(fleet, "CB400-01")
+    assert [name for name, one in channels.items() if one.remarks] == ["leakage_flow"]
+    (remark,) = channels["leakage_flow"].remarks
+    assert "l/min, which is unusual where the model has 0.0" in remark
+    assert "or that of oil_temperature degC" in remark
+
+
+def test_counts_and_channels_that_say_nothing_of_the_load_have_no_usual_size(
+    own_fleet: OwnFleet,
+) -> None:
+    fleet = own_fleet("CB560-02")
+    change(fleet, "CB560-02", ('source = "p_low"\nunit = "bar"', 'source = "p_low"\nunit = "Pa"'))
+    assert channels_of(fleet, "CB560-02")["low_port_pressure"].remarks == ()
+
+
+def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: OwnFleet) -> None:
+    """What stands on change, in a log whose other channels are periodic."""
+    fleet = own_fleet("CB400-02")
+    log = max((fleet.parent.parent / "logs" / "CB400-02").iterdir())
+    table = pl.read_parquet(log)
+    filled = pl.col("oil_temperature").forward_fill()
+    sent = pl.when(filled.ne_missing(filled.shift())).then(filled).alias("oil_temperature")
+    pq.write_table(table.with_columns(sent).to_arrow(), log)
+    channels = channels_of(fleet, "CB400-02")
+    (remark,) = channels["oil_temperature"].remarks
+    assert channels["oil_temperature"].looks == "sent on change"
+    assert remark.startswith('configured as periodic, looks sent on change: then sampling = "on_ch')
+    assert [name for name, one in channels.items() if one.remarks] == ["oil_temperature"]
+    stated = 'source = "oil_temperature"\nsampling = "on_change"\nlongest_silence_s = 60.0'
+    change(fleet, "CB400-02", ('source = "oil_temperature"', stated))
+    assert channels_of(fleet, "CB400-02")["oil_temperature"].remarks == ()
+
+
+def change(fleet: Path, motor: str, *changes: tuple[str, str]) -> None:
+    path = fleet.parent / "motors" / f"{motor}.toml"
+    text = path.read_text("utf-8")
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    path.write_text(text, "utf-8")
 
 
 def test_a_motor_without_a_readable_log_has_no_channels(own_fleet: OwnFleet) -> None:

@@ -13,23 +13,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline import clean
-from pipeline.clean import (
-    ChannelRules,
-    CleanChannel,
+from pipeline import masks
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import CleanChannel, clean_channel
+from pipeline.clocks import backward_time, typical_period_us
+from pipeline.config import Channel, Cleaning
+from pipeline.ingest import RawChannel
+from pipeline.masks import (
     at_maximum,
-    backward_time,
-    clean_channel,
     frozen,
     missing_sample,
     near,
     out_of_range,
     spike,
     transient,
-    typical_period_us,
 )
-from pipeline.config import Channel, Cleaning
-from pipeline.ingest import RawChannel
 
 SECOND = 1_000_000
 Floats = NDArray[np.float64]
@@ -234,7 +232,9 @@ def slow_hampel(value: Floats, window: int, threshold: float, resolution: float)
         around = [float(one) for one in value[centre - half : centre + half + 1]]
         middle = statistics.median(around)
         scaled_mad = statistics.median(abs(one - middle) for one in around) * 1.4826022185056018
-        flags.append(abs(value[centre] - middle) > threshold * max(scaled_mad, resolution))
+        # A distance in steps of the sensor is not exceeded by a hundredth of one.
+        limit = max(threshold * scaled_mad, (threshold + 0.01) * resolution)
+        flags.append(abs(value[centre] - middle) > limit)
     return flags
 
 
@@ -255,68 +255,65 @@ class TestHampel:
         value = np.cumsum(rng.standard_t(2, 120))
         if in_steps and resolution:
             value = np.round(value / resolution) * resolution
-        rules = replace(
-            RULES, hampel_window=window, hampel_threshold=threshold, resolution=resolution
-        )
         half = window // 2
         expected = slow_hampel(value, window, threshold, resolution)
-        assert spike(value, rules)[half:-half].tolist() == expected
+        assert spike(value, window, threshold, resolution)[half:-half].tolist() == expected
 
     def test_mad_is_scaled_to_a_standard_deviation(self) -> None:
         """Median 0 and MAD 1, so the limit is 5 · 1.4826 = 7.413."""
         around = np.array([-1.0, 1.0, 0.0, 1.5, -1.0, -1.5, 1.0, 0.0, -1.0, 1.0])
         for centre, is_spike in ((7.40, False), (7.42, True)):
             value = np.insert(around, 5, centre)
-            assert spike(value, replace(RULES, resolution=0.0))[5] == is_spike
+            assert spike(value, 11, 5.0, 0.0)[5] == is_spike
 
     def test_coarse_signal_keeps_its_steps(self) -> None:
         """MAD 0 without the floor: each lone step of the sensor would be a spike."""
         value = np.full(50, 20.0)
         value[[10, 30]] = 20.1, 20.5
-        assert not spike(value, RULES).any()
+        assert not spike(value, 11, 5.0, 0.1).any()
         value[30] = 20.6
-        assert np.flatnonzero(spike(value, RULES)).tolist() == [30]
+        assert np.flatnonzero(spike(value, 11, 5.0, 0.1)).tolist() == [30]
 
     @given(st.floats(-50, 50), st.floats(-20, 20))
     def test_ramp_has_no_spike(self, offset: float, slope: float) -> None:
-        assert not spike(offset + slope * np.arange(60.0), RULES).any()
+        assert not spike(offset + slope * np.arange(60.0), 11, 5.0, 0.1).any()
 
     @given(st.floats(-1000, 1000), st.integers(8, 52))
     def test_lasting_step_has_no_spike(self, height: float, at: int) -> None:
         value = lively(60)
         value[at:] += height
-        assert not spike(value, RULES).any()
+        assert not spike(value, 11, 5.0, 0.1).any()
 
     @pytest.mark.parametrize("at", [0, 1, 4, 5, 30, 58, 59])
     def test_lone_spike_is_found_wherever_it_stands(self, at: int) -> None:
         value = lively(60)
         value[at] += 40.0
-        assert np.flatnonzero(spike(value, RULES)).tolist() == [at]
+        assert np.flatnonzero(spike(value, 11, 5.0, 0.1)).tolist() == [at]
 
     def test_five_in_a_row_are_found_and_six_are_a_level(self) -> None:
         for count in (5, 6):
             value = lively(60)
             value[30 : 30 + count] += 40.0
-            found = spike(value, RULES)
+            found = spike(value, 11, 5.0, 0.1)
             assert found[30 : 30 + count].all() == (count == 5)
 
     def test_fewer_samples_than_a_window_are_not_judged(self) -> None:
         value = lively(10)
         value[5] = 1e6
-        assert not spike(value, RULES).any()
+        assert not spike(value, 11, 5.0, 0.1).any()
 
     def test_chunks_change_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         value = np.random.default_rng(3).standard_t(2, 1000)
-        whole = spike(value, RULES)
-        monkeypatch.setattr(clean, "HAMPEL_CHUNK", 7)
-        np.testing.assert_array_equal(spike(value, RULES), whole)
+        whole = spike(value, 11, 5.0, 0.1)
+        monkeypatch.setattr(masks, "HAMPEL_CHUNK", 7)
+        np.testing.assert_array_equal(spike(value, 11, 5.0, 0.1), whole)
         assert whole.any()
 
     @given(st.floats(0.1, 10), st.floats(-100, 100))
     def test_scale_and_offset_change_nothing(self, scale: float, offset: float) -> None:
         value = np.random.default_rng(4).standard_t(2, 300)
-        scaled = replace(RULES, resolution=RULES.resolution * scale)
-        np.testing.assert_array_equal(spike(value, RULES), spike(value * scale + offset, scaled))
+        scaled = spike(value * scale + offset, 11, 5.0, 0.1 * scale)
+        np.testing.assert_array_equal(spike(value, 11, 5.0, 0.1), scaled)
 
 
 class TestAcrossAGap:
@@ -579,7 +576,7 @@ TIME, VALUE, FLAGS = stamps(50), lively(50), np.arange(50) % 7 == 0
         lambda: backward_time(TIME[::-1]),
         lambda: out_of_range(VALUE, (0.0, 1.0)),
         lambda: at_maximum(VALUE, 50.0, 0.1),
-        lambda: spike(VALUE, RULES),
+        lambda: spike(VALUE, 11, 5.0, 0.1),
         lambda: frozen(TIME, VALUE, 0.1, 1.0),
         lambda: near(TIME[:5], TIME, 1.0, 1.0),
         lambda: transient(VALUE, FLAGS, 0.1, 1.0),

@@ -79,7 +79,8 @@ def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
     done = [f"{motor}: no_new_data (nothing to do)" for motor in (CSV, PARQUET)]
     assert sorted(lines[:2]) == done
     assert lines[2].startswith("0 nights of 2 motors in ")
-    assert lines[2].endswith(f"0 motors failed; tables in {fleet.parent.parent / 'out' / 'tables'}")
+    assert "; logs: 0 read, 6 unchanged, 0 growing, 0 failed, 0 left; " in lines[2]
+    assert lines[2].endswith(f"; tables in {fleet.parent.parent / 'out' / 'tables'}")
 
 
 def test_1_when_a_motor_failed_and_the_other_is_done(call: Call, own_fleet: OwnFleet) -> None:
@@ -102,7 +103,7 @@ def test_2_for_a_broken_config_before_anything_is_read(
     def forbidden(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("pipeline.motor_task.find_logs", forbidden)
+    monkeypatch.setattr("pipeline.log_shelf.find_logs", forbidden)
     monkeypatch.setattr("pipeline.check.find_logs", forbidden)
     change(fleet, f"motors/{CSV}.toml", 'oil = "vg68"', 'oil = "vg99"')
     change(fleet, "fleet.toml", "workers = 2", "workers = 0")
@@ -161,7 +162,7 @@ def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
         path.unlink()
     code, out, err = call("fit-fleet", fleet)
     assert (code, err) == (0, "")
-    assert out.count("no_new_data (nothing to do)") == 2
+    assert out.count("no_new_data (nothing to do): no file matches CB400-0") == 2
     assert call("check", fleet)[0] == 0
 
 
@@ -284,11 +285,14 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
         "error_code": None,
         "message": None,
         "nights": {"ok": 3},
+        "files": {"read": 3, "unchanged": 0, "growing": 0, "failed": 0, "left": 0},
+        "growing": [],
     }
     assert (motors[1]["status"], motors[1]["error_code"]) == ("failed", "log_not_parquet")
     assert motors[1]["nights"] == {"ok": 2, "failed": 1}
     assert run["event"] == "run"
     assert (run["n_motors"], run["n_failed"], run["n_nights"]) == (2, 1, 6)
+    assert run["files"] == {"read": 5, "unchanged": 0, "growing": 0, "failed": 1, "left": 0}
     assert re.fullmatch(r"[0-9a-f]{16}", run["run_id"])
     assert run["interrupted"] is False
 

@@ -11,7 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.clean import ChannelRules, CleanChannel, clean_channel
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import CleanChannel, clean_channel
 from pipeline.clocks import backward_time, jittered, stray_time, written_late
 from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.ingest import RawChannel

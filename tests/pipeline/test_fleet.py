@@ -137,12 +137,14 @@ def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) 
         assert row["rows"] > 10_000
 
 
-@pytest.mark.parametrize("table", [table.name for table in TABLES])
+# Nothing is raised, frozen or said in three nights.
+WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions"}
+
+
+@pytest.mark.parametrize("table", sorted({table.name for table in TABLES} - WITHOUT_ROWS))
 def test_keys_stand_once_and_types_are_those_declared(fitted_output: Path, table: str) -> None:
     (declared,) = (one for one in TABLES if one.name == table)
     folder = fitted_output / "tables" / table
-    if not folder.exists():
-        pytest.skip("no rows after three nights")
     found = pl.read_parquet(folder / "**" / "*.parquet", hive_partitioning=False)
     assert found.height
     assert found.select(declared.key).is_unique().all()
@@ -257,8 +259,9 @@ def test_touching_a_file_is_no_news(own_fleet: OwnFleet) -> None:
 def test_a_lost_or_damaged_ledger_costs_work_and_nothing_else(own_fleet: OwnFleet) -> None:
     fleet = own_fleet(CSV, PARQUET, fitted=True)
     before = table_files(output_of(fleet))
-    (output_of(fleet) / "ledger" / f"{CSV}.json").unlink()
-    (output_of(fleet) / "ledger" / f"{PARQUET}.json").write_text('{"files": [', "utf-8")
+    shutil.rmtree(output_of(fleet) / "ledger" / CSV)
+    (month,) = (output_of(fleet) / "ledger" / PARQUET).glob("*.json")
+    month.write_text('{"files": [', "utf-8")
     assert run(fleet).n_nights == 6
     check_same_tables(output_of(fleet), output_of(fleet))
     assert table_files(output_of(fleet)).keys() == before.keys()
@@ -461,7 +464,7 @@ def test_a_worker_that_dies_costs_its_motor_alone(
     assert status_of(result) == dict.fromkeys(EXCITED, "ok") | {CSV: "failed"}
     (lost,) = result.failed
     assert lost.error_code == "worker_died"
-    assert lost.ledger is None
+    assert not lost.ledger
     others = [motor for motor in EXCITED if motor != CSV]
     check_same_tables(output_of(fleet), fitted_output, *others)
     assert rows(output_of(fleet), "fits", CSV).is_empty()
@@ -489,7 +492,7 @@ def test_a_fault_of_ours_costs_its_motor_alone(
         raise ZeroDivisionError("not foreseen")
 
     fleet = own_fleet(CSV, PARQUET)
-    monkeypatch.setattr("pipeline.motor_task.find_logs", broken)
+    monkeypatch.setattr("pipeline.log_shelf.find_logs", broken)
     result = run(fleet)
     assert status_of(result) == {CSV: "failed", PARQUET: "failed"}
     assert {outcome.error_code for outcome in result.outcomes} == {"internal"}

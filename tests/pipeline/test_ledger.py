@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,18 +17,24 @@ from pipeline.ledger import (
     FileRecord,
     Ledger,
     NightRecord,
+    changed_months,
     content_hash,
-    ledger_file,
+    forget_night,
+    ledger_folder,
     read_ledger,
-    write_ledger,
+    write_months,
 )
 
-HASH = "0123456789abcdef"
 MODELS = st.dictionaries(
     st.sampled_from(["none", "fixed", "estimated"]),
     st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5).map(tuple),
 )
-NIGHTS = st.builds(NightRecord, st.sampled_from(["ok", "failed", "stood_still"]), MODELS)
+NIGHTS = st.builds(
+    NightRecord,
+    st.sampled_from(["ok", "failed", "stood_still"]),
+    MODELS,
+    statistics_hash=st.sampled_from(["", "0123456789abcdef"]),
+)
 TEXTS = st.text(st.characters(codec="utf-8"), max_size=20)
 RECORDS = st.builds(
     FileRecord,
@@ -35,6 +42,7 @@ RECORDS = st.builds(
     size=st.integers(0, 2**60),
     modified_ns=st.integers(0, 2**63),
     sha256=st.none() | st.just("ab" * 32),
+    read_with=st.sampled_from(["", "0123456789abcdef"]),
     rows=st.none() | st.integers(0, 2**40),
     first_us=st.none() | st.integers(-(2**60), 2**60),
     nights=st.lists(st.dates().map(dt.date.isoformat), max_size=3).map(tuple),
@@ -43,55 +51,87 @@ RECORDS = st.builds(
 )
 LEDGERS = st.builds(
     Ledger,
-    st.just(HASH),
     st.dictionaries(TEXTS, RECORDS, max_size=3),
     st.dictionaries(st.dates(), NIGHTS, max_size=4),
 )
+NEW_YEAR = dt.date(2026, 1, 2)
 SOME = Ledger(
-    HASH,
-    {"A/1.csv": FileRecord("A/1.csv", 100, 17, "ab" * 32, 5, 1, 2, ("2026-01-02",))},
+    {"A/1.csv": FileRecord("A/1.csv", 100, 17, "ab" * 32, "", 5, 1, 2, ("2026-01-02",))},
     {
-        dt.date(2026, 1, 2): NightRecord("ok", {"none": (7.5e-14, 1.56e-14, 4.37e-14, 0.0)}),
+        NEW_YEAR: NightRecord("ok", {"none": (7.5e-14, 1.56e-14, 4.37e-14, 0.0)}),
         dt.date(2026, 1, 3): NightRecord("stood_still"),
     },
 )
+TWO_MONTHS = Ledger(
+    SOME.files, {**SOME.nights, dt.date(2026, 2, 1): NightRecord("ok", {"none": (1.0, 2.0)})}
+)
 
 
-@given(LEDGERS)
-def test_round_trip(tmp_path_factory: pytest.TempPathFactory, ledger: Ledger) -> None:
+def write_whole(output: Path, motor_id: str, ledger: Ledger) -> None:
+    write_months(output, motor_id, changed_months(read_ledger(output, motor_id), ledger))
+
+
+@given(LEDGERS, LEDGERS)
+def test_round_trip(
+    tmp_path_factory: pytest.TempPathFactory, first: Ledger, second: Ledger
+) -> None:
     """To the last bit: last night's model is part of tonight's figures."""
     output = tmp_path_factory.mktemp("ledger")
-    write_ledger(output, "A", ledger)
-    assert read_ledger(output, "A", HASH) == ledger
+    for ledger in (first, second):
+        write_whole(output, "A", ledger)
+        assert read_ledger(output, "A") == ledger
 
 
 def test_same_ledger_same_bytes(tmp_path: Path) -> None:
-    backwards = Ledger(HASH, SOME.files, dict(reversed(list(SOME.nights.items()))))
+    backwards = Ledger(SOME.files, dict(reversed(list(SOME.nights.items()))))
     for motor, ledger in (("A", SOME), ("B", backwards)):
-        write_ledger(tmp_path, motor, ledger)
-    assert ledger_file(tmp_path, "A").read_bytes() == ledger_file(tmp_path, "B").read_bytes()
+        write_whole(tmp_path, motor, ledger)
+    assert [
+        (ledger_folder(tmp_path, motor) / "2026-01.json").read_bytes() for motor in "AB"
+    ] == 2 * [(ledger_folder(tmp_path, "A") / "2026-01.json").read_bytes()]
 
 
-def test_each_motor_has_its_own(tmp_path: Path) -> None:
-    write_ledger(tmp_path, "A", SOME)
-    assert read_ledger(tmp_path, "B", HASH) == Ledger(HASH)
-    assert [path.name for path in (tmp_path / "ledger").iterdir()] == ["A.json"]
+def test_each_motor_and_month_has_its_own_file(tmp_path: Path) -> None:
+    write_whole(tmp_path, "A", TWO_MONTHS)
+    assert read_ledger(tmp_path, "B") == Ledger()
+    files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.json")}
+    assert files == {"ledger/A/2026-01.json", "ledger/A/2026-02.json"}
 
 
-def test_other_settings_make_everything_new(tmp_path: Path) -> None:
-    write_ledger(tmp_path, "A", SOME)
-    assert read_ledger(tmp_path, "A", "other") == Ledger("other")
+def test_only_months_that_changed_are_written() -> None:
+    later = {**TWO_MONTHS.nights, dt.date(2026, 2, 2): NightRecord("failed")}
+    changed = changed_months(TWO_MONTHS, Ledger(TWO_MONTHS.files, later))
+    assert list(changed) == ["2026-02"]
+    assert not changed_months(TWO_MONTHS, TWO_MONTHS)
+    assert changed_months(SOME, Ledger()) == {"2026-01": Ledger()}
+
+
+def test_a_file_moves_with_its_first_night(tmp_path: Path) -> None:
+    write_whole(tmp_path, "A", SOME)
+    moved = replace(SOME.files["A/1.csv"], nights=("2026-03-01",))
+    after = Ledger({"A/1.csv": moved}, SOME.nights)
+    write_whole(tmp_path, "A", after)
+    assert read_ledger(tmp_path, "A") == after
 
 
 def test_none_there(tmp_path: Path) -> None:
-    assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+    assert read_ledger(tmp_path, "A") == Ledger()
+
+
+def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
+    for motor in "AB":
+        write_whole(tmp_path, motor, TWO_MONTHS)
+    forget_night(tmp_path, NEW_YEAR, {"B"})
+    kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != NEW_YEAR}
+    assert read_ledger(tmp_path, "A") == Ledger({}, kept)
+    assert read_ledger(tmp_path, "B") == TWO_MONTHS
 
 
 class TestDamage:
     @pytest.fixture
     def file(self, tmp_path: Path) -> Path:
-        write_ledger(tmp_path, "A", SOME)
-        return ledger_file(tmp_path, "A")
+        write_whole(tmp_path, "A", SOME)
+        return ledger_folder(tmp_path, "A") / "2026-01.json"
 
     @pytest.mark.parametrize(
         "content",
@@ -104,22 +144,29 @@ class TestDamage:
             b"\xff\xfe",
             b"\0" * 4096,
             b"[" * 100_000,
-            json.dumps({"settings_hash": HASH}).encode(),
-            json.dumps({"settings_hash": HASH, "files": [], "nights": {}}).encode(),
-            json.dumps({"settings_hash": HASH, "files": {"a": 1}, "nights": {}}).encode(),
-            json.dumps({"settings_hash": HASH, "files": {}, "nights": {"soon": {}}}).encode(),
+            json.dumps({"sha256": "x"}).encode(),
+            json.dumps({"files": [], "nights": {}}).encode(),
+            json.dumps({"files": {"a": 1}, "nights": {}}).encode(),
+            json.dumps({"files": {}, "nights": {"soon": {}}}).encode(),
         ],
         ids=lambda content: content[:20].decode(errors="replace"),
     )
     def test_something_else(self, tmp_path: Path, file: Path, content: bytes) -> None:
         file.write_bytes(content)
-        assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+        assert read_ledger(tmp_path, "A") == Ledger()
+
+    def test_a_damaged_month_costs_no_other(self, tmp_path: Path, file: Path) -> None:
+        write_whole(tmp_path, "A", TWO_MONTHS)
+        file.write_bytes(b"{")
+        february = dt.date(2026, 2, 1)
+        expected = Ledger({}, {february: TWO_MONTHS.nights[february]})
+        assert read_ledger(tmp_path, "A") == expected
 
     def test_any_truncation(self, tmp_path: Path, file: Path) -> None:
         whole = file.read_bytes()
         for length in range(len(whole) - 1):
             file.write_bytes(whole[:length])
-            assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+            assert read_ledger(tmp_path, "A") == Ledger()
 
     def test_any_flipped_bit(self, tmp_path: Path, file: Path) -> None:
         """A digit of last night's model that is another one would show in tonight's figures."""
@@ -128,13 +175,13 @@ class TestDamage:
             flipped = bytearray(whole)
             flipped[place // 8] ^= 1 << place % 8
             file.write_bytes(flipped)
-            assert read_ledger(tmp_path, "A", HASH) in (Ledger(HASH), SOME)
+            assert read_ledger(tmp_path, "A") in (Ledger(), SOME)
 
     def test_folder_in_its_place(self, tmp_path: Path) -> None:
-        ledger_file(tmp_path, "A").mkdir(parents=True)
-        assert read_ledger(tmp_path, "A", HASH) == Ledger(HASH)
+        (ledger_folder(tmp_path, "A") / "2026-01.json").mkdir(parents=True)
+        assert read_ledger(tmp_path, "A") == Ledger()
         with pytest.raises(StoreError):
-            write_ledger(tmp_path, "A", SOME)
+            write_whole(tmp_path, "A", SOME)
 
     def test_failed_write_leaves_the_old_one(
         self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
@@ -144,8 +191,8 @@ class TestDamage:
 
         monkeypatch.setattr(Path, "replace", fail)
         with pytest.raises(StoreError):
-            write_ledger(tmp_path, "A", Ledger(HASH))
-        assert read_ledger(tmp_path, "A", HASH) == SOME
+            write_whole(tmp_path, "A", Ledger())
+        assert read_ledger(tmp_path, "A") == SOME
         assert [path.name for path in file.parent.iterdir()] == [file.name]
 
 
@@ -155,7 +202,6 @@ class TestModelBefore:
     def ledger(self, **nights: bool) -> Ledger:
         """Nights of January by day, and whether they have a model."""
         return Ledger(
-            HASH,
             nights={
                 dt.date(2026, 1, int(day[1:])): NightRecord(
                     "ok" if fitted else "stood_still", {"none": (float(day[1:]),)} if fitted else {}
@@ -182,7 +228,7 @@ class TestModelBefore:
         assert self.before(self.ledger(d4=True, d2=True, d3=True), 8) == 4
 
     def test_none_before_the_first(self) -> None:
-        assert self.before(Ledger(HASH), 1) is None
+        assert self.before(Ledger(), 1) is None
         assert self.before(self.ledger(d3=True), 3) is None
 
 

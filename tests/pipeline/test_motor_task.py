@@ -7,131 +7,44 @@ import os
 import pickle
 import shutil
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
+import pipeline.log_shelf
 import pipeline.motor_task
-from pipeline.config import load_fleet
-from pipeline.fleet import RunRequest, run_fleet
 from pipeline.ingest import RawLog, read_log
-from pipeline.ledger import Ledger, NightRecord, read_ledger, write_ledger
+from pipeline.ledger import Ledger, NightRecord
 from pipeline.logs import find_logs, inspect_log, place_failed, slice_night
 from pipeline.motor_night import NightOutcome, fit_night
-from pipeline.motor_task import MotorOutcome, MotorTask, run_motor, settings_hash
-from pipeline.schema import NIGHT_TABLES, TABLES
+from pipeline.motor_task import run_motor
+from pipeline.settings_hashes import config_hash
 from tests.pipeline.simulated import (
-    FLEET,
     NIGHT,
     SECOND_US,
-    Operation,
-    motor_toml,
     night_of,
-    operate,
     raw,
-    write_configs,
     write_log,
 )
-
-DAY = dt.timedelta(days=1)
-MINUTES = 24.0
-# The quickest motor there is: one gap, no search.
-MINI = """
-motor_type = "MINI"
-[[path]]
-name = "gap"
-law = "annular_gap"
-source = "invented"
-count = 8
-radius_mm = 35.0
-length_mm = 4.0
-deformation_pressure_bar = 120.0
-gap_um = { value = 8.0, minimum = 1.0, maximum = 60.0 }
-"""
-QUICK = FLEET + '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
-
-
-@dataclass(frozen=True, slots=True)
-class Workshop:
-    """One motor with logs that a test writes as it likes."""
-
-    folder: Path
-
-    @property
-    def logs(self) -> Path:
-        return self.folder / "logs" / "M1"
-
-    @property
-    def output(self) -> Path:
-        return self.folder / "out"
-
-    def configure(self, files: str | None = None, more: str = "", fleet: str = QUICK) -> None:
-        text = motor_toml("M1", "MINI", files=files, more=more)
-        write_configs(self.folder, {"M1": text}, {"MINI": MINI}, fleet)
-
-    def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
-        fleet = load_fleet(self.folder / "configs" / "fleet.toml")
-        (outcome,) = run_fleet(RunRequest(fleet, (), since, until)).outcomes
-        return outcome
-
-    def task(self) -> MotorTask:
-        (spec,) = load_fleet(self.folder / "configs" / "fleet.toml").motors
-        return MotorTask(spec, self.output, self.folder / "staging")
-
-    def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
-        """A night with a little noise, the same for the same seed."""
-        operation = operate(label, MINUTES, seed)
-        motor = self.task().spec.motor(label, "none")
-        noise = np.random.default_rng(seed).normal(0.0, 0.01, len(operation.time_us))
-        return operation, operation.channels(operation.flow(motor) + noise)
-
-    def log(self, label: dt.date, name: str | None = None, seed: int = 1) -> Path:
-        operation, values = self.night(label, seed)
-        path = self.logs / (name or f"{label}.parquet")
-        write_log(path, operation.time_us, values)
-        return path
-
-    def rows(self, table: str) -> pl.DataFrame:
-        (declared,) = (one for one in TABLES if one.name == table)
-        files = sorted((self.output / "tables" / table).rglob("*.parquet"))
-        if not files:
-            return pl.DataFrame(schema=declared.schema).drop("run_id")
-        found = pl.concat([pl.read_parquet(path, hive_partitioning=False) for path in files])
-        return found.drop("run_id").sort(declared.key)
-
-    def statuses(self) -> dict[dt.date, str]:
-        return dict(self.rows("fits").select("night", "status").iter_rows())
+from tests.pipeline.workshop import DAY, MINUTES, QUICK, Workshop, check_same_figures
 
 
 @pytest.fixture
 def workshop(tmp_path: Path) -> Workshop:
-    made = Workshop(tmp_path)
-    made.configure()
-    made.logs.mkdir(parents=True)
-    return made
+    return Workshop.at(tmp_path)
 
 
 @pytest.fixture
 def other(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    made = Workshop(tmp_path_factory.mktemp("other"))
-    made.configure()
-    made.logs.mkdir(parents=True)
-    return made
+    return Workshop.at(tmp_path_factory.mktemp("other"))
 
 
 def part(values: Mapping[str, Any], rows: slice) -> dict[str, Any]:
     return {name: value[rows] for name, value in values.items()}
-
-
-def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:
-    for table in NIGHT_TABLES:
-        if table.name not in exempt:
-            assert_frame_equal(one.rows(table.name), two.rows(table.name), check_exact=True)
 
 
 # A night in several files
@@ -221,7 +134,7 @@ def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPa
         read.append(path.name)
         return read_log(path, source)
 
-    monkeypatch.setattr(pipeline.motor_task, "read_log", counted)
+    monkeypatch.setattr(pipeline.log_shelf, "read_log", counted)
     operation, values = workshop.night(NIGHT)
     half = int((8 * 3600 - MINUTES * 30) * SECOND_US)
     for day in range(4):  # each over the end of a night
@@ -354,6 +267,32 @@ def test_a_file_placed_by_guess_makes_no_holes(workshop: Workshop) -> None:
     assert len(workshop.statuses()) == 3
 
 
+# Why there is nothing
+
+
+def test_patterns_that_match_no_file_are_told(workshop: Workshop) -> None:
+    workshop.configure(files='"M1/*.parquet", "M1/old/*.csv"')
+    outcome = workshop.run()
+    below = f"below {workshop.folder / 'logs'}"
+    told = f"no file matches M1/*.parquet {below}; no file matches M1/old/*.csv {below}"
+    assert (outcome.status, outcome.error_code, outcome.message) == ("no_new_data", None, told)
+    workshop.log(NIGHT)
+    assert workshop.run().message is None
+
+
+def test_the_reason_of_nights_without_enough_data_is_told(workshop: Workshop) -> None:
+    for label in (NIGHT, NIGHT + DAY):
+        operation, values = workshop.night(label)
+        values["speed"][::2] = 9999.0
+        write_log(workshop.logs / f"{label}.parquet", operation.time_us, values)
+    outcome = workshop.run()
+    assert (outcome.status, outcome.error_code) == ("insufficient_data", None)
+    assert (outcome.message or "").startswith(f"night {NIGHT}: only ")
+    workshop.log(NIGHT + 2 * DAY)
+    outcome = workshop.run()
+    assert (outcome.status, outcome.message) == ("ok", None)
+
+
 # Files that cannot be read
 
 
@@ -367,7 +306,8 @@ def test_an_unreadable_file_fails_the_night_of_its_name(workshop: Workshop, lag:
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_parquet")
     assert list(workshop.statuses().values()) == ["ok", "ok", "ok", "failed"]
     assert list(workshop.statuses()) == labels
-    assert "by its name" in (outcome.message or "")
+    assert (outcome.message or "").count(str(labels[3])) == 1 + (lag == 0)
+    assert "(night told by its name)" in (outcome.message or "")
     assert f"M1_{labels[3] + lag * DAY}.parquet" in (outcome.message or "")
 
 
@@ -385,7 +325,7 @@ def test_a_broken_file_keeps_the_night_as_which_it_was_read_before(workshop: Wor
     path.write_bytes(path.read_bytes()[:2000])
     outcome = workshop.run()
     assert outcome.nights == (NIGHT,)
-    assert "as read before" in (outcome.message or "")
+    assert "by what it held before" in (outcome.message or "")
     assert workshop.statuses() == {NIGHT: "failed"}
     assert workshop.rows("parameters").is_empty()
 
@@ -454,7 +394,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at(
         paths, absent = find_logs(spec)
         return paths | {"M1/gone.parquet": gone}, absent
 
-    monkeypatch.setattr(pipeline.motor_task, "find_logs", with_gone)
+    monkeypatch.setattr(pipeline.log_shelf, "find_logs", with_gone)
     outcome = workshop.run()
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_readable")
     assert outcome.nights == (NIGHT,)
@@ -514,7 +454,7 @@ def test_a_task_that_cannot_stage_is_lost_as_a_whole(workshop: Workshop) -> None
     task.staging.write_text("in the way")
     outcome = run_motor(task)
     assert (outcome.status, outcome.error_code) == ("failed", "store_write")
-    assert (outcome.nights, outcome.ledger) == ((), None)
+    assert (outcome.nights, outcome.ledger) == ((), {})
 
 
 def test_tasks_and_outcomes_are_small_plain_data(workshop: Workshop) -> None:
@@ -522,7 +462,7 @@ def test_tasks_and_outcomes_are_small_plain_data(workshop: Workshop) -> None:
     task = workshop.task()
     sent = pickle.dumps(task)
     assert len(sent) < 20_000
-    assert settings_hash(pickle.loads(sent).spec) == settings_hash(task.spec)  # noqa: S301
+    assert config_hash(pickle.loads(sent).spec) == config_hash(task.spec)  # noqa: S301
     outcome = run_motor(task)
     returned = pickle.dumps(outcome)
     assert len(returned) < 5_000
@@ -544,38 +484,15 @@ def test_a_task_writes_into_its_staging_and_nowhere_else(workshop: Workshop) -> 
 # The ledger
 
 
-def test_a_ledger_remembers_every_digit(tmp_path: Path) -> None:
-    model = {"none": (1.0 / 3.0 * 1e-13, 5e-324, 0.1 + 0.2), "estimated": (4.0,)}
-    ledger = Ledger("hash", {}, {NIGHT: NightRecord("ok", model, "judge")})
-    write_ledger(tmp_path, "M1", ledger)
-    assert read_ledger(tmp_path, "M1", "hash") == ledger
-    assert read_ledger(tmp_path, "M1", "other") == Ledger("other")
-    assert read_ledger(tmp_path, "M2", "hash") == Ledger("hash")
-
-
 def test_the_model_before_is_the_last_that_there_is() -> None:
     nights = {
         NIGHT: NightRecord("ok", {"none": (1.0,)}),
         NIGHT + DAY: NightRecord("stood_still"),
         NIGHT + 3 * DAY: NightRecord("ok", {"none": (2.0,)}),
     }
-    ledger = Ledger("hash", {}, nights)
+    ledger = Ledger({}, nights)
     found = [ledger.model_before(NIGHT + day * DAY) for day in range(5)]
     assert found == [{}, *[{"none": (1.0,)}] * 3, {"none": (2.0,)}]
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        *("", "[]", "{}", "null", "7", "\ufeff{"),
-        '{"settings_hash": "x"}',
-        '{"settings_hash": "x", "files": 7}',
-    ],
-)
-def test_a_damaged_ledger_is_an_empty_one(tmp_path: Path, content: str) -> None:
-    (tmp_path / "ledger").mkdir()
-    (tmp_path / "ledger" / "M1.json").write_text(content, "utf-8")
-    assert read_ledger(tmp_path, "M1", "x") == Ledger("x")
 
 
 def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
@@ -595,22 +512,22 @@ def test_tables_that_somebody_removed_are_made_anew(workshop: Workshop) -> None:
 
 
 def test_settings_hash_is_of_what_shapes_figures(workshop: Workshop) -> None:
-    before = settings_hash(workshop.task().spec)
+    before = config_hash(workshop.task().spec)
     (workshop.folder / "configs" / "fleet.toml").write_text(
         QUICK.replace("Tests", "Others").replace("sequential", "loky"), "utf-8"
     )
-    assert settings_hash(workshop.task().spec) == before
+    assert config_hash(workshop.task().spec) == before
     moved = replace(workshop.task().spec, log_root=Path("/elsewhere"))
-    assert settings_hash(moved) == before
+    assert config_hash(moved) == before
     for fleet in (QUICK + "[windows]\nblock_s = 60.0\n", QUICK + "[reference]\nspeed_rpm = 31.0\n"):
         workshop.configure(fleet=fleet)
-        assert settings_hash(workshop.task().spec) != before
+        assert config_hash(workshop.task().spec) != before
 
 
 def test_an_override_that_says_what_the_fleet_says_is_no_change(workshop: Workshop) -> None:
-    before = settings_hash(workshop.task().spec)
+    before = config_hash(workshop.task().spec)
     workshop.configure(more="[override.windows]\nblock_s = 120.0\n")
-    assert settings_hash(workshop.task().spec) == before
+    assert config_hash(workshop.task().spec) == before
 
 
 # Single steps

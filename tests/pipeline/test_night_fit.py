@@ -97,6 +97,10 @@ def test_a_good_night_has_verdicts_intervals_and_a_cross_check(spec: MotorSpec) 
         assert "lower" not in rows[name]
     low, high = (rows["h_balance_piston"][f"feasible_{end}"] for end in ("min", "max"))
     assert high / low == pytest.approx(2.5 ** (1 / 3))
+    # To the last digit, as a root of what rounding leaves would be 1e-8.
+    ends = [rows["e_balance_piston"][f"feasible_{end}"] for end in ("min", "max")]
+    assert ends == [0.0, 1.0]
+    assert rows["film_thickness_ratio_balance_piston"]["feasible_min"] == 0.0
 
 
 def test_shares_sum_to_one_and_have_intervals(spec: MotorSpec) -> None:

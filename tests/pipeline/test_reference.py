@@ -27,6 +27,7 @@ README = (ROOT / "README.md").read_text("utf-8")
 HAND_WRITTEN = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
     *(DOCS / name for name in ("model.md", "operations.md", "dependencies.md")),
+    *(DOCS / name for name in ("queries.md", "powerbi.md")),
 ]
 SOURCES = [
     path for package in ("leakage", "pipeline") for path in sorted((ROOT / package).rglob("*.py"))

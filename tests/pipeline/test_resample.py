@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.clean import ChannelRules, CleanChannel, clean_channel
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import CleanChannel, clean_channel
 from pipeline.config import Channel, Cleaning, Nights, TimeBase
 from pipeline.ingest import RawChannel, RawLog
 from pipeline.logs import slice_night

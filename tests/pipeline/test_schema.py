@@ -162,7 +162,7 @@ def test_times_are_utc_microseconds(table: Table) -> None:
 
 def test_a_name_means_one_thing_in_all_tables() -> None:
     kinds: dict[str, Column] = {}
-    shared = {"value", "status", "reason", "unit", "column", "columns", "seconds"}
+    shared = {"value", "status", "reason", "unit", "column", "columns", "seconds", "start"}
     for table in TABLES:
         for column in table.columns:
             first = kinds.setdefault(column.name, column)

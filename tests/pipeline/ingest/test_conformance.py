@@ -267,6 +267,29 @@ def test_a_clock_that_was_never_set_at_all_is_an_error_of_time(
 
 
 @every_format
+def test_stamps_in_the_future_are_left_out_and_most_of_them_an_error(
+    form: Format, tmp_path: Path
+) -> None:
+    """So that a logger that was set to 2099 does not end all that comes after it."""
+    ahead_us = 5_680_281_600_000_000  # 2150-01-01
+    good = [Row(T0_US + i * STEP_US, {"dp": 2.0, "T": 50.0, "q": 1.0}) for i in range(7)]
+    ahead = [Row(ahead_us + i, {"dp": 1.0, "T": 50.0, "q": 1.0}) for i in range(3)]
+    path = written(form, tmp_path, [*good[:4], *ahead, *good[4:]])
+    log = read_log(path, form.source)
+    left_out = 3 if form.wide else 9
+    assert log.channels["pressure_difference"].value.tolist() == [2.0] * 7
+    assert log.refused_rows == left_out
+    what = "rows" if form.wide else "messages"
+    assert log.notes == (f"{left_out} {what} with a time more than a day in the future",)
+    assert time_span(path, form.source) == (T0_US, T0_US + 6 * STEP_US)
+    path = written(form, tmp_path, [*good[:2], *ahead])
+    for read in (read_log, time_span):
+        with pytest.raises(LogError, match="future") as error:
+            read(path, form.source)
+        assert error.value.code == "log_time"
+
+
+@every_format
 def test_two_readings_are_equal_and_travel_between_processes(form: Format, tmp_path: Path) -> None:
     path = written(form, tmp_path, many_rows())
     log = read_log(path, form.source)

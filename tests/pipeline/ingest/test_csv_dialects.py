@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import gzip
-import string
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zstandard
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
 import pipeline.ingest.csv_text
 from pipeline.errors import LogError
 from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log, time_span
-from pipeline.ingest.time_stamps import EPOCH_UNITS
 
 from .writers import T0_US
 
@@ -332,116 +327,3 @@ def test_a_file_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.Monkey
     with pytest.raises(LogError, match="Permission denied") as raised:
         read_log(path, SOURCE)
     assert raised.value.code == "log_not_readable"
-
-
-STRPTIME = ("%d.%m.%Y %H:%M:%S", "%m/%d/%y %I:%M:%S %p", "%Y%m%dT%H%M%S%z")
-numbers = st.floats(allow_nan=False, allow_infinity=False, width=32) | st.none()
-names = st.text(string.ascii_letters + "äß °[]/()", min_size=1, max_size=12).map(
-    lambda text: f"x{text}x"
-)
-
-
-@st.composite
-def dialects(draw: st.DrawFn) -> LogSource:
-    decimal = draw(st.sampled_from([".", ","]))
-    separator = draw(st.sampled_from([c for c in ",;\t|" if c != decimal]))
-    free = [mark for mark in ("", "'", " ", ".", ",") if mark not in (decimal, separator)]
-    columns = draw(st.lists(names, min_size=5, max_size=5, unique=True))
-    return LogSource(
-        "csv",
-        (
-            ChannelSource("pressure_difference", columns[0], "bar"),
-            ChannelSource("speed", columns[1], "rpm"),
-        ),
-        time_source=columns[2],
-        time_format=draw(st.sampled_from([*EPOCH_UNITS, "iso8601", "excel_days", *STRPTIME])),
-        layout=draw(st.sampled_from(["wide", "long"])),
-        channel_column=columns[3],
-        value_column=columns[4],
-        separator=separator,
-        decimal=decimal,
-        thousands=draw(st.sampled_from(free)),
-        encoding=draw(
-            st.sampled_from(["utf-8", "utf-8-sig", "latin-1", "cp1252", "utf-16", "utf-16-be"])
-        ),
-        skip_rows=draw(st.integers(0, 3)),
-        unit_rows=draw(st.integers(0, 2)),
-    )
-
-
-def stamp(second: int, source: LogSource) -> str:
-    moment = datetime(2025, 3, 1, 6, tzinfo=UTC) + timedelta(seconds=second)
-    since = int(moment.timestamp())
-    epoch = {"epoch_s": since, "epoch_ms": since * 10**3, "epoch_us": since * 10**6}
-    epoch["epoch_ns"] = since * 10**9
-    if source.time_format in epoch:
-        return str(epoch[source.time_format])
-    if source.time_format == "iso8601":
-        return moment.isoformat()
-    if source.time_format == "excel_days":
-        return f"{45717.25 + second / 86400:.9f}".replace(".", source.decimal)
-    return moment.strftime(source.time_format)
-
-
-def cell(value: float | None, source: LogSource) -> str:
-    if value is None:
-        return "---"
-    if not source.thousands:
-        return repr(value).replace(".", source.decimal)
-    text = f"{value:,.60f}" if abs(value) < 1e15 else repr(value)
-    marks = str.maketrans({",": source.thousands, ".": source.decimal})
-    return text.translate(marks)
-
-
-@settings(suppress_health_check=[HealthCheck.too_slow], deadline=None, max_examples=60)
-@given(
-    dialects(),
-    st.lists(st.tuples(numbers, numbers), min_size=1, max_size=12),
-    st.sampled_from(["\n", "\r\n", "\r"]),
-    st.sampled_from(["plain", *PACKERS]),
-    st.booleans(),
-    st.booleans(),
-)
-def test_what_is_written_in_any_dialect_is_read_back(
-    tmp_path_factory: pytest.TempPathFactory,
-    source: LogSource,
-    samples: list[tuple[float | None, float | None]],
-    line_end: str,
-    packer: str,
-    quoted: bool,
-    again: bool,
-) -> None:
-    dp, n = (channel.source for channel in source.channels)
-    wide = source.layout == "wide"
-    if wide:
-        head = [n, "company", source.time_source, dp]
-        rows = [
-            [cell(b, source), "of others", stamp(i, source), cell(a, source)]
-            for i, (a, b) in enumerate(samples)
-        ]
-    else:
-        head = [source.value_column, source.time_source, source.channel_column]
-        rows = [
-            [cell(value, source), stamp(i, source), name]
-            for i, pair in enumerate(samples)
-            for name, value in zip((dp, n), pair, strict=True)
-        ]
-    mark = '"' if quoted else ""
-    lines = [
-        source.separator.join(f"{mark}{part}{mark}" for part in row)
-        for row in [head, *[["unit"] * len(head)] * source.unit_rows, *rows]
-    ]
-    preamble = ["Logger 7: serial 12"] * source.skip_rows
-    text = line_end.join([*preamble, *(lines * (1 + again)), ""])
-    data = text.encode(source.encoding)
-    path = tmp_path_factory.mktemp("dialect") / "log"
-    path.write_bytes(PACKERS[packer](data) if packer in PACKERS else data)
-    log = read_log(path, source)
-    assert log.notes == (("1 lines that repeat the header",) if again else ())
-    for k, channel in enumerate(("pressure_difference", "speed")):
-        raw = log.channels[channel]
-        expected = [np.nan if pair[k] is None else pair[k] for pair in samples] * (1 + again)
-        np.testing.assert_array_equal(raw.value, expected)
-        seconds = list(range(len(samples))) * (1 + again)
-        assert raw.time_us.tolist() == [T0_US + 1_000_000 * second for second in seconds]
-        assert raw.unparsed == 0

@@ -11,9 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import pipeline.ingest.csv_log
 import pipeline.ingest.csv_text
 from pipeline.errors import LogError
 from pipeline.ingest import ChannelSource, LogSource, RawChannel, RawLog, read_log, time_span
+from pipeline.ingest.csv_text import read_lines
 
 from .writers import T0_US
 
@@ -64,15 +66,45 @@ def test_rows_of_another_width_are_left_out_and_counted(tmp_path: Path) -> None:
     rows[5] = rows[5].rsplit(",", 1)[0]
     log = read(tmp_path, "time,dp,n\n" + "\n".join(rows) + "\n")
     assert pressure(log).value.tolist() == [0.0, 1.0, 2.0, 4.0, 6.0, 7.0]
-    assert log.notes == ("2 rows with too many or too few cells",)
+    assert log.notes == ("2 rows with too many or too few cells, the first in line 5 with 4",)
     assert log.refused_rows == 2
 
 
 def test_rows_of_another_width_throughout_are_another_format(tmp_path: Path) -> None:
     wrong = error(tmp_path, "time,dp,n\n" + f"{DAY}0Z,1,2,3\n" * 9)
-    assert wrong.code == "log_not_csv"
+    assert (wrong.code, wrong.place) == ("log_not_csv", "line 2")
     assert "3 cells" in wrong.message
     assert "has 4" in wrong.message
+
+
+def ragged_lines(text: str, width: int) -> list[int]:
+    """Lines, from 1, that have another number of cells; no cell is quoted here."""
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")[:-1]
+    rows = [number for number, line in enumerate(lines, 1) if line and number > 3]
+    return [number for number in rows if lines[number - 1].count(",") != width - 1]
+
+
+@given(
+    rows=st.lists(st.sampled_from(["1,2", "1,2", "1,2", "", "1", "1,2,3", "1,\x0b,"]), max_size=40),
+    line_end=st.sampled_from(["\n", "\r\n", "\r"]),
+    piece=st.sampled_from([150, 400, 2**24]),
+)
+def test_the_first_row_of_another_width_is_named_by_its_line(
+    tmp_path_factory: pytest.TempPathFactory, rows: list[str], line_end: str, piece: int
+) -> None:
+    """Behind two lines of preamble that look like such a row, across pieces and blank lines."""
+    cells = [row and f"{DAY}{i % 10}Z,{row}" for i, row in enumerate(["1,2"] * 45 + rows)]
+    lines = [cells[-1], f"{DAY}0Z,1", "time,dp,n", *cells, ""]
+    text = line_end.join(lines)
+    path = tmp_path_factory.mktemp("ragged") / "log.csv"
+    path.write_text(text, newline="")
+    found = ragged_lines(text, 3)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pipeline.ingest.csv_log, "read_lines", lambda *at: read_lines(*at[:2], piece))
+        log = read_log(path, replace(SOURCE, skip_rows=2))
+    first = lines[found[0] - 1].count(",") + 1 if found else 0
+    told = f"{len(found)} rows with too many or too few cells, the first in line {{}} with {first}"
+    assert log.notes == ((told.format(found[0]),) if found else ())
 
 
 def test_two_rows_torn_into_one_are_left_out(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ import pipeline.ingest.mcap_log
 import pipeline.ingest.mcap_messages
 from pipeline.errors import LogError
 from pipeline.ingest import ChannelSource, LogSource, RawChannel, RawLog, read_log, time_span
+from pipeline.ingest.mcap_chunks import indexed_positions, offsets_in_chunk
+from pipeline.ingest.mcap_layout import record_offsets
 from pipeline.ingest.mcap_messages import read_messages
 
 from .writers import T0_US, mcap_bytes
@@ -543,3 +545,50 @@ def _by_json(payload: bytes) -> float | None:
         return None if isinstance(value, bool | str | list | dict) else float(value)
     except (ValueError, TypeError, KeyError, IndexError):
         return None
+
+
+@given(
+    sizes=st.lists(st.integers(0, 40), max_size=12),
+    lies=st.lists(st.tuples(st.integers(0, 12), st.integers(-40, 40)), max_size=3),
+    data=st.data(),
+)
+def test_an_index_is_believed_only_as_far_as_it_is_true(
+    sizes: list[int], lies: list[tuple[int, int]], data: st.DataObject
+) -> None:
+    """Payloads look like records, so that a wrong position leads to what looks like one."""
+    inner = record(0x05, bytes(3))
+    messages = [message_record(1, T0_NS, (inner * 4)[:size]) for size in sizes]
+    records = memoryview(b"".join([DP, *messages, DP]))
+    offsets, _ = record_offsets(records)
+    positions = np.array(offsets[1:-1], np.int64)
+    for which, step in lies:
+        if which < positions.size:
+            positions[which] += step
+    some = data.draw(st.lists(st.booleans(), min_size=positions.size, max_size=positions.size))
+    hint = np.sort(positions[np.array(some, np.bool_)])
+    for cut in (len(records), data.draw(st.integers(0, len(records)))):
+        found, found_end = offsets_in_chunk(records[:cut], hint)
+        wanted, wanted_end = record_offsets(records[:cut])
+        assert (found.tolist(), found_end) == (wanted, wanted_end)
+
+
+def test_positions_come_from_sound_index_records_alone() -> None:
+    index = struct.pack("<HI", 1, 32) + struct.pack("<4Q", 5, 900, 6, 100)
+    other = struct.pack("<HI", 2, 16) + struct.pack("<2Q", 7, 500)
+    found = indexed_positions([memoryview(one) for one in (index, other, b"", b"\0", index[:-1])])
+    assert found.tolist() == [100, 500, 900, 900]
+    assert indexed_positions([]).tolist() == []
+
+
+@pytest.mark.parametrize("wrong", [1, 9, 2**63, 2**64 - 9])
+def test_a_file_whose_index_is_wrong_is_read_the_same(tmp_path: Path, wrong: int) -> None:
+    records = DP + ONE * 50
+    good = [len(DP) + i * len(ONE) for i in range(50)]
+    logs = []
+    for positions in ([], good, [*good[:-1], wrong]):
+        content = b"".join(struct.pack("<QQ", T0_NS, position) for position in positions)
+        index = record(0x07, struct.pack("<HI", 1, len(content)) + content)
+        data = file_of(chunk_record(records, records, ""), index if positions else b"")
+        logs.append(read(tmp_path, data))
+    for log in logs:
+        assert log.channels["pressure_difference"].value.tolist() == [1.0] * 50

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import io
+import re
 import struct
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
 from pipeline.errors import LogError
@@ -160,3 +164,95 @@ def test_any_damage_ends_in_the_first_messages_or_a_coded_error(
     except LogError:
         return
     assert count_of(log) == COUNT or log.notes
+
+
+def damaged(data: bytes, kind: str, start: int) -> bytes:
+    """A file with one kind of damage in the chunk that begins at a byte."""
+    changed = bytearray(data)
+    size_at, checksum_at, name_at = start + 9 + 16, start + 9 + 24, start + 9 + 32
+    match kind:
+        case "cut":
+            return data[: start + 100]
+        case "cut between":
+            return data[:start]
+        case "checksum":
+            changed[checksum_at] ^= 1
+        case "content":
+            changed[start + 120] ^= 0x10
+        case "size":
+            struct.pack_into("<Q", changed, size_at, 999)
+        case "packed size":
+            struct.pack_into("<Q", changed, name_at + int(changed[name_at - 4]), 2**30)
+        case "length":
+            struct.pack_into("<Q", changed, start + 1, 2**50)
+        case "bomb":
+            struct.pack_into("<Q", changed, size_at, 2**40)
+        case "compression":
+            changed[name_at : name_at + 3] = b"xyz"
+    return bytes(changed)
+
+
+def messages_before(data: bytes, start: int) -> int:
+    """Messages in the chunks before a byte, counted by the official reader of records."""
+    count = 0
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True)
+    for chunk in islice(
+        (one for one in reader.records if isinstance(one, Chunk)), chunk_starts(data).index(start)
+    ):
+        count += sum(isinstance(one, Message) for one in breakup_chunk(chunk, validate_crc=True))
+    return count
+
+
+CODES = {
+    "cut": "log_truncated",
+    "cut between": "log_truncated",
+    "checksum": "log_damaged",
+    "content": "log_damaged",
+    "size": "log_damaged",
+    "packed size": "log_damaged",
+    "length": "log_damaged",
+    "bomb": "log_too_large",
+    "compression": "log_compression",
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    # The name of no compression has no letters to change.
+    [
+        (one, kind)
+        for one in EVERY_WAY[:3]
+        for kind in CODES
+        if (one["compression"], kind) != (CompressionType.NONE, "compression")
+    ],
+)
+@pytest.mark.parametrize("chunk", [0, 3])
+def test_each_kind_of_damage_in_each_mode(
+    tmp_path: Path, options: dict[str, Any], chunk: int, kind: str
+) -> None:
+    code = CODES[kind]
+    whole = made(**options)
+    start = chunk_starts(whole)[chunk]
+    data = damaged(whole, kind, start)
+    path = tmp_path / "log.mcap"
+    # Refused, unless the source allows what can be had; and what would fill the memory, or cannot
+    # be unpacked by anything we know, is refused in any case.
+    with pytest.raises(LogError) as raised:
+        read(path, data, STRICT)
+    assert raised.value.code == code
+    before = messages_before(whole, start)
+    if code in ("log_too_large", "log_compression"):
+        with pytest.raises(LogError) as raised:
+            read(path, data)
+        assert raised.value.code == code
+    elif "cut" in kind and not before:
+        with pytest.raises(LogError, match="no topic") as raised:
+            read(path, data)
+    else:
+        log = read(path, data)
+        assert count_of(log) == before
+        assert (before == 0) == (chunk == 0)
+        stated = "" if code == "log_truncated" else f" of {COUNT}"
+        assert log.notes[0].startswith(f"salvaged: {before}{stated} messages stand before the")
+        lost = int(re.findall(r"last (\d+) of \d+ bytes are not read", log.notes[0])[0])
+        assert 0 <= lost <= len(data) - start

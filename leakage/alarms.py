@@ -1,0 +1,231 @@
+"""Levels with hysteresis, and the states of an indicator from night to night."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.autoregression import Array, Nights
+from leakage.errors import ParameterError
+
+Severities = NDArray[np.int64]
+State: TypeAlias = Literal["ok", "warning", "alarm", "common_cause", "stale", "insufficient"]
+
+# Severities are 0, 1, 2.
+OF_SEVERITY: tuple[State, State, State] = ("ok", "warning", "alarm")
+
+
+@dataclass(frozen=True, slots=True)
+class Levels:
+    """When a deviation from the baseline is a warning or an alarm, whatever its history.
+
+    Parameters
+    ----------
+    warning, alarm
+        Relative rise over the baseline, [-].
+    deadband
+        A level that is on goes off below itself less this, [-].
+    on_nights, of_nights
+        On when tonight and all in all so many of the last so many good nights lie above.
+    off_nights
+        Off after so many good nights in a row below.
+    least_sd
+        A level counts from so many standard deviations of the nights only, the upper 95 % bound
+        of what the baseline lets them be, so that widely scattering nights do not reach it by
+        chance.
+
+    Raises
+    ------
+    ParameterError
+        ``bad_levels``.
+    """
+
+    warning: float = 0.15
+    alarm: float = 0.30
+    deadband: float = 0.05
+    on_nights: int = 3
+    of_nights: int = 5
+    off_nights: int = 5
+    least_sd: float = 4.5
+
+    def __post_init__(self) -> None:
+        if not (0 < self.warning <= self.alarm and 0 <= self.deadband < self.warning):
+            raise ParameterError(
+                "bad_levels",
+                f"warning {self.warning:g}, alarm {self.alarm:g}, deadband {self.deadband:g}; "
+                "expected 0 < warning ≤ alarm, and a deadband from 0 to below the warning",
+            )
+        if not 1 <= self.on_nights <= self.of_nights or self.off_nights < 1 or self.least_sd < 0:
+            raise ParameterError(
+                "bad_levels",
+                f"{self.on_nights} of {self.of_nights} nights on, {self.off_nights} off, "
+                f"{self.least_sd:g} standard deviations; expected 1 ≤ m ≤ n, 1 ≤ off and 0 ≤ sd",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Absolute warning and alarm of a motor type, in the indicator's unit; None: there is none."""
+
+    warning: float | None = None
+    alarm: float | None = None
+    deadband: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class StateChange:
+    """A change of state.
+
+    Attributes
+    ----------
+    place
+        In the series.
+    night
+        Its number.
+    before, after
+        The states.
+    """
+
+    place: int
+    night: int
+    before: State
+    after: State
+
+
+def above_level(values: Array, level: float, deadband: float, rule: Levels) -> NDArray[np.bool_]:
+    """Whether a level is on, night by night.
+
+    Parameters
+    ----------
+    values
+        Shape (n,); nights that are not finite hold what was.
+    level
+        In the unit of the values.
+    deadband
+        Goes off below `level` less this.
+    rule
+        How many nights it takes.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,).
+
+    Examples
+    --------
+    >>> values = np.array([0.2, 0.2, np.nan, 0.2, 0.12, 0.05, 0.05, 0.05, 0.05, 0.05])
+    >>> above_level(values, 0.15, 0.05, Levels()).astype(int).tolist()
+    [0, 0, 0, 1, 1, 1, 1, 1, 1, 0]
+    """
+    good = np.flatnonzero(np.isfinite(values))
+    above = values[good] > level
+    below = values[good] < level - deadband
+    goes_on = above & (_count(above, rule.of_nights) >= rule.on_nights)
+    goes_off = _count(below, rule.off_nights) == rule.off_nights
+    is_on = np.zeros(len(values), dtype=np.bool_)
+    if len(good):
+        is_on[good] = _last(goes_on) > _last(goes_off)
+    return _held(is_on, good)
+
+
+def level_severity(
+    deviation: Array, sd: float, rule: Levels, values: Array, limits: Limits
+) -> tuple[Severities, Severities]:
+    """Severity by the levels over the baseline, and by the limits of the motor type.
+
+    Parameters
+    ----------
+    deviation
+        Relative deviation from the baseline, shape (n,); nights that are not finite hold.
+    sd
+        Relative standard deviation of the nights, from the safe side.
+    rule
+        The levels.
+    values
+        The indicator itself, shape (n,).
+    limits
+        Absolute ones.
+
+    Returns
+    -------
+    tuple
+        Two columns of 0, 1 or 2, shape (n,).
+    """
+    by_level = np.zeros(len(deviation), dtype=np.int64)
+    for severity, level in ((1, rule.warning), (2, rule.alarm)):
+        least = max(level, rule.least_sd * sd)
+        by_level[above_level(deviation, least, rule.deadband, rule)] = severity
+    by_limit = np.zeros(len(deviation), dtype=np.int64)
+    for severity, limit in ((1, limits.warning), (2, limits.alarm)):
+        if limit is not None:
+            by_limit[above_level(values, limit, limits.deadband, rule)] = severity
+    return by_level, by_limit
+
+
+def nights_since_good(nights: Nights, good: NDArray[np.bool_]) -> Nights:
+    """Nights since the last good one, shape (n,); very many before the first.
+
+    Examples
+    --------
+    >>> nights_since_good(np.array([3, 4, 9]), np.array([True, False, False])).tolist()
+    [0, 1, 6]
+    """
+    never = nights[0] - np.iinfo(np.int32).max if len(nights) else 0
+    last: Nights = np.maximum.accumulate(np.where(good, nights, never))
+    return nights - last
+
+
+def state_changes(nights: Nights, states: list[State]) -> tuple[StateChange, ...]:
+    """The nights on which the state is another than on the night before.
+
+    Parameters
+    ----------
+    nights
+        Shape (n,).
+    states
+        As many.
+
+    Returns
+    -------
+    tuple of StateChange
+        In order.
+
+    Examples
+    --------
+    >>> [(c.night, c.after) for c in state_changes(np.arange(3), ["ok", "warning", "warning"])]
+    [(1, 'warning')]
+    """
+    return tuple(
+        StateChange(place, int(nights[place]), before, after)
+        for place, (before, after) in enumerate(itertools.pairwise(states), start=1)
+        if before != after
+    )
+
+
+def _count(condition: NDArray[np.bool_], nights: int) -> NDArray[np.int64]:
+    """How many of the last so many entries are true; fewer at the start, where there are fewer."""
+    total = np.concatenate([[0], np.cumsum(condition)])
+    places = np.arange(1, len(total))
+    result: NDArray[np.int64] = total[1:] - total[np.maximum(places - nights, 0)]
+    return result
+
+
+def _held(is_on: NDArray[np.bool_], good: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """What the last good night said; false before the first."""
+    place = np.searchsorted(good, np.arange(len(is_on)), side="right") - 1
+    result = np.zeros(len(is_on), dtype=np.bool_)
+    seen = place >= 0
+    result[seen] = is_on[good[place[seen]]]
+    return result
+
+
+def _last(condition: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Place of the last true entry up to each; −1 before the first."""
+    result: NDArray[np.int64] = np.maximum.accumulate(
+        np.where(condition, np.arange(len(condition)), -1)
+    )
+    return result

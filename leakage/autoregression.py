@@ -1,0 +1,163 @@
+r"""Errors that remember from night to night: a first-order autoregression on uneven nights.
+
+With φ the correlation of neighbouring nights, two nights that lie Δt apart correlate with
+
+.. math:: \rho = \varphi^{\Delta t} ,
+
+so a night without a value only lets the memory fade. Everything below needs the number of each
+night, not an even series.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Nights = NDArray[np.int64]
+
+# Above this, a series of nights is hardly told from a trend.
+HIGHEST_PHI = 0.95
+# Pairs of residuals that an estimate of φ needs.
+LEAST_PAIRS = 10
+
+
+def correlation_to_previous(phi: float, nights: Nights) -> Array:
+    """φ^Δt of each night to the one before.
+
+    Parameters
+    ----------
+    phi
+        Correlation of neighbouring nights, 0 ≤ φ < 1.
+    nights
+        Numbers of the nights, increasing, shape (n,).
+
+    Returns
+    -------
+    ndarray
+        Shape (n,); 0 for the first, which has none before it.
+
+    Examples
+    --------
+    >>> correlation_to_previous(0.5, np.array([1, 2, 4])).tolist()
+    [0.0, 0.5, 0.25]
+    """
+    rho = np.zeros(len(nights))
+    rho[1:] = phi ** np.diff(nights)
+    return rho
+
+
+def whitened(columns: Array, rho: Array) -> Array:
+    r"""Prais and Winsten's transform [1]_: columns whose errors no longer remember.
+
+    .. math:: x^*_1 = x_1, \qquad x^*_t = \frac{x_t - \rho_t x_{t-1}}{\sqrt{1 - \rho_t^2}}
+
+    The errors keep their variance, which on uneven nights the usual form without the root would
+    not do.
+
+    Parameters
+    ----------
+    columns
+        Shape (n,) or (n, k).
+    rho
+        Correlation of each night to the one before, shape (n,), in [0, 1).
+
+    Returns
+    -------
+    ndarray
+        Shape of `columns`.
+
+    Examples
+    --------
+    >>> whitened(np.array([1.0, 1.0, 2.0]), np.array([0.0, 0.6, 0.0])).tolist()
+    [1.0, 0.5, 2.0]
+
+    References
+    ----------
+    .. [1] S. J. Prais and C. B. Winsten, "Trend estimators and serial correlation", Cowles
+       Commission Discussion Paper 383, 1954.
+    """
+    shape = (-1,) + (1,) * (columns.ndim - 1)
+    before = np.empty_like(columns)
+    before[1:] = columns[:-1]
+    before[:1] = 0.0
+    result: Array = (columns - rho.reshape(shape) * before) / np.sqrt(1 - rho**2).reshape(shape)
+    return result
+
+
+def estimated_phi(residuals: Array, nights: Nights) -> float:
+    r"""Correlation of neighbouring nights, from the residuals of a straight line.
+
+    The correlation of nights that follow each other at the commonest distance d is corrected for
+    what a fitted line takes away of it [1]_, and brought to one night:
+
+    .. math:: \hat\varphi = \Big(r_d + \frac{2 + 4 r_d}{n}\Big)^{1/d}, \qquad
+       0 \le \hat\varphi \le 0.95 .
+
+    Parameters
+    ----------
+    residuals
+        Residuals of a straight line, shape (n,).
+    nights
+        Numbers of the nights, increasing, shape (n,).
+
+    Returns
+    -------
+    float
+        0 where fewer than ten pairs lie at the commonest distance, or nothing scatters.
+
+    References
+    ----------
+    .. [1] P. Shaman and R. A. Stine, "The bias of autoregressive coefficient estimators",
+       *Journal of the American Statistical Association*, 83(403), 1988.
+    """
+    n = len(residuals)
+    spread = float(residuals @ residuals) / n if n else 0.0
+    distances = np.diff(nights)
+    if n <= LEAST_PAIRS or spread <= 0.0:
+        return 0.0
+    distance = int(np.argmax(np.bincount(distances)))
+    at = distances == distance
+    if int(at.sum()) < LEAST_PAIRS:
+        return 0.0
+    correlation = float(np.mean(residuals[1:][at] * residuals[:-1][at])) / spread
+    corrected = min(max(correlation + (2 + 4 * correlation) / n, 0.0), HIGHEST_PHI)
+    return float(min(corrected ** (1.0 / distance), HIGHEST_PHI))
+
+
+def variance_of_mean(phi: float, nights: Nights) -> float:
+    """Variance of the plain mean of nights, in units of the variance of one.
+
+    Parameters
+    ----------
+    phi
+        Correlation of neighbouring nights.
+    nights
+        Their numbers, shape (n,).
+
+    Returns
+    -------
+    float
+        1/n for φ = 0, towards 1 for φ towards 1.
+
+    Examples
+    --------
+    >>> variance_of_mean(0.0, np.arange(4))
+    0.25
+    >>> variance_of_mean(0.5, np.array([0, 1]))
+    0.75
+    """
+    if phi <= 0.0:
+        return 1.0 / len(nights)
+    return float(np.mean(phi ** np.abs(nights[:, None] - nights)))
+
+
+def long_run_factor(phi: float) -> float:
+    """Variance of a mean of very many neighbouring nights over that of as many independent ones.
+
+    Examples
+    --------
+    >>> long_run_factor(0.6)
+    4.0
+    """
+    return (1.0 + phi) / (1.0 - phi)

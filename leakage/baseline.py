@@ -1,0 +1,285 @@
+r"""What an indicator was when the motor was as it is known: a robust baseline, frozen.
+
+The first good nights give a mean and a standard deviation. Nights are winsorised at four robust
+standard deviations about their median, as the cumulative sum later winsorises them, so that odd
+nights weigh in both alike. φ comes from the nights without their straight line: without it, wear
+within the baseline would be whitened away.
+
+A floor stands below the standard deviation: changes smaller than what sensors and oil do by
+themselves are no wear, however little the nights scatter. What the floor adds is taken for scatter
+without memory, which leaves
+
+.. math:: r = \frac{\sigma^2}{\sigma_f^2} \frac{\varphi}{1 - \varphi}, \qquad
+   \varphi_f = \frac{r}{1 + r}
+
+as the correlation of nights with standard deviation :math:`\sigma_f` whose sums over many nights
+spread as those of both together.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.special import chdtri
+
+from leakage.autoregression import Array, Nights, estimated_phi, variance_of_mean
+from leakage.errors import ParameterError
+from leakage.robust import MAD_TO_SD
+from leakage.slope import check_series, fit_slope
+
+BaselineStatus: TypeAlias = Literal["frozen", "provisional", "insufficient"]
+
+# Floors of model.md, section 7, relative to the baseline's mean.
+COEFFICIENT_FLOOR = 0.05
+LEAKAGE_FLOOR = 0.01
+# A slope within a baseline is told at this p, and only if it moves the indicator by more than one
+# floored standard deviation over the baseline: less than that is no wear.
+SLOPED_P = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineSettings:
+    """How a baseline is made.
+
+    Parameters
+    ----------
+    nights
+        Good nights of a baseline, after which it is frozen.
+    provisional_nights
+        Good nights from which on a provisional one serves.
+    relative_floor
+        Least standard deviation, relative to the mean: 5 % of K, 1 % of a leakage.
+    absolute_floor
+        Least standard deviation in the unit of the indicator.
+    winsorised_at
+        Robust standard deviations from the median at which nights are winsorised.
+
+    Raises
+    ------
+    ParameterError
+        ``bad_baseline_settings``.
+    """
+
+    nights: int = 60
+    provisional_nights: int = 30
+    relative_floor: float = LEAKAGE_FLOOR
+    absolute_floor: float = 0.0
+    winsorised_at: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not 20 <= self.provisional_nights <= self.nights:
+            raise ParameterError(
+                "bad_baseline_settings",
+                f"baseline of {self.nights} nights, provisional from {self.provisional_nights}; "
+                "expected 20 or more for the provisional one and no fewer for the whole",
+            )
+        if min(self.relative_floor, self.absolute_floor) < 0 or self.winsorised_at <= 0:
+            raise ParameterError(
+                "bad_baseline_settings",
+                "a floor of the baseline is negative or its winsorising not positive",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Baseline:
+    """An indicator's baseline.
+
+    Attributes
+    ----------
+    status
+        ``frozen``; ``provisional``: from fewer nights than asked for; ``insufficient``: too few,
+        everything below is then nan or 0.
+    first_night, last_night
+        Numbers of its first and last good night; 0 without one.
+    n
+        Good nights.
+    mean
+        Winsorised mean [unit].
+    sd
+        Winsorised standard deviation of the nights [unit].
+    phi
+        Correlation of neighbouring nights.
+    floored_sd
+        `sd`, or its floor where that is larger [unit].
+    floored_phi
+        Correlation of neighbouring nights that belongs to `floored_sd`.
+    mean_error
+        Standard error of the mean [unit].
+    floored_mean_error
+        The same of nights that scatter with `floored_sd` and `floored_phi` [unit].
+    sloped
+        Whether the baseline itself has a slope: the motor was not steady while it was taken.
+    reason
+        In words, where the status is not ``frozen`` or the baseline is sloped.
+    """
+
+    status: BaselineStatus
+    first_night: int
+    last_night: int
+    n: int
+    mean: float
+    sd: float
+    phi: float
+    floored_sd: float
+    floored_phi: float
+    mean_error: float
+    floored_mean_error: float
+    sloped: bool
+    reason: str
+
+    def highest_sd(self, coverage: float = 0.95) -> float:
+        r"""Upper bound of the standard deviation of the nights [unit].
+
+        From χ² with :math:`n (1 - \varphi^2) / (1 + \varphi^2) - 1` degrees of freedom, as nights
+        that remember tell less of their scatter.
+        """
+        squared = self.phi**2
+        freedom = max(self.n * (1.0 - squared) / (1.0 + squared) - 1.0, 1.0)
+        return self.sd * math.sqrt(freedom / float(chdtri(freedom, coverage)))
+
+    def deviation(self, values: Array) -> Array:
+        """Relative deviation from the mean, shape of `values`, [-]."""
+        result: Array = values / self.mean - 1.0
+        return result
+
+
+def fit_baseline(
+    nights: Nights, values: Array, settings: BaselineSettings | None = None
+) -> Baseline:
+    """Baseline of the first good nights of a series.
+
+    Parameters
+    ----------
+    nights
+        Numbers of the nights since the last event that starts a baseline, increasing, shape (n,).
+    values
+        Indicator, shape (n,); nights that are not finite are no good nights.
+    settings
+        How it is made; the defaults where left out.
+
+    Returns
+    -------
+    Baseline
+        From at most `settings.nights` good nights. Where the whole of them has a slope and the
+        first `provisional_nights` have none, still the whole: which to keep is decided by
+        :func:`leakage.monitoring.monitor`, which knows what the nights after the first showed.
+
+    Raises
+    ------
+    ShapeError
+        ``unequal_lengths`` or ``nights_not_increasing``.
+
+    Examples
+    --------
+    >>> generator = np.random.default_rng(1)
+    >>> found = fit_baseline(np.arange(90), 1.37 + 0.002 * generator.standard_normal(90))
+    >>> found.status, found.n, round(found.mean, 2), round(found.floored_sd, 4)
+    ('frozen', 60, 1.37, 0.0137)
+    >>> fit_baseline(np.arange(5), np.ones(5)).reason
+    '5 good nights; a provisional baseline needs 30'
+    """
+    chosen = settings or BaselineSettings()
+    check_series(nights, values)
+    good = np.flatnonzero(np.isfinite(values))[: chosen.nights]
+    if len(good) < chosen.provisional_nights:
+        reason = (
+            f"{len(good)} good nights; a provisional baseline needs {chosen.provisional_nights}"
+        )
+        return _insufficient(nights[good], reason)
+    nights, values = nights[good], values[good]
+    steady = _winsorised(values, chosen)
+    mean, sd = float(np.mean(steady)), float(np.std(steady, ddof=1))
+    slope, residuals = _line(nights, steady)
+    phi = estimated_phi(residuals, nights)
+    floored_sd = max(sd, _floor(mean, chosen))
+    phi_of_floored = floored_phi(sd, floored_sd, phi)
+    # A line that moves hardly more than half a standard deviation needs no test.
+    moves = abs(slope) * float(nights[-1] - nights[0])
+    sloped = moves > floored_sd / 2 and _is_sloped(nights, steady, floored_sd)
+    whole = len(good) == chosen.nights
+    reasons = [] if whole else [f"provisional: {len(good)} of {chosen.nights} good nights"]
+    reasons += ["the baseline itself has a slope"] if sloped else []
+    return Baseline(
+        status="frozen" if whole else "provisional",
+        first_night=int(nights[0]),
+        last_night=int(nights[-1]),
+        n=len(good),
+        mean=mean,
+        sd=sd,
+        phi=phi,
+        floored_sd=floored_sd,
+        floored_phi=phi_of_floored,
+        mean_error=sd * float(np.sqrt(variance_of_mean(phi, nights))),
+        floored_mean_error=floored_sd * float(np.sqrt(variance_of_mean(phi_of_floored, nights))),
+        sloped=sloped,
+        reason="; ".join(reasons),
+    )
+
+
+def floored_phi(sd: float, floored_sd: float, phi: float) -> float:
+    """Correlation of neighbouring nights whose scatter was raised to a floor without memory.
+
+    Examples
+    --------
+    >>> floored_phi(1.0, 1.0, 0.6), round(floored_phi(0.5, 1.0, 0.6), 4)
+    (0.6, 0.2727)
+    """
+    if floored_sd <= 0.0:
+        return 0.0
+    ratio = (sd / floored_sd) ** 2 * phi / (1.0 - phi)
+    return round(ratio / (1.0 + ratio), 12)
+
+
+def _insufficient(nights: Nights, reason: str) -> Baseline:
+    nan = float("nan")
+    first, last = (int(nights[0]), int(nights[-1])) if len(nights) else (0, 0)
+    return Baseline(
+        status="insufficient",
+        first_night=first,
+        last_night=last,
+        n=len(nights),
+        mean=nan,
+        sd=nan,
+        phi=nan,
+        floored_sd=nan,
+        floored_phi=nan,
+        mean_error=nan,
+        floored_mean_error=nan,
+        sloped=False,
+        reason=reason,
+    )
+
+
+def _floor(mean: float, settings: BaselineSettings) -> float:
+    return max(settings.relative_floor * abs(mean), settings.absolute_floor)
+
+
+def _winsorised(values: Array, settings: BaselineSettings) -> Array:
+    """Values brought within reach of their median."""
+    median = float(np.median(values))
+    spread = MAD_TO_SD * float(np.median(np.abs(values - median)))
+    if spread <= 0.0:
+        # More than half of the nights alike: the floor is the only scale there is.
+        spread = _floor(median, settings)
+    reach = settings.winsorised_at * spread if spread > 0.0 else np.inf
+    steady: Array = np.clip(values, median - reach, median + reach)
+    return steady
+
+
+def _line(nights: Nights, values: Array) -> tuple[float, Array]:
+    """Slope of the straight line of least squares, and the residuals."""
+    centred = nights - np.mean(nights)
+    slope = float(centred @ values) / float(centred @ centred)
+    return slope, values - np.mean(values) - slope * centred
+
+
+def _is_sloped(nights: Nights, values: Array, floored_sd: float) -> bool:
+    """Whether a slope is certain, and more than the nights scatter by themselves."""
+    line = fit_slope(nights, values)
+    if line.slope is None:
+        return False
+    certain = line.p_value is None or line.p_value < SLOPED_P
+    return certain and abs(line.slope) * float(nights[-1] - nights[0]) > floored_sd

@@ -1,0 +1,400 @@
+"""An indicator watched night by night: baseline, deviation, cumulative sum, levels, state.
+
+A night's state depends on that night and those before it alone, so a run that looks back at a year
+says of each night what a run on that night said.
+
+A motor that shares its oil with others is watched three times: its own values; its values divided
+by the common change of the other motors of the circuit; and that common change. Oil, temperature
+and charge pressure move all motors, wear moves one: where the values have moved, the corrected ones
+have not, and the circuit has, the state is ``common_cause`` in place of a warning or an alarm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from leakage.alarms import (
+    OF_SEVERITY,
+    Levels,
+    Limits,
+    Severities,
+    State,
+    StateChange,
+    level_severity,
+    nights_since_good,
+    state_changes,
+)
+from leakage.autoregression import Array, Nights, variance_of_mean
+from leakage.baseline import Baseline, BaselineSettings, fit_baseline
+from leakage.cusum import cusum, cusum_limit
+from leakage.slope import check_series
+
+LeadsTo: TypeAlias = Literal["nothing", "warning", "alarm"]
+_SEVERITY_OF: dict[LeadsTo, int] = {"nothing": 0, "warning": 1, "alarm": 2}
+
+# Good nights that say how large a change is now.
+NIGHTS_OF_SIZE = 10
+
+
+@dataclass(frozen=True, slots=True)
+class MonitorSettings:
+    """How one indicator is watched.
+
+    Parameters
+    ----------
+    false_alarms_per_year
+        Rate that this one indicator may have when its motor is healthy: the motor's rate over the
+        number of its indicators.
+    cusum_leads_to
+        What a change that is certain, but below the levels, is called.
+    baseline
+        How the baseline is made.
+    levels
+        Relative to it.
+    limits
+        Absolute ones.
+    stale_nights
+        After so many nights without a value that can be trusted the state is ``stale``.
+    """
+
+    false_alarms_per_year: float = 0.02
+    cusum_leads_to: LeadsTo = "warning"
+    baseline: BaselineSettings = field(default_factory=BaselineSettings)
+    levels: Levels = field(default_factory=Levels)
+    limits: Limits = field(default_factory=Limits)
+    stale_nights: int = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """One series against its baseline.
+
+    Attributes
+    ----------
+    baselines
+        In the order in which they served: a provisional one, then the whole; none where there are
+        too few good nights, or their mean is not positive.
+    served_from
+        Place in the series from which each served.
+    deviation
+        Relative deviation from the baseline that served, shape (n,); nan before there was one, and
+        on nights without a value.
+    evidence
+        Cumulative sum over its limit, shape (n,): told above 1, at most 2; nan as `deviation`.
+    onset
+        Place of the night on which the change that the sum tells began, shape (n,); −1 without one.
+    severity
+        By levels and sum together, shape (n,): 0, 1 or 2; nights without a value hold.
+    limit_severity
+        By the absolute limits, likewise.
+    has_baseline
+        Shape (n,).
+    since_good
+        Nights since the last one with a value, shape (n,).
+    """
+
+    baselines: tuple[Baseline, ...]
+    served_from: tuple[int, ...]
+    deviation: Array
+    evidence: Array
+    onset: NDArray[np.int64]
+    severity: Severities
+    limit_severity: Severities
+    has_baseline: NDArray[np.bool_]
+    since_good: Nights
+
+
+@dataclass(frozen=True, slots=True)
+class Monitoring:
+    """An indicator's states.
+
+    Attributes
+    ----------
+    own
+        The indicator itself.
+    corrected, circuit
+        Corrected for the other motors of the circuit, and their common change; None without.
+    states
+        One a night.
+    changes
+        Where they change.
+    """
+
+    own: Track
+    corrected: Track | None
+    circuit: Track | None
+    states: list[State]
+    changes: tuple[StateChange, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeSize:
+    """How large a change is now.
+
+    Attributes
+    ----------
+    since_night
+        Number of the night on which it began, as far as the sum can tell.
+    relative, lower, upper
+        Rise over the baseline, and its interval, [-].
+    n
+        Nights behind it.
+    """
+
+    since_night: int
+    relative: float
+    lower: float
+    upper: float
+    n: int
+
+
+def monitor(
+    nights: Nights,
+    values: Array,
+    settings: MonitorSettings | None = None,
+    others_log_change: Array | None = None,
+) -> Monitoring:
+    """Watch an indicator from an event that starts a baseline to tonight.
+
+    Parameters
+    ----------
+    nights
+        Numbers of the nights, increasing, shape (n,). A night without logs may be absent; tonight
+        should be there, so that it can be stale.
+    values
+        Indicator, positive, shape (n,); nan on nights that are missing or not to be trusted.
+    settings
+        How it is watched; the defaults where left out.
+    others_log_change
+        Median over the other motors of the circuit of the logarithm of the same indicator over its
+        baseline (:func:`leakage.peers.peer_deviations`), shape (n,); nan where none is known. None
+        for a motor without a circuit.
+
+    Returns
+    -------
+    Monitoring
+        States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
+        value; otherwise what the own and the corrected values both say, the milder of the two. The
+        own ones decide alone where the corrected have no baseline or are stale. An absolute limit
+        holds whatever the others do.
+
+    Raises
+    ------
+    ShapeError
+        ``unequal_lengths`` or ``nights_not_increasing``.
+    ParameterError
+        ``cusum_not_calibrated``.
+
+    Examples
+    --------
+    >>> generator = np.random.default_rng(1)
+    >>> nights = np.arange(120)
+    >>> values = 1.37 * (1 + 0.004 * generator.standard_normal(120)) * (1 + 0.2 * (nights >= 90))
+    >>> [(one.night, one.before, one.after) for one in monitor(nights, values).changes]
+    [(30, 'insufficient', 'ok'), (92, 'ok', 'warning')]
+    """
+    chosen = settings or MonitorSettings()
+    own = track(nights, values, chosen)
+    corrected = circuit = None
+    if others_log_change is not None:
+        check_series(nights, others_log_change)
+        common = np.exp(others_log_change)
+        corrected = track(nights, values / common, replace(chosen, limits=Limits()))
+        circuit = track(nights, common, replace(chosen, limits=Limits()))
+    states = _states(own, corrected, circuit, chosen.stale_nights)
+    return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
+
+
+def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
+    """Follow one series against its own baseline.
+
+    The first 30 good nights make a provisional baseline, which serves until there are 60. The whole
+    then takes its place, unless a change stands told by then, or the whole has a slope that the
+    first 30 have not: wear must not become its own baseline.
+
+    Parameters
+    ----------
+    nights, values, settings
+        As for :func:`monitor`.
+
+    Returns
+    -------
+    Track
+        See there.
+
+    Raises
+    ------
+    ShapeError
+        ``unequal_lengths`` or ``nights_not_increasing``.
+    ParameterError
+        ``cusum_not_calibrated``.
+    """
+    check_series(nights, values)
+    good = np.isfinite(values)
+    parts = _Parts.empty(len(nights))
+    served = _serve(nights, values, settings, parts)
+    first_served = served[0][0] if served else len(nights)
+    return Track(
+        baselines=tuple(baseline for _, baseline in served),
+        served_from=tuple(start for start, _ in served),
+        deviation=parts.deviation,
+        evidence=parts.evidence,
+        onset=parts.onset,
+        severity=parts.severity,
+        limit_severity=parts.limit_severity,
+        has_baseline=np.arange(len(nights)) >= first_served,
+        since_good=nights_since_good(nights, good),
+    )
+
+
+def change_size(
+    nights: Nights, values: Array, followed: Track, place: int, coverage: float = 0.95
+) -> ChangeSize | None:
+    """How large the change is that stands told on a night, with an interval.
+
+    Parameters
+    ----------
+    nights, values
+        As for :func:`track`.
+    followed
+        What it returned for them.
+    place
+        Of the night in the series.
+    coverage
+        Of the interval, which covers the scatter of the nights and the error of the baseline.
+
+    Returns
+    -------
+    ChangeSize or None
+        From up to ten good nights since the change began: of a rise that goes on, what it is now.
+        None where the sum tells no change on that night.
+    """
+    began = int(followed.onset[place])
+    if began < 0:
+        return None
+    served = int(np.searchsorted(followed.served_from, place, side="right")) - 1
+    baseline = followed.baselines[served]
+    recent = np.flatnonzero(np.isfinite(values[: place + 1]) & (np.arange(place + 1) >= began))
+    recent = recent[-NIGHTS_OF_SIZE:]
+    ratio = float(np.mean(values[recent])) / baseline.mean
+    scatter = baseline.sd**2 * variance_of_mean(baseline.phi, nights[recent])
+    error = float(np.sqrt(scatter + (ratio * baseline.mean_error) ** 2)) / abs(baseline.mean)
+    half = float(stdtrit(baseline.n - 1, 0.5 + coverage / 2)) * error
+    rise = ratio - 1.0
+    return ChangeSize(int(nights[began]), rise, rise - half, rise + half, len(recent))
+
+
+@dataclass(slots=True)
+class _Parts:
+    """Columns of a track while it is being followed."""
+
+    deviation: Array
+    evidence: Array
+    onset: NDArray[np.int64]
+    severity: Severities
+    limit_severity: Severities
+
+    @classmethod
+    def empty(cls, n: int) -> _Parts:
+        return cls(
+            np.full(n, np.nan),
+            np.full(n, np.nan),
+            np.full(n, -1, dtype=np.int64),
+            np.zeros(n, dtype=np.int64),
+            np.zeros(n, dtype=np.int64),
+        )
+
+    def follow(
+        self,
+        nights: Nights,
+        values: Array,
+        baseline: Baseline,
+        settings: MonitorSettings,
+        start: int,
+    ) -> None:
+        """Fill the columns from a place on to the end of the series given, by one baseline."""
+        stop = len(nights)
+        limit = cusum_limit(settings.false_alarms_per_year, baseline)
+        sums = cusum(nights, values, baseline, limit)
+        watched = values[start:]
+        deviation = baseline.deviation(watched)
+        by_level, by_limit = level_severity(
+            deviation,
+            baseline.highest_sd() / baseline.mean,
+            settings.levels,
+            watched,
+            settings.limits,
+        )
+        by_sum = np.where(sums.is_on[start:], _SEVERITY_OF[settings.cusum_leads_to], 0)
+        self.deviation[start:stop] = deviation
+        self.evidence[start:stop] = sums.statistic[start:] / limit
+        self.onset[start:stop] = sums.onset[start:]
+        self.severity[start:stop] = np.maximum(by_level, by_sum)
+        self.limit_severity[start:stop] = by_limit
+
+
+def _serve(
+    nights: Nights, values: Array, settings: MonitorSettings, parts: _Parts
+) -> list[tuple[int, Baseline]]:
+    """Baselines with the places from which they serve; fills the parts by them."""
+    shorter = replace(settings.baseline, nights=settings.baseline.provisional_nights)
+    first = fit_baseline(nights, values, shorter)
+    # A relative deviation needs something to be relative to.
+    if first.status == "insufficient" or first.mean <= 0.0:
+        return []
+    start = int(np.searchsorted(nights, first.last_night)) + 1
+    whole = fit_baseline(nights, values, settings.baseline)
+    if whole.n == first.n and whole.status == "frozen":
+        parts.follow(nights, values, whole, settings, start)
+        return [(start, whole)]
+    end = int(np.searchsorted(nights, whole.last_night)) + 1
+    words = f"provisional: {first.n} of {settings.baseline.nights} good nights"
+    provisional = replace(first, status="provisional", reason=_joined(words, first.reason))
+    if whole.status != "frozen":
+        parts.follow(nights, values, provisional, settings, start)
+        return [(start, provisional)]
+    parts.follow(nights[:end], values[:end], provisional, settings, start)
+    kept = _why_kept(first, whole, bool(parts.severity[end - 1]))
+    if kept:
+        first = replace(first, reason=_joined(kept, first.reason))
+        parts.follow(nights, values, first, settings, start)
+        return [(start, first)]
+    parts.follow(nights, values, whole, settings, end)
+    return [(start, provisional), (end, whole)]
+
+
+def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
+    """Why the provisional baseline is to stay; empty where the whole takes its place."""
+    if told:
+        return f"kept at {first.n} good nights: a change was told before there were {whole.n}"
+    if whole.sloped and not first.sloped:
+        return f"kept at {first.n} good nights: {whole.n} have a slope"
+    return ""
+
+
+def _states(
+    own: Track, corrected: Track | None, circuit: Track | None, stale_nights: int
+) -> list[State]:
+    """State of each night from its tracks."""
+    severity, common = own.severity, np.zeros(len(own.severity), dtype=np.bool_)
+    if corrected is not None and circuit is not None:
+        usable = corrected.has_baseline & (corrected.since_good <= stale_nights)
+        explained = usable & (corrected.severity == 0) & (own.severity > 0)
+        common = explained & (circuit.severity > 0)
+        severity = np.where(usable, np.minimum(severity, corrected.severity), severity)
+    severity = np.maximum(severity, own.limit_severity)
+    states = np.array(OF_SEVERITY, dtype=object)[severity]
+    states[common & (own.limit_severity == 0)] = "common_cause"
+    states[own.since_good > stale_nights] = "stale"
+    states[~own.has_baseline] = "insufficient"
+    found: list[State] = states.tolist()
+    return found
+
+
+def _joined(*reasons: str) -> str:
+    return "; ".join(reason for reason in reasons if reason)

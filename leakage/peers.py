@@ -1,0 +1,90 @@
+"""Motors that share their oil: what moves all of them, and what moves one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.autoregression import Array
+from leakage.errors import ShapeError
+
+
+@dataclass(frozen=True, slots=True)
+class PeerDeviations:
+    """Each motor of an oil circuit against the others.
+
+    Attributes
+    ----------
+    others
+        Median of the logarithms of the other motors, shape (n, m); nan where none is known.
+    deviation
+        Logarithm of each motor less that, shape (n, m).
+    n_others
+        How many others were known, shape (n, m). With one, the deviation says that two motors
+        diverge, and not which of them is the odd one.
+    """
+
+    others: Array
+    deviation: Array
+    n_others: NDArray[np.int64]
+
+    def words(self, night: int, motor: int) -> str:
+        """What the deviation of a motor in a night means, for people.
+
+        Examples
+        --------
+        >>> peer_deviations(np.array([[0.1, 0.0]])).words(0, 0)
+        'the two motors of the circuit diverge'
+        """
+        number = int(self.n_others[night, motor])
+        if number == 0:
+            return "no other motor of the circuit is known"
+        if number == 1:
+            return "the two motors of the circuit diverge"
+        return f"against the median of {number} other motors of the circuit"
+
+
+def peer_deviations(log_ratios: Array) -> PeerDeviations:
+    r"""Deviation of each motor from the others of its circuit.
+
+    .. math::
+        d_i = \ln\frac{y_i}{\hat y_i} - \operatorname{median}_{j \ne i} \ln\frac{y_j}{\hat y_j}
+
+    Parameters
+    ----------
+    log_ratios
+        Logarithm of each motor's indicator over what its own baseline lets expect, shape (n nights,
+        m motors); nan where it is not known.
+
+    Returns
+    -------
+    PeerDeviations
+        Oil, temperature and charge pressure cancel as far as they move all motors alike.
+
+    Raises
+    ------
+    ShapeError
+        ``not_a_table``.
+
+    Examples
+    --------
+    >>> found = peer_deviations(np.log([[1.2, 1.2, 1.2], [1.2, 1.2, 1.5]]))
+    >>> np.exp(found.deviation).round(4).tolist()
+    [[1.0, 1.0, 1.0], [0.8944, 0.8944, 1.25]]
+    """
+    if log_ratios.ndim != 2:
+        raise ShapeError(
+            "not_a_table",
+            f"log ratios of a circuit have {log_ratios.ndim} dimensions; expected nights by motors",
+        )
+    others = np.full(log_ratios.shape, np.nan)
+    n_others = np.zeros(log_ratios.shape, dtype=np.int64)
+    known = np.isfinite(log_ratios)
+    for motor in range(log_ratios.shape[1]):
+        rest = np.delete(log_ratios, motor, axis=1)
+        n_others[:, motor] = np.delete(known, motor, axis=1).sum(axis=1)
+        some = n_others[:, motor] > 0
+        others[some, motor] = np.nanmedian(rest[some], axis=1)
+    return PeerDeviations(others, log_ratios - others, n_others)

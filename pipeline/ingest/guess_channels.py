@@ -1,0 +1,217 @@
+"""Which channel a name in a log seems to mean, and in which unit.
+
+Names of columns, topics and files are taken apart into words. A whole word decides before a single
+letter does, and a unit only where no word does.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from itertools import pairwise
+
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
+
+# English, German and Swedish, as loggers are labelled; by quantity, the first that fits counts.
+_WORDS: Mapping[str, set[str]] = {
+    "temperature": {"temp", "temperature", "temperatur", "oiltemp", "öltemperatur", "oljetemp"},
+    "pressure": {
+        *("press", "pressure", "druck", "tryck", "dp", "deltap", "port", "anschluss"),
+        *("differenzdruck", "hochdruck", "niederdruck", "speisedruck", "gehäusedruck"),
+    },
+    "speed": {"speed", "rpm", "drehzahl", "varvtal", "revs", "rotation", "omega"},
+    "flow": {
+        *("flow", "flowrate", "leak", "leakage", "drain", "durchfluss", "volumenstrom", "flöde"),
+        *("leck", "leckage", "lecköl", "leckstrom", "leckölstrom", "läckage", "läckflöde"),
+    },
+}
+_ALL_WORDS = {word for known in _WORDS.values() for word in known}
+_LETTERS = {"p": "pressure", "t": "temperature", "n": "speed", "q": "flow"}
+_LONGEST_WITH_A_LETTER = 4
+# Of another machine or place, or no measurement.
+_STRANGERS: Mapping[str, set[str]] = {
+    "temperature": {"ambient", "room", "air", "water", "winding", "umgebung", "luft", "wasser"},
+    "pressure": set(),
+    "speed": {"pump", "fan", "engine", "diesel", "wind", "pumpe", "lüfter"},
+    "flow": {"pump", "pumpe", "flush", "flushing", "spülung", "charge", "feed", "boost", "speise"},
+}
+_NO_MEASUREMENT = {"setpoint", "target", "limit", "soll", "max", "demand", "reference"}
+_PRESSURES = (
+    ("pressure_difference", {"dp", "deltap", "delta", "diff", "difference", "differenzdruck"}),
+    ("charge_pressure", {"charge", "feed", "boost", "speise", "speisedruck", "matning"}),
+    ("case_pressure", {"case", "housing", "gehäuse", "gehäusedruck", "drain", "hus"}),
+    ("low_port_pressure", {"low", "lp", "niederdruck", "nd", "låg", "return", "b", "2"}),
+    ("high_port_pressure", {"high", "hp", "hochdruck", "hd", "hög", "supply", "a", "1"}),
+)
+_PORTS = {"a", "b", "1", "2"}
+_BESIDE_A_PORT = {"p", "pressure", "press", "port", "druck", "tryck", "anschluss"}
+_PREFERRED: Mapping[str, set[str]] = {
+    "leakage_flow": _WORDS["flow"] - {"flow", "flowrate", "durchfluss", "volumenstrom", "flöde"},
+    "oil_temperature": {"oil", "öl", "olja", "drain", "case", "leck", "oiltemp", "öltemperatur"},
+    "speed": {"motor", "shaft", "actual", "ist"},
+}
+
+_BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+_UNIT_NAMES = {
+    **dict.fromkeys(("°c", "c", "oc", "℃", "celsius", "deg c", "grad c"), "degC"),
+    **dict.fromkeys(("°f", "f", "fahrenheit", "deg f"), "degF"),
+    **dict.fromkeys(("kelvin",), "K"),
+    **dict.fromkeys(("1/min", "min-1", "min^-1", "min⁻¹", "r/min", "u/min", "rev/min"), "rpm"),
+    **dict.fromkeys(("varv/min",), "rpm"),
+    **dict.fromkeys(("rps", "rev/s", "s-1", "s^-1", "s⁻¹", "hz"), "1/s"),
+    **dict.fromkeys(("°/s",), "deg/s"),
+    **dict.fromkeys(("bar(g)", "barg", "bar(a)", "bara"), "bar"),
+    **dict.fromkeys(("psig", "psia", "lbf/in2"), "psi"),
+    **dict.fromkeys(("lpm", "litre/min"), "l/min"),
+    **dict.fromkeys(("lph",), "l/h"),
+    **dict.fromkeys(("m³/h", "cbm/h"), "m3/h"),
+    **dict.fromkeys(("m³/s",), "m3/s"),
+    **dict.fromkeys(("cc/min", "cm³/min"), "cm3/min"),
+    **dict.fromkeys(("cc/s", "cm³/s"), "cm3/s"),
+    **dict.fromkeys(("gpm", "gal/min", "usgpm"), "us_gal/min"),
+}
+# Upper quartile of the magnitude that a motor at work shows, in the units of the tables.
+_USUAL = {
+    "pressure": (5.0, 450.0),
+    "temperature": (5.0, 110.0),
+    "speed": (1.0, 400.0),
+    "flow": (0.05, 100.0),
+}
+_USUAL_LOW_SIDE = (0.2, 60.0)
+# Units in the order in which they are met; the others after them.
+_COMMON = ("bar", "kPa", "MPa", "psi", "l/min", "ml/min", "m3/h", "us_gal/min", "l/h")
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """Words of a name, in small letters; what stands in brackets is left out.
+
+    Examples
+    --------
+    >>> words_of("drainFlow_lpm"), words_of("P_A [bar]"), words_of("ΔP")
+    (('drain', 'flow', 'lpm'), ('p', 'a'), ('dp',))
+    """
+    # A unit of its own beside the quantity's letter is no word: "p_Pa".
+    plain = re.sub(r"(?<=[^\W_][\W_])Pa\b", " ", _BRACKETED.sub(" ", name))
+    plain = plain.replace("Δ", "d").replace("∆", "d")
+    parted = re.sub(r"(?<=[a-zäöå])(?=[A-Z])", " ", plain)
+    found = re.findall(r"[^\W\d_]+|\d+", parted.lower())
+    singular = [word[:-1] if word[:-1] in _ALL_WORDS else word for word in found]
+    return tuple(re.sub(r"\bd p\b", "dp", " ".join(singular)).split())
+
+
+def channel_of(name: str, unit: str = "") -> str | None:
+    """Channel that a name seems to mean; None: none.
+
+    Parameters
+    ----------
+    name
+        Of a column, of a topic with its field, or of a file.
+    unit
+        What stands beside it as a unit.
+
+    Examples
+    --------
+    >>> channel_of("drain_flow [l/min]"), channel_of("T_oil"), channel_of("AI_3", "°C")
+    ('leakage_flow', 'oil_temperature', 'oil_temperature')
+    >>> channel_of("p_low"), channel_of("case drain temp."), channel_of("operator")
+    ('low_port_pressure', 'oil_temperature', None)
+    """
+    words = words_of(name)
+    quantity = _quantity_of(words, name, unit)
+    if quantity is None or (_STRANGERS[quantity] | _NO_MEASUREMENT) & set(words):
+        return None
+    if quantity != "pressure":
+        return _channel_of_quantity(quantity)
+    # A letter or number is that of a port only behind a word for port or pressure.
+    ports = {second for first, second in pairwise(words) if first in _BESIDE_A_PORT} & _PORTS
+    if not _BESIDE_A_PORT & set(words):
+        ports |= {word[1] for word in words if word in ("pa", "pb")}
+    marks = (set(words) - _PORTS) | ports
+    found = (channel for channel, known in _PRESSURES if known & marks)
+    return next(found, "pressure_difference")
+
+
+def _channel_of_quantity(quantity: str) -> str:
+    return next(channel for channel in CHANNELS if QUANTITIES[channel] == quantity)
+
+
+def _quantity_of(words: Sequence[str], name: str, unit: str) -> str | None:
+    for quantity, known in _WORDS.items():
+        if known & set(words):
+            return quantity
+    if {"pa", "pb"} & set(words):
+        return "pressure"
+    letters = [_LETTERS[word] for word in words if word in _LETTERS]
+    if letters and len(words) <= _LONGEST_WITH_A_LETTER:
+        return letters[0]
+    texts = [unit, *_BRACKETED.findall(name)]
+    for quantity in _WORDS:
+        channel = _channel_of_quantity(quantity)
+        if any(_unit_named(channel, text) for text in texts):
+            return quantity
+    return None
+
+
+def preference(channel: str, name: str) -> int:
+    """How well a name fits a channel that it seems to mean: more is better."""
+    return len(_PREFERRED.get(channel, set()) & set(words_of(name)))
+
+
+def unit_of(channel: str, name: str) -> str | None:
+    """Unit of a channel that a name or the cell of a line of units tells; None: none.
+
+    Examples
+    --------
+    >>> unit_of("pressure_difference", "dp [kPa]"), unit_of("oil_temperature", "°C")
+    ('kPa', 'degC')
+    >>> unit_of("leakage_flow", "drain_flow_m3_h"), unit_of("high_port_pressure", "pA")
+    ('m3/h', None)
+    """
+    behind = re.findall(r"(?:\bin |, ?| / )(\S+)$", name)
+    words = re.split(r"[\s_]+", name)
+    # Letters that are a port's in a name, and a unit's in brackets or behind the name.
+    whole = [] if name.lower() == "pa" and name != "Pa" else [name]
+    # "flow_m3_h" and "flow_l_per_min", as names without a stroke have it.
+    lengths = [n for n in (2, 3) if len(words) >= n]
+    rates = ["/".join(part for part in words[-n:] if part != "per") for n in lengths]
+    parts = [*_BRACKETED.findall(name), *behind, *whole, *rates, *reversed(words[1:])]
+    return next((unit for part in parts if (unit := _unit_named(channel, part))), None)
+
+
+def _unit_named(channel: str, text: str) -> str | None:
+    known = {unit.lower(): unit for unit in UNITS[QUANTITIES[channel]]}
+    named = {name: unit for name, unit in _UNIT_NAMES.items() if unit.lower() in known}
+    low = text.strip().strip("[]").replace("·", "").lower()
+    return known.get(low) or named.get(low)
+
+
+def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
+    """Units in which numbers are such as a motor at work shows, the commonest first.
+
+    Parameters
+    ----------
+    channel
+        Name of the channel.
+    values
+        Some readings.
+
+    Examples
+    --------
+    >>> likely_units("oil_temperature", [320.0, 321.5])
+    ('K',)
+    >>> likely_units("speed", [0.0, 30.0, 31.0])
+    ('rpm', 'rad/s', 'deg/s')
+    """
+    found = sorted(map(abs, values))
+    if not found:
+        return ()
+    quantity = QUANTITIES[channel]
+    low_side = channel in ("low_port_pressure", "charge_pressure", "case_pressure")
+    low, high = _USUAL_LOW_SIDE if low_side else _USUAL[quantity]
+    typical = found[(3 * len(found)) // 4]
+    units = [unit for unit in _COMMON if unit in UNITS[quantity]]
+    return tuple(
+        unit
+        for unit in dict.fromkeys((*units, *UNITS[quantity]))
+        if low <= float(to_canonical(channel, typical, unit)) <= high
+    )

@@ -1,0 +1,89 @@
+"""Which figures a motor type has, and their files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from leakage import AnnularGap, Laminar, LeakageError, LeakagePath, SpeedCurve
+from pipeline.errors import UsageError
+from pipeline.model_figures.canvas import ImageFormat, drawing, save
+from pipeline.model_figures.films import films_figure
+from pipeline.model_figures.flows import laminar_figure, speed_curve_figure
+from pipeline.model_figures.gaps import deformation_figure, leakage_figure
+from pipeline.model_figures.shares import shares_figure
+from pipeline.model_figures.subject import ModelSubject
+from pipeline.model_figures.viscosity import viscosity_figure
+
+Draw = Callable[[], Figure]
+
+
+def model_figures(subject: ModelSubject) -> Mapping[str, Draw]:
+    """The figures of a motor type, by name; each is drawn when it is called.
+
+    Every path has those of its law, in declared order; then come the oil, the shares of the
+    paths and, where there are gaps, the regime of their films. A constant flow has none of its
+    own: it is a layer among the shares.
+    """
+    figures: dict[str, Draw] = {}
+    for path in subject.motor.paths:
+        figures |= dict(_of_path(subject, path))
+    figures["viscosity"] = partial(viscosity_figure, subject)
+    figures["shares"] = partial(shares_figure, subject)
+    gaps = [path for path in subject.motor.paths if isinstance(path, AnnularGap)]
+    if gaps:
+        figures["films"] = partial(films_figure, subject, gaps)
+    return figures
+
+
+def _of_path(subject: ModelSubject, path: LeakagePath) -> Iterator[tuple[str, Draw]]:
+    if isinstance(path, AnnularGap):
+        yield f"{path.name}_leakage", partial(leakage_figure, subject, path)
+        if path.deformation_pressure_pa is not None:
+            yield f"{path.name}_deformation", partial(deformation_figure, subject, path)
+    elif isinstance(path, SpeedCurve):
+        yield f"{path.name}_speed_curve", partial(speed_curve_figure, subject, path)
+    elif isinstance(path, Laminar):
+        yield f"{path.name}_leakage", partial(laminar_figure, subject, path)
+
+
+def write_model_figures(
+    subject: ModelSubject, folder: Path, image_format: ImageFormat = "png"
+) -> list[Path]:
+    """Draw all figures of a motor type into a folder.
+
+    Parameters
+    ----------
+    subject
+        What is drawn.
+    folder
+        Where; it is made. Files of the same names are replaced, others stay.
+    image_format
+        ``"png"`` or ``"svg"``.
+
+    Returns
+    -------
+    list of Path
+        The files, ``<motor type>_<figure>.<format>``.
+
+    Raises
+    ------
+    UsageError
+        ``model_range``, if the model does not hold over the range of a figure.
+    StoreError
+        ``store_write``, if a file cannot be written.
+    """
+    written = []
+    with drawing():
+        for name, draw in model_figures(subject).items():
+            path = folder / f"{subject.motor.motor_type}_{name}.{image_format}"
+            try:
+                figure = draw()
+            except LeakageError as error:
+                raise UsageError("model_range", f"{path.name}: {error}") from error
+            save(figure, path, image_format)
+            written.append(path)
+    return written

@@ -1,0 +1,235 @@
+"""The fleet's state tonight, from the published tables: what needs attention first."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+
+from pipeline.decisions import Decision, read_decisions
+from pipeline.errors import UsageError
+from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
+from pipeline.store import read_rows, read_table, table_folder
+
+# From what needs attention most to what needs none.
+ORDER = ("alarm", "warning", "common_cause", "stale", "insufficient", "ok")
+REFERENCES = ("reference_leakage", "own_reference_leakage")
+GOOD_RUNS = ("ok", "motors_failed")
+
+
+@dataclass(frozen=True, slots=True)
+class MotorState:
+    """A motor as it stands.
+
+    Attributes
+    ----------
+    state
+        The worst of its indicators.
+    indicator, reason
+        Of that one: which, and why in words.
+    leakage_l_per_min, deviation_percent
+        Reference leakage of the last night that has one, and how far from its baseline; of the
+        motor's own conditions where it never sees the fleet's.
+    sensor_health
+        ok, drifted or unknown.
+    last_night, last_good_night
+        Last night with a row, and with a fit; None without one.
+    acknowledged
+        What somebody said of it since the state began; empty for nothing.
+    """
+
+    motor_id: str
+    state: str
+    indicator: str | None
+    reason: str | None
+    leakage_l_per_min: float | None
+    deviation_percent: float | None
+    sensor_health: str | None
+    last_night: dt.date | None
+    last_good_night: dt.date | None
+    acknowledged: str
+
+
+@dataclass(frozen=True, slots=True)
+class FleetStatus:
+    """All motors, those that need attention first.
+
+    Attributes
+    ----------
+    motors
+        One each.
+    last_good_run
+        When the last run ended that went through all motors; None where none did.
+    findings_confirmed, findings
+        Alarms whose inspection found wear, and all that were inspected.
+    """
+
+    motors: tuple[MotorState, ...]
+    last_good_run: dt.datetime | None
+    findings_confirmed: int
+    findings: int
+
+
+def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
+    """The state of some motors.
+
+    Raises
+    ------
+    StoreError
+        If a table is damaged.
+    """
+    trends = read_rows(output, TRENDS, motor_ids)
+    fits = read_rows(output, FITS, motor_ids, ("motor_id", "night", "status"))
+    decisions = read_decisions(output)
+    motors = [
+        _motor_state(
+            motor_id,
+            trends.filter(motor_id=motor_id),
+            fits.filter(motor_id=motor_id),
+            [one for one in decisions if one.motor_id == motor_id],
+        )
+        for motor_id in motor_ids
+    ]
+    findings = [one.finding for one in decisions if one.finding is not None]
+    return FleetStatus(
+        tuple(sorted(motors, key=_urgency)),
+        last_good_run(output),
+        findings.count("confirmed"),
+        len(findings),
+    )
+
+
+def _urgency(motor: MotorState) -> tuple[int, float, str]:
+    return ORDER.index(motor.state), -(motor.deviation_percent or 0.0), motor.motor_id
+
+
+def _motor_state(
+    motor_id: str, trends: pl.DataFrame, fits: pl.DataFrame, decisions: Sequence[Decision]
+) -> MotorState:
+    last_night, good = _last(fits), _last(fits.filter(status="ok"))
+    if trends.is_empty():
+        return MotorState(
+            motor_id=motor_id,
+            state="insufficient",
+            indicator=None,
+            reason="no trends yet",
+            leakage_l_per_min=None,
+            deviation_percent=None,
+            sensor_health=None,
+            last_night=last_night,
+            last_good_night=good,
+            acknowledged="",
+        )
+    tonight = trends.filter(pl.col("night") == pl.col("night").max())
+    worst = min(
+        tonight.filter(pl.col("n_slope").is_not_null()).iter_rows(named=True),
+        key=lambda row: (ORDER.index(row["state"]), -(row["deviation_percent"] or 0.0)),
+    )
+    # A motor that never sees the fleet's conditions is judged by its others.
+    states = set(tonight["state"])
+    if worst["state"] == "insufficient" or (worst["state"] == "stale" and "ok" in states):
+        worst = worst | {"state": next(one for one in ORDER if one in states)}
+    shown = _latest(trends)
+    return MotorState(
+        motor_id=motor_id,
+        state=worst["state"],
+        indicator=worst["indicator"] if worst["state"] != "ok" else None,
+        reason=worst["state_reason"] if worst["state"] != "ok" else None,
+        leakage_l_per_min=shown.get("value"),
+        deviation_percent=shown.get("deviation_percent"),
+        sensor_health=worst["sensor_health"],
+        last_night=last_night,
+        last_good_night=good,
+        acknowledged=_acknowledged(worst, trends, decisions),
+    )
+
+
+def _last(rows: pl.DataFrame) -> dt.date | None:
+    """The last night of some rows; None of none."""
+    night = rows["night"].max()
+    assert night is None or isinstance(night, dt.date)
+    return night
+
+
+def _latest(trends: pl.DataFrame) -> dict[str, float | None]:
+    """The last reference leakage that there is, of the fleet's conditions or of the motor's."""
+    for name in REFERENCES:
+        known = trends.filter(pl.col("indicator") == name, pl.col("value").is_not_null())
+        if not known.is_empty():
+            row = known.sort("night").row(-1, named=True)
+            return {name: row[name] for name in ("value", "deviation_percent")}
+    return {}
+
+
+def _acknowledged(
+    worst: dict[str, object], trends: pl.DataFrame, decisions: Sequence[Decision]
+) -> str:
+    if worst["state"] == "ok":
+        return ""
+    own = trends.filter(indicator=worst["indicator"]).sort("night")
+    before = _last(own.filter(pl.col("state") != worst["state"]))
+    said = [
+        one
+        for one in decisions
+        if one.indicator in ("", worst["indicator"])
+        and one.kind in ("acknowledged", "finding")
+        and (before is None or one.night > before)
+    ]
+    return said[-1].note or said[-1].kind if said else ""
+
+
+def last_good_run(output: Path) -> dt.datetime | None:
+    """When the last run ended that went through all motors; None where none did."""
+    for month in sorted(table_folder(output, RUNS).glob("month=*"), reverse=True):
+        for path in sorted(month.glob("*.parquet"), reverse=True):
+            rows = read_table(path, RUNS).filter(pl.col("status").is_in(GOOD_RUNS))
+            if not rows.is_empty():
+                ended = rows["finished_at"].max()
+                assert isinstance(ended, dt.datetime)
+                return ended
+    return None
+
+
+def alarmed_night(output: Path, motor_id: str, indicator: str) -> dt.date:
+    """The night of an indicator's last alarm, which an acknowledgement refers to.
+
+    Raises
+    ------
+    UsageError
+        ``no_alarm``: there was none; the message names those that there were.
+    """
+    rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
+    raised = rows.filter(pl.col("to_state").is_in(["warning", "alarm", "common_cause"]))
+    own = _last(raised.filter(indicator=indicator))
+    if own is None:
+        known = ", ".join(sorted(raised["indicator"].unique())) or "none at all"
+        raise UsageError(
+            "no_alarm", f"{motor_id} has had no alarm of {indicator!r}; there were of: {known}"
+        )
+    return own
+
+
+def age_in_hours(text: str) -> float:
+    """Hours of an age such as 26h, 90m or 2d.
+
+    Raises
+    ------
+    UsageError
+        ``age``.
+
+    Examples
+    --------
+    >>> age_in_hours("26h"), age_in_hours("2d"), age_in_hours("90m")
+    (26.0, 48.0, 1.5)
+    """
+    factors = {"m": 1 / 60, "h": 1.0, "d": 24.0}
+    try:
+        hours = float(text[:-1]) * factors[text[-1]]
+    except (ValueError, KeyError, IndexError):
+        raise UsageError("age", f"got {text!r}; expected an age such as 26h, 90m or 2d") from None
+    if not 0 < hours < float("inf"):
+        raise UsageError("age", f"got {text!r}; expected an age such as 26h, 90m or 2d")
+    return hours

@@ -1,0 +1,77 @@
+"""`motor-leakage status` on a terminal, in a file, or for programs."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from pipeline.status import FleetStatus, MotorState
+
+# Words beside colours: a state is never told by colour alone.
+COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
+COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "sensors", "why")
+
+
+def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
+    """Print a fleet's state.
+
+    Parameters
+    ----------
+    name
+        The fleet.
+    found
+        Its state.
+    too_old
+        Whether the last good run is older than was asked for.
+    as_json
+        One JSON object a motor, then one for the fleet.
+    """
+    if as_json:
+        for motor in found.motors:
+            typer.echo(json.dumps({"event": "motor", **asdict(motor)}, default=str))
+        fleet = {
+            "event": "fleet",
+            "last_good_run": found.last_good_run,
+            "too_old": too_old,
+            "findings": found.findings,
+            "findings_confirmed": found.findings_confirmed,
+        }
+        typer.echo(json.dumps(fleet, default=str))
+        return
+    console = Console()
+    if console.is_terminal:
+        table = Table(*COLUMNS, title=name)
+        for motor in found.motors:
+            table.add_row(*_cells(motor), style=COLOURS.get(motor.state))
+        console.print(table)
+    else:
+        for motor in found.motors:
+            typer.echo("; ".join(_cells(motor)))
+    ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
+    typer.echo(f"last good run: {ended}{', which is too old' if too_old else ''}")
+    if found.findings:
+        share = 100 * found.findings_confirmed / found.findings
+        typer.echo(
+            f"inspections that confirmed an alarm: {found.findings_confirmed} of "
+            f"{found.findings} ({share:.0f} %)"
+        )
+
+
+def _cells(motor: MotorState) -> tuple[str, ...]:
+    leakage, deviation = motor.leakage_l_per_min, motor.deviation_percent
+    why = motor.reason or "no change of external leakage"
+    if motor.acknowledged:
+        why += f" (acknowledged: {motor.acknowledged})"
+    return (
+        motor.motor_id,
+        motor.state.replace("_", " "),
+        "unknown" if leakage is None else f"{leakage:.3g}",
+        "none yet" if deviation is None else f"{deviation:+.1f} %",
+        str(motor.last_good_night or "never"),
+        motor.sensor_health or "unknown",
+        why,
+    )

@@ -1,0 +1,1 @@
+"""Each motor against its own past, from the published tables alone."""

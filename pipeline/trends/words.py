@@ -1,0 +1,100 @@
+"""What a state means, in plain words."""
+
+from __future__ import annotations
+
+from leakage.attribution import Attribution
+from leakage.monitoring import ChangeSize
+from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
+
+NAMES = {
+    REFERENCE: "reference leakage",
+    OWN_REFERENCE: "leakage at the motor's own conditions",
+    DEVIATION: "drain flow against the baseline's model",
+    "peer_deviation": "drain flow against the other motors of the circuit",
+    "C_f": "flushing",
+}
+MONTHS = (
+    "January",
+    "February",
+    "March",
+    "April",
+    "May",
+    "June",
+    "July",
+    "August",
+    "September",
+    "October",
+    "November",
+    "December",
+)
+
+
+def name_of(indicator: str) -> str:
+    """An indicator's name for people.
+
+    Examples
+    --------
+    >>> name_of("K_balance_sleeve"), name_of("reference_leakage")
+    ('balance sleeve leakage', 'reference leakage')
+    """
+    for prefix, what in (("K_", "leakage"), ("leakage_", "leakage"), ("gap_change_", "gap")):
+        if indicator.startswith(prefix):
+            return f"{indicator.removeprefix(prefix).replace('_', ' ')} {what}"
+    return NAMES.get(indicator, indicator.replace("_", " "))
+
+
+def day(date: object) -> str:
+    """A date for people.
+
+    Examples
+    --------
+    >>> import datetime as dt
+    >>> day(dt.date(2026, 10, 3))
+    '3 October 2026'
+    """
+    text = str(date)
+    return f"{int(text[8:10])} {MONTHS[int(text[5:7]) - 1]} {text[:4]}"
+
+
+def size_words(indicator: str, percent: float, size: ChangeSize | None, since: object) -> str:
+    """How far an indicator has risen, since when.
+
+    Examples
+    --------
+    >>> size_words("K_balance_sleeve", 30.0, ChangeSize(9, 0.38, 0.29, 0.47, 10), "2026-10-03")
+    'balance sleeve leakage +38 % [29, 47] since 3 October 2026'
+    """
+    if size is None:
+        return f"{name_of(indicator)} {percent:+.0f} %"
+    digits = 0 if abs(size.relative) >= 0.1 else 1
+    return (
+        f"{name_of(indicator)} {100 * size.relative:+.{digits}f} % "
+        f"[{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}] since {day(since)}"
+    )
+
+
+def moved_words(indicator: str, percent: float) -> str:
+    """How far another indicator moved with it.
+
+    Examples
+    --------
+    >>> moved_words("reference_leakage", 11.2), moved_words("reference_leakage", -0.2)
+    ('reference leakage +11 %', 'reference leakage unchanged')
+    """
+    if abs(percent) < 0.5:
+        return f"{name_of(indicator)} unchanged"
+    return f"{name_of(indicator)} {percent:+.0f} %"
+
+
+def path_words(found: Attribution | None) -> str:
+    """Which path explains the change, for people; empty where nothing is to be said."""
+    if found is None or found.status in ("no_change", "no_path"):
+        return ""
+    names = [name.replace("_", " ") for name in found.paths]
+    if found.status == "path":
+        percent = 100 * (found.probability or 0.0)
+        probable = "over 99" if percent > 99 else f"{percent:.0f}"
+        return f"mostly by the {names[0]} ({probable} % probable)"
+    if found.status == "together":
+        return f"by {' and '.join(names)} together: {found.reason.replace('_', ' ')}"
+    return f"which path cannot be told: {found.reason.replace('_', ' ')}"

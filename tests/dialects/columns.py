@@ -1,0 +1,149 @@
+"""Parquet in the types and layouts of many makes, by PyArrow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tests.dialects.dialect import Dialect
+from tests.dialects.recorded import Recorded, Times, Values
+
+
+def plain(values: Values) -> pa.Array:
+    """Float64, null where there is no reading."""
+    return pa.array(values, from_pandas=True)
+
+
+def singles(values: Values) -> pa.Array:
+    """Float32."""
+    return pa.array(values.astype(np.float32), from_pandas=True)
+
+
+def decimals(digits: int) -> Callable[[Values], pa.Array]:
+    """Decimals with so many digits behind the point."""
+
+    def convert(values: Values) -> pa.Array:
+        step = Decimal(1).scaleb(-digits)
+        cells = [
+            Decimal(repr(value)).quantize(step) if np.isfinite(value) else None
+            for value in values.tolist()
+        ]
+        return pa.array(cells, pa.decimal128(38, digits))
+
+    return convert
+
+
+def counts(scale: float) -> Callable[[Values], pa.Array]:
+    """Whole numbers of a step."""
+
+    def convert(values: Values) -> pa.Array:
+        known = np.isfinite(values)
+        whole = np.rint(np.where(known, values, 0.0) / scale).astype(np.int64)
+        return pa.array(whole, mask=~known)
+
+    return convert
+
+
+@dataclass(frozen=True)
+class Parquet(Dialect):
+    """Columns.
+
+    Attributes
+    ----------
+    numbers
+        Type of the readings.
+    scale
+        What a written number is times to be the reading.
+    finite
+        They are all finite, as the type can hold no others.
+    time_unit, zone
+        Of a time stamp; None: it has no zone and is on the logger's wall clock.
+    within
+        Names of columns around those of the readings.
+    dictionary
+        Names of channels are in a dictionary.
+    options
+        Of `pyarrow.parquet.write_table`.
+    """
+
+    numbers: Callable[[Values], pa.Array] = plain
+    scale: float = 1.0
+    finite: bool = False
+    time_unit: str = "us"
+    zone: str | None = "UTC"
+    within: tuple[str, ...] = ()
+    dictionary: bool = False
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    format: ClassVar[str] = "parquet"
+
+    def source(self, channel: str) -> dict[str, Any]:
+        keys = super().source(channel)
+        if self.layout == "wide":
+            keys["source"] = ".".join([*self.within, keys["source"]])
+        return keys | ({"scale": self.scale} if self.scale != 1.0 else {})
+
+    def holds(self, log: Recorded) -> bool:
+        infinite = any(np.isinf(value).any() for value in log.values.values())
+        return super().holds(log) and not (self.finite and infinite)
+
+    def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
+        log = self.in_units(log)
+        if self.layout == "file_per_channel":
+            value = self.logs.get("value_column", "value")
+            return [
+                self._file(folder / f"{stem}+{name}.parquet", time_us, {value: self.numbers(part)})
+                for name in log.values
+                for time_us, part in [log.channel(name)]
+            ]
+        if self.layout == "long":
+            time_us, columns = self._long(log)
+        else:
+            time_us, by_name = log.rows()
+            columns = {self.called(name): self.numbers(part) for name, part in by_name.items()}
+        for name in reversed(self.within):
+            inner = pa.StructArray.from_arrays(list(columns.values()), names=list(columns))
+            columns = {name: inner}
+        return [self._file(folder / f"{stem}.parquet", time_us, columns)]
+
+    def _long(self, log: Recorded) -> tuple[Times, dict[str, pa.Array]]:
+        time_us, numbers, values = log.samples()
+        names = [self.called(name) for name in log.values]
+        channels = pa.array([names[number] for number in numbers], pa.string())
+        if self.dictionary:
+            channels = channels.dictionary_encode()
+        return time_us, {
+            self.logs.get("channel_column", "channel"): channels,
+            self.logs.get("value_column", "value"): self.numbers(values),
+        }
+
+    def _stamps(self, time_us: Times) -> pa.Array:
+        form = self.logs.get("time_format")
+        if form == "excel_days":
+            return pa.array([self.excel_days(time) for time in time_us.tolist()], pa.float64())
+        if form is not None:
+            unit = form.removeprefix("epoch_")
+            return self._in_unit(time_us, unit)
+        local = time_us if self.zone else self.wall_clock_us(time_us)
+        return self._in_unit(local, self.time_unit).cast(pa.timestamp(self.time_unit, self.zone))
+
+    @staticmethod
+    def _in_unit(time_us: Times, unit: str) -> pa.Array:
+        if unit == "ns":
+            return pa.array(time_us * 1000)
+        per_unit = {"s": 1_000_000, "ms": 1_000, "us": 1}[unit]
+        if (time_us % per_unit).any():
+            return pa.array(time_us / per_unit)
+        return pa.array(time_us // per_unit)
+
+    def _file(self, path: Path, time_us: Times, columns: dict[str, pa.Array]) -> Path:
+        time = {self.logs.get("time", "time"): self._stamps(time_us)}
+        pq.write_table(pa.table(time | columns), path, **self.options)
+        return path

@@ -1,0 +1,152 @@
+"""How far apart the tables of two runs over the same nights are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from pipeline.schema import FIT_KEY_NAMES, FITS, PARAMETERS, QUALITY, SENSITIVITIES, STARTS, Table
+
+Array = NDArray[np.float64]
+
+TABLES = (FITS, PARAMETERS, STARTS, SENSITIVITIES, QUALITY)
+OF_THE_RUN = frozenset({"run_id", "model_hash"})
+"""They hash the config too, which says how the logs are written."""
+OF_THE_SEARCH = {
+    STARTS.name: frozenset({"status", "reason", "iterations", "final_values"}),
+    PARAMETERS.name: frozenset({"spread_over_starts"}),
+}
+"""The last digit of a reading decides which tolerance a start meets first, and where in the flat
+set of equal minima."""
+ABSOLUTE = frozenset({"certificate_gap", "dual_residual"})
+"""Relative figures themselves, and nothing but rounding."""
+
+
+@dataclass(frozen=True, slots=True)
+class Comparison:
+    """What differs between two runs.
+
+    Attributes
+    ----------
+    largest
+        Largest relative difference by table.
+    where
+        In which column, and row, that is.
+    others
+        Cells by table that hold no floating-point number and are not the same.
+    rows
+        Rows by table that only one of the two has.
+    n_read, n_failed
+        Log files that the other run read, and that it could not.
+    """
+
+    largest: Mapping[str, float]
+    where: Mapping[str, str]
+    others: Mapping[str, int]
+    rows: Mapping[str, int]
+    n_read: int
+    n_failed: int
+
+
+def compare(original: Path, other: Path, motors: tuple[str, ...] = ()) -> Comparison:
+    """Compare the tables of two outputs.
+
+    Parameters
+    ----------
+    original, other
+        Output folders of two runs.
+    motors
+        Those to look at; empty: all.
+
+    Returns
+    -------
+    Comparison
+        Differences are relative to the larger of two figures; of a systematic effect to the largest
+        on the same indicator.
+    """
+    largest, where, others, rows = {}, {}, {}, {}
+    for table in TABLES:
+        pairs, rows[table.name] = _paired(table, original, other, motors)
+        columns = _columns(table)
+        found = {name: _relative(table, pairs, name) for name in columns if _is_float(table, name)}
+        worst = max(found, key=lambda name: found[name].max(initial=0.0), default="")
+        if worst and pairs.height:
+            row = int(np.argmax(found[worst]))
+            largest[table.name] = float(found[worst][row])
+            key = " ".join(str(pairs[name][row]) for name in table.key)
+            where[table.name] = f"{worst} of {key}"
+        others[table.name] = sum(
+            int(pairs[name].ne_missing(pairs[f"{name}_other"]).sum())
+            for name in columns
+            if name not in found
+        )
+    files = read_table(other, "input_files")
+    failed = files.filter(pl.col("status") != "ok").height
+    return Comparison(largest, where, others, rows, files.height - failed, failed)
+
+
+def read_table(output: Path, name: str) -> pl.DataFrame:
+    """All nights of a table."""
+    files = sorted((output / "tables" / name).glob("*/*.parquet"))
+    return pl.concat([pl.read_parquet(path) for path in files])
+
+
+def _columns(table: Table) -> list[str]:
+    left_out = OF_THE_RUN.union(table.key, OF_THE_SEARCH.get(table.name, ()))
+    return [name for name in table.schema if name not in left_out]
+
+
+def _is_float(table: Table, name: str) -> bool:
+    return table.schema[name] in (pl.Float64, pl.List(pl.Float64))
+
+
+def _paired(
+    table: Table, original: Path, other: Path, motors: tuple[str, ...]
+) -> tuple[pl.DataFrame, int]:
+    """Rows that both have, side by side, and how many only one has."""
+    one, two = (
+        rows.filter(pl.col("motor_id").is_in(motors)) if motors else rows
+        for rows in (read_table(original, table.name), read_table(other, table.name))
+    )
+    pairs = one.join(two, on=list(table.key), suffix="_other", nulls_equal=True)
+    return pairs, one.height + two.height - 2 * pairs.height
+
+
+def _relative(table: Table, pairs: pl.DataFrame, name: str) -> Array:
+    """Difference of each row; infinite where one is null or nan and the other is not."""
+    one, two = pairs[name], pairs[f"{name}_other"]
+    if table.schema[name] == pl.List(pl.Float64):
+        cells = [_apart(_array(a), _array(b)) for a, b in zip(one, two, strict=True)]
+        return np.array([cell.max(initial=0.0) for cell in cells])
+    a, b = _array(one), _array(two)
+    return _apart(a, b, _scale(table, pairs, name, a, b))
+
+
+def _scale(table: Table, pairs: pl.DataFrame, name: str, a: Array, b: Array) -> Array | None:
+    if table is FITS and name in ABSOLUTE:
+        return np.ones(a.size)
+    if table is SENSITIVITIES and name == "effect":
+        figure = pl.col("effect").abs().max().over([*FIT_KEY_NAMES, "indicator"])
+        return _array(pairs.select(figure).to_series())
+    return None
+
+
+def _array(values: pl.Series | None) -> Array:
+    if values is None:
+        return np.empty(0)
+    return values.cast(pl.Float64).to_numpy().astype(np.float64)
+
+
+def _apart(a: Array, b: Array, scale: Array | None = None) -> Array:
+    if a.size != b.size:
+        return np.array([np.inf])
+    same = (a == b) | (np.isnan(a) & np.isnan(b))
+    scale = np.maximum(np.abs(a), np.abs(b)) if scale is None else scale
+    with np.errstate(invalid="ignore", divide="ignore"):
+        apart = np.where(same, 0.0, np.abs(a - b) / scale)
+    return np.where(np.isnan(apart), np.inf, apart)

@@ -1,0 +1,158 @@
+"""CSV in the dialects of many makes, a cell at a time."""
+
+from __future__ import annotations
+
+import gzip
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from decimal import Decimal
+from itertools import cycle
+from pathlib import Path
+from typing import ClassVar
+from zoneinfo import ZoneInfo
+
+import zstandard
+
+from tests.dialects.dialect import EPOCH, MICROSECOND, Dialect
+from tests.dialects.recorded import Recorded, Times, Values
+
+PACKERS: dict[str, Callable[[bytes], bytes]] = {
+    "": bytes,
+    ".gz": lambda data: gzip.compress(data, 1, mtime=0),
+    ".zst": zstandard.ZstdCompressor(write_checksum=True).compress,
+}
+MICROSECONDS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1}
+Row = Sequence[str]
+
+
+@dataclass(frozen=True)
+class Csv(Dialect):
+    """Delimited text.
+
+    Attributes
+    ----------
+    line_end, bom, quoted, packed
+        Of the text; `packed` is the suffix of the packer.
+    written_zone
+        ISO 8601: the zone whose offset each stamp carries; empty: it carries none.
+    tokens
+        What stands for no reading, in turn.
+    header_every
+        Rows after which the header comes again, with its rows of units; 0: never.
+    turning
+        The columns stand in another order below each header that comes again.
+    reverse
+        The columns stand the other way round.
+    company
+        There are columns of others, too.
+    """
+
+    line_end: str = "\n"
+    bom: bytes = b""
+    quoted: bool = False
+    packed: str = ""
+    written_zone: str = ""
+    tokens: tuple[str, ...] = ("",)
+    header_every: int = 0
+    turning: bool = False
+    reverse: bool = False
+    company: bool = False
+
+    format: ClassVar[str] = "csv"
+
+    def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
+        log = self.in_units(log)
+        suffix = f".csv{self.packed}"
+        if self.layout == "file_per_channel":
+            value = self._key("value_column", "value")
+            return [
+                self._file(folder / f"{stem}+{name}{suffix}", time_us, {value: self._cells(part)})
+                for name in log.values
+                for time_us, part in [log.channel(name)]
+            ]
+        if self.layout == "long":
+            time_us, numbers, values = log.samples()
+            names = [self.called(name) for name in log.values]
+            columns = {
+                self._key("channel_column", "channel"): [names[number] for number in numbers],
+                self._key("value_column", "value"): self._cells(values),
+            }
+        else:
+            time_us, by_name = log.rows()
+            columns = {self.called(name): self._cells(part) for name, part in by_name.items()}
+        return [self._file(folder / f"{stem}{suffix}", time_us, columns)]
+
+    def _key(self, key: str, fallback: str) -> str:
+        return str(self.logs.get(key, fallback))
+
+    def _cells(self, values: Values) -> list[str]:
+        tokens = cycle(self.tokens)
+        return [self._number(value, tokens.__next__) for value in values.tolist()]
+
+    def _number(self, value: float, token: Callable[[], str]) -> str:
+        if math.isnan(value):
+            return token()
+        if math.isinf(value):
+            return str(value)
+        text = repr(value)
+        if self.logs.get("thousands"):
+            text = f"{Decimal(text):,f}"
+        marks = {".": self._key("decimal", "."), ",": self._key("thousands", "")}
+        return text.translate(str.maketrans(marks))
+
+    def _time_columns(self, time_us: Times) -> dict[str, list[str]]:
+        stamps = [self._stamp(time) for time in time_us.tolist()]
+        if "date_column" not in self.logs:
+            return {self._key("time", "time"): stamps}
+        pairs = [stamp.split(" ", 1) for stamp in stamps]
+        return {
+            self.logs["date_column"]: [date for date, _ in pairs],
+            self._key("time", "time"): [clock for _, clock in pairs],
+        }
+
+    def _stamp(self, time_us: int) -> str:
+        form = self._key("time_format", "iso8601")
+        if form == "epoch_ns":
+            return str(time_us * 1000)
+        if form in MICROSECONDS:
+            whole, rest = divmod(time_us, MICROSECONDS[form])
+            exact = Decimal(whole) + Decimal(rest) / MICROSECONDS[form]
+            return str(exact).replace(".", self._key("decimal", "."))
+        if form == "excel_days":
+            return repr(self.excel_days(time_us)).replace(".", self._key("decimal", "."))
+        if form != "iso8601":
+            return self.wall_clock(time_us).strftime(form)
+        if self.written_zone:
+            zone = ZoneInfo(self.written_zone)
+            return (EPOCH + time_us * MICROSECOND).astimezone(zone).isoformat()
+        return self.wall_clock(time_us).replace(tzinfo=None).isoformat()
+
+    def _file(self, path: Path, time_us: Times, columns: dict[str, list[str]]) -> Path:
+        columns = self._time_columns(time_us) | columns
+        if self.company:
+            remark = "left, then right" if self.quoted else "all well"
+            others = ("serial number", ["7"] * time_us.size), ("remark", [remark] * time_us.size)
+            columns = dict([others[0], *columns.items(), others[1]])
+        head = list(columns)
+        rows: list[Row] = list(zip(*columns.values(), strict=True))
+        order = list(range(len(head)))
+        if self.reverse:
+            order.reverse()
+        every = self.header_every or max(len(rows), 1)
+        lines = ["Logger 7: serial 12"] * int(self.logs.get("skip_rows", 0))
+        for begin in range(0, max(len(rows), 1), every):
+            units = [["unit"] * len(head)] * int(self.logs.get("unit_rows", 0))
+            lines += [
+                self._line(row, order) for row in [head, *units, *rows[begin : begin + every]]
+            ]
+            if self.turning:
+                order = order[1:] + order[:1]
+        text = self.line_end.join([*lines, ""]).encode(self._key("encoding", "utf-8"))
+        path.write_bytes(PACKERS[self.packed](self.bom + text))
+        return path
+
+    def _line(self, row: Row, order: list[int]) -> str:
+        mark = '"' if self.quoted else ""
+        cells = [f"{mark}{row[place]}{mark}" for place in order]
+        return self._key("separator", ",").join(cells)

@@ -1,0 +1,123 @@
+"""What all dialects have: the keys of a motor's config that state them, and a writer."""
+
+from __future__ import annotations
+
+import datetime as dt
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+from zoneinfo import ZoneInfo
+
+import numpy as np
+
+from pipeline.ingest import ChannelSource, LogSource
+from pipeline.units import QUANTITIES, canonical_unit, from_canonical
+from tests.dialects.recorded import Recorded, Times
+
+EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+MICROSECOND = dt.timedelta(microseconds=1)
+EXCEL_ZERO = dt.datetime(1899, 12, 30)
+DOUBLE = 1e-9
+"""Relative: what the fits of two logs may differ by whose readings have all their digits."""
+SINGLE = 1e-4
+"""The same for readings in float32: some 1e-6, twenty times a reading's own step; more where the
+pressure hardly moves, so that what is estimated is the small difference of large figures."""
+
+
+@dataclass(frozen=True)
+class Dialect(ABC):
+    """A way to write logs.
+
+    Attributes
+    ----------
+    name
+        In words.
+    logs
+        Keys of the config's `logs` section that state it.
+    units
+        By quantity ("pressure"), where they are not the canonical ones.
+    precision
+        What fits may differ by, relative.
+    names
+        By channel, what it is called in the log, where that is not its canonical name.
+    step_us
+        Of the stamps; what lies between cannot be written.
+    """
+
+    name: str
+    logs: Mapping[str, Any] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    precision: float = DOUBLE
+    names: Mapping[str, str] = field(default_factory=dict)
+    step_us: int = 1
+
+    format: ClassVar[str]
+
+    @abstractmethod
+    def write(self, folder: Path, stem: str, log: Recorded) -> list[Path]:
+        """Write a log as one file or several whose names begin with `stem`; returns them."""
+
+    def holds(self, log: Recorded) -> bool:
+        """Whether all that was recorded can be written."""
+        stamps = (log.time_us, *log.own_time_us.values())
+        return not any((time_us % self.step_us).any() for time_us in stamps)
+
+    @property
+    def layout(self) -> str:
+        """Wide, long or a file a channel."""
+        return str(self.logs.get("layout", "wide"))
+
+    def unit(self, channel: str) -> str:
+        """Unit that a channel is written in."""
+        return self.units.get(QUANTITIES[channel], canonical_unit(channel))
+
+    def called(self, channel: str) -> str:
+        """What a channel is called in the log."""
+        return self.names.get(channel, channel)
+
+    def source(self, channel: str) -> dict[str, Any]:
+        """Keys of a channel's section in the config."""
+        if self.layout == "file_per_channel":
+            return {"source": f"*+{channel}.*", "unit": self.unit(channel)}
+        return {"source": self.called(channel), "unit": self.unit(channel)}
+
+    def section(self) -> dict[str, Any]:
+        """Keys of the config's `logs` section but for the files."""
+        return {"format": self.format, **self.logs}
+
+    def log_source(self, channels: Iterable[str]) -> LogSource:
+        """What a reader is told."""
+        keys = self.section()
+        if "time" in keys:
+            keys["time_source"] = keys.pop("time")
+        sources = tuple(ChannelSource(channel=name, **self.source(name)) for name in channels)
+        return LogSource(channels=sources, **keys)
+
+    def in_units(self, log: Recorded) -> Recorded:
+        """Readings as they are written."""
+        return replace(
+            log,
+            values={
+                name: value
+                if self.unit(name) == canonical_unit(name)
+                else from_canonical(name, value, self.unit(name))
+                for name, value in log.values.items()
+            },
+        )
+
+    def wall_clock(self, time_us: int) -> dt.datetime:
+        """A stamp on the wall clock of the logger's zone."""
+        zone = ZoneInfo(self.logs.get("time_zone", "UTC"))
+        return (EPOCH + time_us * MICROSECOND).astimezone(zone)
+
+    def excel_days(self, time_us: int) -> float:
+        """A stamp as days of a spreadsheet."""
+        naive = self.wall_clock(time_us).replace(tzinfo=None)
+        return (naive - EXCEL_ZERO) / dt.timedelta(days=1)
+
+    def wall_clock_us(self, time_us: Times) -> Times:
+        """Stamps as microseconds that the logger's wall clock shows since 1970."""
+        naive = (self.wall_clock(time).replace(tzinfo=dt.UTC) for time in time_us.tolist())
+        return np.array([(moment - EPOCH) // MICROSECOND for moment in naive], dtype=np.int64)

@@ -1,0 +1,89 @@
+"""What was recorded of a motor in a night, before it takes a dialect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.config import MotorFile
+from pipeline.demo.log_writers import as_logged
+from pipeline.demo.mcap_writer import RECORDING_DELAY_NS
+from pipeline.demo.sensors import Recording
+from pipeline.units import to_canonical
+
+Times = NDArray[np.int64]
+Values = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Recorded:
+    """Readings of a motor's channels in the order in which they were logged.
+
+    Attributes
+    ----------
+    time_us : (n,)
+        Stamp of each row, UTC.
+    values
+        By channel, in its canonical unit, shape (n,) each; nan where there is no reading.
+    own_time_us
+        By channel, its own stamps where the channels do not share those of the row; shape (n,)
+        each. What has no reading was then not logged at all.
+    """
+
+    time_us: Times
+    values: Mapping[str, Values]
+    own_time_us: Mapping[str, Times] = field(default_factory=dict)
+
+    def samples(self) -> tuple[Times, NDArray[np.intp], Values]:
+        """One after the other: stamp, number of the channel and reading; shape (m,) each."""
+        stamps = [self.own_time_us.get(name, self.time_us) for name in self.values]
+        numbers = np.repeat(np.arange(len(self.values)), self.time_us.size)
+        places = np.tile(np.arange(self.time_us.size), len(self.values))
+        time_us, value = np.concatenate(stamps), np.concatenate(list(self.values.values()))
+        order = np.lexsort((time_us, places))
+        if self.own_time_us:
+            order = order[~np.isnan(value[order])]
+        return time_us[order], numbers[order], value[order]
+
+    def channel(self, name: str) -> tuple[Times, Values]:
+        """Stamps and readings of one channel."""
+        value = self.values[name]
+        if name not in self.own_time_us:
+            return self.time_us, value
+        known = ~np.isnan(value)
+        return self.own_time_us[name][known], value[known]
+
+    def rows(self) -> tuple[Times, dict[str, Values]]:
+        """As the rows of a table, blank cells as nan; channels without common stamps take turns."""
+        if not self.own_time_us:
+            return self.time_us, dict(self.values)
+        time_us, numbers, value = self.samples()
+        return time_us, {
+            name: np.where(numbers == number, value, np.nan)
+            for number, name in enumerate(self.values)
+        }
+
+
+def recorded(recording: Recording, motor: MotorFile) -> Recorded:
+    """A night of the demo with the digits that its own log holds.
+
+    Parameters
+    ----------
+    recording
+        As simulated.
+    motor
+        Whose log rounds each reading in the unit that it is written in.
+    """
+    values: dict[str, Values] = {}
+    own: dict[str, Times] = {}
+    recorded_late = motor.logs.format == "mcap" and motor.logs.time == "log_time"
+    late_us = RECORDING_DELAY_NS // 1000 if recorded_late else 0
+    for name, channel in motor.channels.items():
+        raw = as_logged(name, recording.values[name], channel)
+        values[name] = to_canonical(name, raw * channel.scale + channel.offset, channel.unit)
+        if name in recording.own_delay_us:
+            own[name] = recording.time_us + recording.own_delay_us[name] + late_us
+    return Recorded(recording.time_us, values, own)

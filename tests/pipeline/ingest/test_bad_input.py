@@ -1,0 +1,250 @@
+"""Every kind of bad input, in every format: a code, the file's name and the place, and no other
+exception. What only one format can do to a log stands beside it, in the tests of its reader."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import random
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.errors import LogError
+from pipeline.ingest import LogSource, read_log, time_span
+from pipeline.ledger import FileRecord
+from pipeline.logs import covered
+from tests.pipeline.simulated import motor_toml, write_configs
+
+from .writers import CHANNELS, FORMATS, T0_US, Format, Row
+
+NAMES = ("dp", "T", "q")
+GOOD = {"dp": 200.0, "T": 50.0, "q": 1.0}
+# The year 2150.
+FUTURE_US = 5_680_281_600_000_000
+LONG = LogSource("csv", CHANNELS, layout="long")
+OF_A_CHANNEL = replace(
+    LONG, layout="file_per_channel", channels=tuple(replace(c, source="log*") for c in CHANNELS[:1])
+)
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of bad input: what is written, the code of both reads, and what the message says.
+
+    Attributes
+    ----------
+    rows
+        Rows to write in the format's own way.
+    code, says
+        Of `read_log`; an empty code where it reads.
+    span_code
+        Of `time_span`, which looks at less.
+    """
+
+    rows: Sequence[Row]
+    code: str
+    says: str
+    span_code: str = ""
+
+
+def rows_of(count: int, **cells: Any) -> list[Row]:
+    return [Row(T0_US + i * 100_000, GOOD | cells) for i in range(count)]
+
+
+KINDS: Mapping[str, Kind] = {
+    "header only": Kind([], "", "", "log_empty"),
+    "all in the future": Kind(
+        [Row(FUTURE_US + i, GOOD) for i in range(5)], "log_time", "in the future", "log_time"
+    ),
+    "clock never set": Kind(
+        [Row(i * 1_000_000, GOOD) for i in range(5)], "log_time", "1990", "log_time"
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS.keys())
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_a_code_the_file_and_the_place(form: Format, kind: Kind, tmp_path: Path) -> None:
+    if kind.span_code == "log_empty" and not form.names_channels:
+        pytest.skip("a log of this kind without samples does not say which channels it has")
+    path = tmp_path / f"CB560-01.{form.source.format}"
+    form.write(path, kind.rows, NAMES)
+    check(path, form.source, kind.code, kind.says)
+    check(path, form.source, kind.span_code, "", time_span)
+
+
+def check(
+    path: Path,
+    source: LogSource,
+    code: str,
+    says: str,
+    read: Callable[[Path, LogSource], object] = read_log,
+) -> None:
+    if not code:
+        read(path, source)
+        return
+    with pytest.raises(LogError, match=path.name) as raised:
+        read(path, source)
+    assert raised.value.code == code
+    assert says in raised.value.message
+
+
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_some_rows_in_the_future_are_left_out_and_counted(form: Format, tmp_path: Path) -> None:
+    path = tmp_path / f"log.{form.source.format}"
+    rows = [*rows_of(7), Row(FUTURE_US, GOOD), Row(FUTURE_US + 1, GOOD)]
+    form.write(path, rows, NAMES)
+    log = read_log(path, form.source)
+    left_out = 2 if form.wide else 6
+    assert log.refused_rows == left_out
+    assert any(
+        note.startswith(f"{left_out} ") and "a day in the future" in note for note in log.notes
+    )
+    assert log.last_us == T0_US + 600_000
+
+
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
+    form: Format, tmp_path: Path
+) -> None:
+    """A reader judges nothing but the file itself; the record of the file has the code."""
+    (spec,) = load_fleet(write_configs(tmp_path, {"M1": motor_toml("M1")})).motors
+    path = tmp_path / f"CB560-01.{form.source.format}"
+    record = FileRecord(path.name, 1, 1, "x")
+    form.write(path, rows_of(5, dp=None, T=None, q=None), NAMES)
+    log = read_log(path, form.source)
+    assert all(channel.missing.all() for channel in log.channels.values())
+    with pytest.raises(LogError, match=path.name) as raised:
+        covered(record, log, spec)
+    assert (raised.value.code, raised.value.place) == ("log_empty", "pressure_difference")
+    assert "all 5 cells of leakage_flow are blank" in raised.value.message
+    form.write(path, rows_of(5, T=None), NAMES)
+    found = covered(record, read_log(path, form.source), spec)
+    assert (found.status, found.message) == ("ok", "all 5 cells of oil_temperature are blank")
+
+
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
+def test_what_may_not_be_opened(
+    form: Format, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / f"CB560-01.{form.source.format}"
+    form.write(path, rows_of(5), NAMES)
+    if os.geteuid():
+        path.chmod(0)
+    else:  # for whom nothing is forbidden
+
+        def refuse(*_: object, **__: object) -> None:
+            raise PermissionError(13, "Permission denied", str(path))
+
+        monkeypatch.setattr(Path, "open", refuse)
+        monkeypatch.setattr(pq, "ParquetFile", refuse)
+    for read in (read_log, time_span):
+        check(path, form.source, "log_not_readable", "Permission denied", read)
+
+
+def csv_of(folder: Path, data: bytes | str) -> Path:
+    path = folder / "log.csv"
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("source", "data", "code", "says"),
+    [
+        (LONG, "time,channel,value\n", "", ""),
+        (LONG, "time,channel\n2025-03-01,dp\n", "log_column_missing", "'value'"),
+        (LONG, "time,channel,value\n2025-03-01T06:00:00Z,other,1\n", "log_column_missing", "'dp'"),
+        (LONG, "time,channel,value\n2025-03-01T06:00:00Z,dp,x\n", "log_type", "log.csv, dp: "),
+        (LONG, "time,channel,value\n2150-03-01T06:00:00Z,dp,1\n", "log_time", "in the future"),
+        (LONG, "time,channel,value\n2025-03-01T06:00:00Z,dp\n", "log_not_csv", "log.csv, line 2"),
+        (OF_A_CHANNEL, "time,value\n", "", ""),
+        (OF_A_CHANNEL, "time,valeu\n2025-03-01,1\n", "log_column_missing", "'value'"),
+        (OF_A_CHANNEL, "time,value\n2025-03-01T06:00:00Z,x\n", "log_type", "no number in 1 cells"),
+        (OF_A_CHANNEL, "time,value\nnow,1\n", "log_time", "cannot be read"),
+        (OF_A_CHANNEL, 'time,value\n2025-03-01T06:00:00Z,1\nx,"1\n', "log_damaged", "log.csv"),
+    ],
+)
+def test_other_layouts(tmp_path: Path, source: LogSource, data: str, code: str, says: str) -> None:
+    check(csv_of(tmp_path, data), source, code, says)
+
+
+def test_a_quotation_mark_that_is_not_closed_is_named_by_its_line(tmp_path: Path) -> None:
+    stamp = "2025-03-01T06:00:0"
+    rows = [f"{stamp}{i % 10}Z,1,2,3" for i in range(40)]
+    rows[20] = f'{stamp}0Z,1,"2,3'
+    path = csv_of(tmp_path, "\n".join(["time,dp,T,q", *rows, ""]))
+    with pytest.raises(LogError, match="quotation mark") as raised:
+        read_log(path, LogSource("csv", CHANNELS))
+    assert (raised.value.code, raised.value.place) == ("log_damaged", "line 22")
+
+
+def binaries() -> dict[str, bytes]:
+    rng = random.Random(4)  # noqa: S311
+    picture = b"\x89PNG\r\n\x1a\n" + rng.randbytes(3000)
+    return {
+        "a picture": picture,
+        "a program": b"\x7fELF" + bytes(60) + rng.randbytes(3000),
+        "a database": b"SQLite format 3\x00" + bytes(84) + rng.randbytes(3000),
+        "a zip": b"PK\x03\x04" + rng.randbytes(3000),
+        "a picture packed": gzip.compress(picture),
+        "noise without zeros": bytes(rng.randrange(1, 256) for _ in range(4000)),
+        "doubles": np.linspace(0.0, 1.0, 500).tobytes(),
+        "UTF-16": "time,dp,T,q\n".encode("utf-16"),
+    }
+
+
+@pytest.mark.parametrize("data", binaries().values(), ids=binaries().keys())
+def test_binary_in_a_csv(tmp_path: Path, data: bytes) -> None:
+    path = csv_of(tmp_path, data)
+    for read in (read_log, time_span):
+        with pytest.raises(LogError, match=r"log\.csv") as raised:
+            read(path, LogSource("csv", CHANNELS))
+        assert raised.value.code in {
+            "log_not_csv",
+            "log_encoding",
+            "log_column_missing",
+            "log_truncated",
+        }
+        assert raised.value.message.isprintable()
+
+
+def gzip_bomb(folder: Path) -> tuple[Path, LogSource]:
+    path = folder / "log.csv.gz"
+    path.write_bytes(gzip.compress(b"time,dp,T,q\n" + b"2025-03-01T06:00:00Z,1,2,3\n" * 2_600_000))
+    return path, LogSource("csv", CHANNELS)
+
+
+def parquet_bomb(folder: Path) -> tuple[Path, LogSource]:
+    """A page of any number of rows takes a few bytes."""
+    rows = 12_000_000
+    path = folder / "log.parquet"
+    columns = {"time": pa.array(np.full(rows, T0_US), pa.timestamp("us", "UTC"))}
+    columns |= {name: pa.array(np.ones(rows)) for name in NAMES[:1]}
+    pq.write_table(
+        pa.table(columns),
+        path,
+        compression="zstd",
+        row_group_size=rows,
+        data_page_size=2**30,
+        max_rows_per_page=2**30,
+        write_statistics=False,
+    )
+    return path, LogSource("parquet", CHANNELS[:1])
+
+
+@pytest.mark.parametrize("bomb", [gzip_bomb, parquet_bomb])
+def test_a_small_file_that_unfolds_to_gigabytes(
+    tmp_path: Path, bomb: Callable[[Path], tuple[Path, LogSource]]
+) -> None:
+    path, source = bomb(tmp_path)
+    assert path.stat().st_size < 2**18
+    for read in (read_log, time_span):
+        check(path, source, "log_too_large", "unfold", read)

@@ -1,0 +1,105 @@
+"""Tables in which each channel has rows of its own: what is blank there was never to be logged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log
+from tests.pipeline.ingest.writers import T0_US
+
+CHANNELS = (
+    ChannelSource("pressure_difference", "dp", "bar"),
+    ChannelSource("oil_temperature", "T", "degC"),
+    ChannelSource("leakage_flow", "q", "l/min"),
+)
+Cells = dict[str, list[float | str | None]]
+
+
+def read(folder: Path, kind: str, cells: Cells, channels: tuple[ChannelSource, ...]) -> RawLog:
+    """A table of a row a second."""
+    path = folder / f"log.{kind}"
+    times = T0_US + 1_000_000 * np.arange(len(next(iter(cells.values()))))
+    if kind == "parquet":
+        stamps = pa.array(times, pa.timestamp("us", "UTC"))
+        pq.write_table(pa.table({"time": stamps, **cells}), path)
+        return read_log(path, LogSource("parquet", channels))
+    rows = zip(times.tolist(), *cells.values(), strict=True)
+    lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
+    path.write_text("\n".join([",".join(["time", *cells]), *lines, ""]), "utf-8")
+    return read_log(path, LogSource("csv", channels, time_format="epoch_us"))
+
+
+def seconds(log: RawLog, channel: str) -> list[int]:
+    return ((log.channels[channel].time_us - T0_US) // 1_000_000).tolist()
+
+
+each_kind = pytest.mark.parametrize("kind", ["csv", "parquet"])
+
+
+@each_kind
+def test_each_channel_has_its_own_rows(tmp_path: Path, kind: str) -> None:
+    cells: Cells = {
+        "dp": [1.0, None, None, 2.0, None, None, 3.0],
+        "T": [None, 50.0, None, None, 51.0, None, None],
+        "q": [None, None, 1.5, None, None, 1.6, 1.7],
+    }
+    log = read(tmp_path, kind, cells, CHANNELS)
+    # The last row holds two readings: now and then two channels come at one time.
+    assert seconds(log, "pressure_difference") == [0, 3, 6]
+    assert seconds(log, "oil_temperature") == [1, 4]
+    assert seconds(log, "leakage_flow") == [2, 5, 6]
+    assert log.channels["leakage_flow"].value.tolist() == [1.5, 1.6, 1.7]
+    assert not any(channel.missing.any() for channel in log.channels.values())
+    assert (log.rows, log.refused_rows, log.notes) == (7, 0, ())
+    for channel in log.channels.values():
+        for array in (channel.time_us, channel.value, channel.missing):
+            assert not array.flags.writeable
+
+
+@each_kind
+def test_a_slow_channel_of_shared_rows_is_missing_in_between(tmp_path: Path, kind: str) -> None:
+    cells: Cells = {
+        "dp": [1.0, 2.0, None, 4.0, 5.0, 6.0],
+        "T": [50.0, None, None, 50.5, None, None],
+        "q": [1.5, 1.6, 1.7, None, None, 1.9],
+    }
+    log = read(tmp_path, kind, cells, CHANNELS)
+    for channel in CHANNELS:
+        raw = log.channels[channel.channel]
+        assert raw.missing.tolist() == [cell is None for cell in cells[channel.source]]
+
+
+@each_kind
+def test_a_channel_without_any_reading_keeps_its_blank_cells(tmp_path: Path, kind: str) -> None:
+    cells: Cells = {"dp": [1.0, None, 2.0], "T": [None] * 3, "q": [None, 1.5, None]}
+    log = read(tmp_path, kind, cells, CHANNELS)
+    assert log.channels["oil_temperature"].missing.tolist() == [True] * 3
+    assert seconds(log, "leakage_flow") == [1]
+
+
+@each_kind
+def test_one_column_alone_has_no_others(tmp_path: Path, kind: str) -> None:
+    twice = (CHANNELS[0], ChannelSource("high_port_pressure", "dp", "bar"))
+    for channels in (CHANNELS[:1], twice):
+        log = read(tmp_path, kind, {"dp": [1.0, None, 2.0]}, channels)
+        assert all(c.missing.tolist() == [False, True, False] for c in log.channels.values())
+
+
+def test_two_channels_of_one_column_do_not_share_rows_with_each_other(tmp_path: Path) -> None:
+    channels = (*CHANNELS[:2], ChannelSource("high_port_pressure", "dp", "bar"))
+    cells: Cells = {"dp": [1.0, None, 2.0, None], "T": [None, 50.0, None, 51.0]}
+    log = read(tmp_path, "csv", cells, channels)
+    assert seconds(log, "pressure_difference") == seconds(log, "high_port_pressure") == [0, 2]
+    assert seconds(log, "oil_temperature") == [1, 3]
+
+
+def test_text_that_is_no_number_is_counted_all_the_same(tmp_path: Path) -> None:
+    cells: Cells = {"dp": [1.0, None, "ERR", None, 3.0], "T": [None, 50.0, None, 51.0, None]}
+    log = read(tmp_path, "csv", cells, CHANNELS[:2])
+    assert seconds(log, "pressure_difference") == [0, 4]
+    assert log.channels["pressure_difference"].unparsed == 1

@@ -1,0 +1,82 @@
+"""What is said of time stamps that cannot be read: the cell, and how one would be written."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.ingest import ChannelSource, LogSource, read_log
+from pipeline.ingest.time_stamps import EPOCH_UNITS, example_of, from_text
+
+SPEED = (ChannelSource("speed", "n", "rpm"),)
+
+
+def told(path: Path, source: LogSource) -> str:
+    with pytest.raises(LogError) as raised:
+        read_log(path, source)
+    assert raised.value.code == "log_time"
+    return raised.value.message
+
+
+def log(folder: Path, *stamps: str) -> Path:
+    path = folder / "log.csv"
+    path.write_text("time;n\n" + "".join(f"{stamp};1\n" for stamp in stamps))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("stamps", "time_format", "cell", "written"),
+    [
+        (["", "6 am", "7 am"], "iso8601", "6 am", "2025-03-01T06:00:00Z"),
+        (["2025-03-01 06:00:00"] * 2, "%d.%m.%Y %H:%M", "2025-03-01 06:00:00", "01.03.2025 06:00"),
+        (
+            ["13/25/2025 06:00 PM"],
+            "%m/%d/%Y %I:%M %p",
+            "13/25/2025 06:00 PM",
+            "03/01/2025 06:00 AM",
+        ),
+        (["12.5", "13.5"], "epoch_s", "12.5", "1740808800"),
+        (["1740808800"], "epoch_ns", "1740808800", "1740808800000000000"),
+        (["x"], "excel_days", "x", "45717.25"),
+        (["1970-01-01T00:00:07Z"], "iso8601", "1970-01-01 00:00:07", "2025-03-01T06:00:00Z"),
+    ],
+)
+def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
+    tmp_path: Path, stamps: list[str], time_format: str, cell: str, written: str
+) -> None:
+    source = LogSource("csv", SPEED, separator=";", time_format=time_format)
+    message = told(log(tmp_path, *stamps), source)
+    assert f"'time' in format {time_format} (such as {written}; here is {cell!r})" in message
+
+
+def test_where_cells_are_blank_there_is_none_to_show(tmp_path: Path) -> None:
+    message = told(log(tmp_path, "", ""), LogSource("csv", SPEED, separator=";"))
+    assert "'time' in format iso8601 (such as 2025-03-01T06:00:00Z)" in message
+
+
+def test_a_number_of_parquet_is_shown(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    pq.write_table(pa.table({"time": pa.array([None, 77, 78]), "n": [1.0, 2.0, 3.0]}), path)
+    source = LogSource("parquet", SPEED, time_format="epoch_ms")
+    assert "(such as 1740808800000; here is '77')" in told(path, source)
+
+
+def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
+    source = LogSource("csv", SPEED, separator=";", time_zone="Europe/Berlin")
+    message = told(log(tmp_path, "2025-03-30T02:30:00"), source)
+    assert "here is '2025-03-30 02:30:00'), lie in an hour that does not exist" in message
+
+
+@pytest.mark.parametrize(
+    "time_format",
+    ["iso8601", *EPOCH_UNITS, "excel_days", "%d.%m.%Y %H:%M:%S,%f", "%Y-%j %H:%M %z"],
+)
+def test_the_example_is_read_in_its_format(time_format: str) -> None:
+    stamps = from_text(pa.chunked_array([[example_of(time_format)]]), time_format, "UTC")
+    assert stamps.readable.all()
+    assert stamps.time_us[0] == datetime.fromisoformat("2025-03-01T06:00Z").timestamp() * 1e6

@@ -1,0 +1,118 @@
+"""A workshop: one motor whose logs and config a test writes as it likes."""
+
+from __future__ import annotations
+
+import datetime as dt
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from polars.testing import assert_frame_equal
+
+from pipeline.config import load_fleet
+from pipeline.fleet import RunRequest, run_fleet
+from pipeline.motor_task import MotorOutcome, MotorTask
+from pipeline.schema import NIGHT_TABLES, TABLES
+from tests.pipeline.simulated import (
+    FLEET,
+    Operation,
+    motor_toml,
+    operate,
+    write_configs,
+    write_log,
+)
+
+DAY = dt.timedelta(days=1)
+MINUTES = 24.0
+# The quickest motor there is: one gap, no search.
+MINI = """
+motor_type = "MINI"
+[[path]]
+name = "gap"
+law = "annular_gap"
+source = "invented"
+count = 8
+radius_mm = 35.0
+length_mm = 4.0
+deformation_pressure_bar = 120.0
+gap_um = { value = 8.0, minimum = 1.0, maximum = 60.0 }
+"""
+QUICK = FLEET + '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
+
+
+@dataclass(frozen=True, slots=True)
+class Workshop:
+    """One motor with logs that a test writes as it likes."""
+
+    folder: Path
+
+    @classmethod
+    def at(cls, folder: Path) -> Workshop:
+        """A workshop with its config, and no logs yet."""
+        made = cls(folder)
+        made.configure()
+        made.logs.mkdir(parents=True)
+        return made
+
+    @property
+    def logs(self) -> Path:
+        return self.folder / "logs" / "M1"
+
+    @property
+    def output(self) -> Path:
+        return self.folder / "out"
+
+    @property
+    def fleet(self) -> Path:
+        return self.folder / "configs" / "fleet.toml"
+
+    def take(self, motor: str) -> Path:
+        """Take a motor's file, of type MINI; returns the folder of its logs."""
+        write_configs(self.folder, {"M1": motor}, {"MINI": MINI}, QUICK)
+        self.logs.mkdir(parents=True, exist_ok=True)
+        return self.logs
+
+    def configure(self, files: str | None = None, more: str = "", fleet: str = QUICK) -> None:
+        text = motor_toml("M1", "MINI", files=files, more=more)
+        write_configs(self.folder, {"M1": text}, {"MINI": MINI}, fleet)
+
+    def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
+        fleet = load_fleet(self.fleet)
+        (outcome,) = run_fleet(RunRequest(fleet, (), since, until)).outcomes
+        return outcome
+
+    def task(self) -> MotorTask:
+        (spec,) = load_fleet(self.folder / "configs" / "fleet.toml").motors
+        return MotorTask(spec, self.output, self.folder / "staging")
+
+    def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
+        """A night with a little noise, the same for the same seed."""
+        operation = operate(label, MINUTES, seed)
+        motor = self.task().spec.motor(label, "none")
+        noise = np.random.default_rng(seed).normal(0.0, 0.01, len(operation.time_us))
+        return operation, operation.channels(operation.flow(motor) + noise)
+
+    def log(self, label: dt.date, name: str | None = None, seed: int = 1) -> Path:
+        operation, values = self.night(label, seed)
+        path = self.logs / (name or f"{label}.parquet")
+        write_log(path, operation.time_us, values)
+        return path
+
+    def rows(self, table: str) -> pl.DataFrame:
+        (declared,) = (one for one in TABLES if one.name == table)
+        files = sorted((self.output / "tables" / table).rglob("*.parquet"))
+        if not files:
+            return pl.DataFrame(schema=declared.schema).drop("run_id")
+        found = pl.concat([pl.read_parquet(path, hive_partitioning=False) for path in files])
+        return found.sort(declared.key).drop("run_id")
+
+    def statuses(self) -> dict[dt.date, str]:
+        return dict(self.rows("fits").select("night", "status").iter_rows())
+
+
+def check_same_figures(one: Workshop, two: Workshop, *exempt: str) -> None:
+    for table in NIGHT_TABLES:
+        if table.name not in exempt:
+            assert_frame_equal(one.rows(table.name), two.rows(table.name), check_exact=True)

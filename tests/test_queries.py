@@ -1,0 +1,332 @@
+"""The queries of `docs/queries.md`: all engines agree, and their answers are right."""
+
+from __future__ import annotations
+
+import datetime as dt
+import statistics
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+
+from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, QUALITY, SENSITIVITIES, Table
+from pipeline.store import night_file, read_table, table_folder, write_table
+from tests.query_page import ENGINES, MOST_ROWS, PAGE, Question, answer, questions
+
+QUESTIONS = {int(question.title.partition(".")[0]): question for question in questions()}
+EARLIER = dt.timedelta(days=40)
+NEWEST = dt.date(2026, 1, 4)
+FAILED, THIN, STEADY = "CB560-01", "CB400-01", "CB560-02"
+
+Rows = list[dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def demo(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the demo's tables in `out/`."""
+    folder = tmp_path_factory.mktemp("demo")
+    (folder / "out").symlink_to(fitted_output)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def history(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The demo's nights, and 40 days before them the same with known differences.
+
+    Leakage was 20 % less then, K of the rings half; all K count as identified. Of the newest
+    night, one motor's log has failed and another's few samples do not fit. The earlier files are
+    of an older version, with fewer columns.
+    """
+    folder = tmp_path_factory.mktemp("history")
+    for table in (FITS, PARAMETERS, SENSITIVITIES, QUALITY, BLOCK_STATISTICS):
+        for path in table_folder(fitted_output, table).rglob("*.parquet"):
+            rows = _known(read_table(path, table), table)
+            night = dt.date.fromisoformat(path.stem)
+            before = rows.with_columns(pl.col("night") - EARLIER, **_less_worn(table))
+            added = [name for name in list(table.schema)[-2:] if name not in table.key]
+            write_table(night_file(folder / "out", table, night - EARLIER), before.drop(added))
+            now = _with_faults(rows) if table is FITS and night == NEWEST else rows
+            write_table(night_file(folder / "out", table, night), now)
+    return folder
+
+
+def _known(rows: pl.DataFrame, table: Table) -> pl.DataFrame:
+    if table is not PARAMETERS:
+        return rows
+    is_factor = pl.col("parameter").str.starts_with("K_") & (pl.col("verdict") != "fixed")
+    verdict = pl.when(is_factor).then(pl.lit("identified")).otherwise("verdict")
+    return rows.with_columns(verdict=verdict)
+
+
+def _less_worn(table: Table) -> dict[str, pl.Expr]:
+    if table is FITS:
+        return {"reference_leakage_l_per_min": 0.8 * pl.col("reference_leakage_l_per_min")}
+    if table is PARAMETERS:
+        half = pl.when(pl.col("parameter") == "K_piston_ring").then(0.5).otherwise(1.0)
+        return {"value": half * pl.col("value")}
+    return {}
+
+
+def _with_faults(rows: pl.DataFrame) -> pl.DataFrame:
+    failed, thin = pl.col("motor_id") == FAILED, pl.col("motor_id") == THIN
+    figures = [
+        name
+        for name, kind in FITS.schema.items()
+        if kind == pl.Float64 or name.endswith(("verdict", "interval_status"))
+    ]
+    return rows.with_columns(
+        pl.when(failed).then(None).otherwise(pl.col(name)).alias(name) for name in figures
+    ).with_columns(
+        status=pl.when(failed).then(pl.lit("failed")).otherwise("status"),
+        error_code=pl.when(failed).then(pl.lit("log_truncated")).otherwise("error_code"),
+        kept_share=pl.when(thin).then(0.5).otherwise("kept_share"),
+        validation_fit_percent=pl.when(thin)
+        .then(pl.col("training_fit_percent") - 30)
+        .otherwise("validation_fit_percent"),
+    )
+
+
+def fits(history: Path, **values: object) -> Rows:
+    """Primary rows of `fits` with the given values, of the newer nights."""
+    files = [night_file(history / "out", FITS, NEWEST - dt.timedelta(days=day)) for day in range(3)]
+    rows = pl.concat([read_table(path, FITS) for path in files]).filter("is_primary").to_dicts()
+    return [row for row in rows if all(row[name] == value for name, value in values.items())]
+
+
+# All engines
+
+
+@pytest.mark.parametrize("number", QUESTIONS)
+@pytest.mark.parametrize("tables", ["demo", "history"])
+def test_engines_agree(
+    number: int, tables: str, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(request.getfixturevalue(tables))
+    answers = {engine: answer(engine, QUESTIONS[number]) for engine in ENGINES}
+    if tables == "history":
+        assert answers["DuckDB"].height > 0
+    for engine in ENGINES[1:]:
+        assert_frame_equal(answers[engine], answers["DuckDB"], rel_tol=1e-9)
+
+
+@pytest.mark.parametrize("question", QUESTIONS.values(), ids=lambda question: question.title)
+def test_page_shows_the_columns_of_the_answer(
+    question: Question, history: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(history)
+    assert question.columns == tuple(answer("DuckDB", question).columns)
+
+
+def test_page_has_the_questions_in_order_and_no_other_code() -> None:
+    assert list(QUESTIONS) == list(range(1, len(QUESTIONS) + 1))
+    assert len(QUESTIONS) >= 10
+    text = PAGE.read_text("utf-8")
+    assert text.count("```") == 2 * len(ENGINES) * (len(QUESTIONS) + 1)
+    longest = max(text.split("On the demo:\n\n")[1:], key=lambda part: part.count("\n| "))
+    assert longest.split("\n\n")[0].count("\n| ") <= MOST_ROWS + 1
+
+
+# Answers
+
+
+@pytest.fixture
+def ask(history: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Asks a question by its number."""
+    monkeypatch.chdir(history)
+    return lambda number: answer("DuckDB", QUESTIONS[number]).to_dicts()
+
+
+def test_1_leakage_has_grown_by_a_quarter(ask: Any, history: Path) -> None:
+    rows = {row["motor_id"]: row for row in ask(1)}
+    known = {row["motor_id"] for row in fits(history, reference_verdict="identified")}
+    assert set(rows) == known
+    steady = rows[STEADY]
+    assert steady["change_percent"] == pytest.approx(25.0)
+    nights = fits(history, motor_id=STEADY)
+    leakages = [row["reference_leakage_l_per_min"] for row in nights]
+    assert steady["now_l_per_min"] == pytest.approx(statistics.median(leakages))
+    assert steady["before_l_per_min"] == pytest.approx(0.8 * statistics.median(leakages))
+    assert steady["nights_now"] == 3
+    widths = [
+        50
+        * (row["reference_leakage_upper"] - row["reference_leakage_lower"])
+        / row["reference_leakage_l_per_min"]
+        for row in nights
+    ]
+    assert steady["nightly_percent"] == pytest.approx(statistics.median(widths))
+
+
+def test_2_through_the_ring(ask: Any) -> None:
+    rows = ask(2)
+    rings = [row for row in rows if row["path"] == "piston_ring"]
+    assert len(rings) == 6
+    # Twice the K is a gap higher by the cube root of 2.
+    assert all(row["leakage_percent"] == pytest.approx(100.0) for row in rings)
+    assert all(row["gap_percent"] == pytest.approx(25.992105) for row in rings)
+    assert rows[: len(rings)] == rings
+    others = rows[len(rings) :]
+    assert {row["path"] for row in others} == {"balance_piston", "balance_sleeve"}
+    assert all(row["leakage_percent"] == pytest.approx(0.0, abs=1e-9) for row in others)
+
+
+def test_3_newest_figures(ask: Any, history: Path) -> None:
+    rows = {row["motor_id"]: row for row in ask(3)}
+    assert rows[FAILED]["night"] == NEWEST - dt.timedelta(days=1)
+    assert rows[STEADY]["night"] == NEWEST
+    (fit,) = fits(history, motor_id=STEADY, night=NEWEST)
+    leakage = fit["reference_leakage_l_per_min"]
+    assert rows[STEADY]["leakage"] == leakage
+    assert rows[STEADY]["systematic_percent"] == pytest.approx(
+        100 * fit["reference_leakage_systematic"] / leakage
+    )
+    (other,) = fits(history, motor_id="CB1120-02", night=NEWEST)
+    assert other["reference_leakage_l_per_min"] is None
+    assert rows["CB1120-02"]["conditions"] == "own"
+    assert rows["CB1120-02"]["leakage"] == other["own_conditions_leakage_l_per_min"]
+
+
+def test_4_nights_to_distrust(ask: Any) -> None:
+    rows = [(row["motor_id"], row["night"], row["why"]) for row in ask(4)]
+    assert rows == sorted(rows)
+    assert (FAILED, NEWEST, "failed") in rows
+    assert {why for motor, night, why in rows if (motor, night) == (THIN, NEWEST)} == {
+        "few samples kept",
+        "validation",
+    }
+    assert not [why for motor, _, why in rows if motor == STEADY]
+    assert [why for motor, _, why in rows if motor == FAILED].count("no intervals") == 0
+
+
+def test_5_fit_on_new_data(ask: Any, history: Path) -> None:
+    row = next(row for row in ask(5) if row["motor_id"] == STEADY)
+    nights = fits(history, motor_id=STEADY)
+    for name, column in (
+        ("training", "training_fit_percent"),
+        ("validation", "validation_fit_percent"),
+        ("previous_model", "previous_model_fit_percent"),
+    ):
+        values = [night[column] for night in nights if night[column] is not None]
+        assert row[name] == pytest.approx(statistics.median(values))
+    assert row["nights"] == 3
+    failed = next(row for row in ask(5) if row["motor_id"] == FAILED)
+    assert failed["nights"] == 2
+
+
+def test_6_refused_data(ask: Any, history: Path) -> None:
+    rows = ask(6)
+    files = [
+        night_file(history / "out", QUALITY, NEWEST - dt.timedelta(days=day)) for day in range(3)
+    ]
+    nights = [row for path in files for row in read_table(path, QUALITY).to_dicts()]
+    found = {(row["motor_id"], row["channel"], row["reason"]): row for row in rows}
+    assert len(found) == len(rows)
+    for key, row in found.items():
+        own = [n for n in nights if (n["motor_id"], n["channel"], n["reason"]) == key]
+        refused, looked_at = (sum(n[name] for n in own) for name in ("n_refused", "n_samples"))
+        assert row["n_refused"] == refused > 0
+        assert row["refused_percent"] == pytest.approx(100 * refused / looked_at)
+    assert not {"any", "incomplete"} & {row["reason"] for row in rows}
+    shares = [row["refused_percent"] for row in rows]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_7_motors_of_a_type(ask: Any) -> None:
+    rows = {row["motor_id"]: row for row in ask(7)}
+    one, other = rows["CB400-01"], rows["CB400-02"]
+    mean = (one["leakage_l_per_min"] + other["leakage_l_per_min"]) / 2
+    assert one["from_type_percent"] == pytest.approx(100 * (one["leakage_l_per_min"] / mean - 1))
+    assert one["from_type_percent"] == pytest.approx(-other["from_type_percent"])
+    assert rows["CB1120-01"]["from_type_percent"] == 0.0  # the only one whose leakage is known
+
+
+def test_8_error_budget(ask: Any, history: Path) -> None:
+    rows = [row for row in ask(8) if row["motor_id"] == STEADY]
+    assert len(rows) == 3
+    (fit,) = fits(history, motor_id=STEADY, night=NEWEST)
+    leakage = fit["reference_leakage_l_per_min"]
+    effects = {
+        row["source"]: row["effect"]
+        for row in read_table(
+            night_file(history / "out", SENSITIVITIES, NEWEST), SENSITIVITIES
+        ).to_dicts()
+        if row["motor_id"] == STEADY and row["indicator"] == "reference_leakage"
+    }
+    largest = sorted(effects, key=lambda source: -abs(effects[source]))[:3]
+    assert [row["source"] for row in rows] == largest
+    # The systematic ± is the root of the sum of all squares.
+    total = fit["reference_leakage_systematic"]
+    for row in rows:
+        assert row["effect_percent"] == pytest.approx(100 * effects[row["source"]] / leakage)
+        assert row["share_percent"] == pytest.approx(
+            100 * (effects[row["source"]] / total) ** 2, rel=1e-6
+        )
+
+
+def test_9_excitation(ask: Any) -> None:
+    rows = {row["motor_id"]: row for row in ask(9)}
+    assert rows[STEADY]["nights"] == 3
+    assert rows[FAILED]["nights"] == 2
+    assert rows["CB1120-02"]["nights_reference"] == 0
+    # It runs at 180 bar; the others between 10 and 300.
+    assert rows["CB1120-02"]["lowest_bar"] > 90
+    assert rows[STEADY]["lowest_bar"] < 20
+    assert rows[STEADY]["highest_bar"] > 250
+
+
+def test_10_last_fits(ask: Any) -> None:
+    first, *others = ask(10)
+    assert first == {
+        "motor_id": FAILED,
+        "last_fit": NEWEST - dt.timedelta(days=1),
+        "days_behind": 1,
+        "newest_status": "failed",
+        "error_code": "log_truncated",
+        "nights_failed": 1,
+    }
+    assert {row["days_behind"] for row in others} == {0}
+    assert {row["error_code"] for row in others} == {""}
+
+
+def test_11_shares(ask: Any) -> None:
+    rows = [row for row in ask(11) if row["motor_id"] == STEADY]
+    assert [row["path"] for row in rows] == [
+        "balance_piston",
+        "balance_sleeve",
+        "cam_roller",
+        "piston_ring",
+    ]
+    assert {row["night"] for row in rows} == {NEWEST}
+    known = [row for row in rows if row["verdict"] == "identified"]
+    assert known
+    assert all(row["lower_percent"] < row["share_percent"] < row["upper_percent"] for row in known)
+    if len(known) == len(rows):
+        assert sum(row["share_percent"] for row in rows) == pytest.approx(100.0)
+
+
+def test_12_pressures(ask: Any) -> None:
+    rows = ask(12)
+    for motor in {row["motor_id"] for row in rows}:
+        own = {row["from_bar"]: row["share_percent"] for row in rows if row["motor_id"] == motor}
+        assert sum(own.values()) == pytest.approx(100.0)
+        assert all(bar % 20 == 0 for bar in own)
+    # Its 180 bar fall into the bins below and above.
+    constant = {row["from_bar"]: row for row in rows if row["motor_id"] == "CB1120-02"}
+    assert sum(constant[bar]["share_percent"] for bar in (160, 180)) > 95
+
+
+def test_plain_reading_of_old_and_new_files_sees_all_columns(
+    history: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What `union_by_name` and `diagonal` are for: the first file has fewer columns."""
+    monkeypatch.chdir(history)
+    first, *_, last = sorted(Path("out/tables/fits").rglob("*.parquet"))
+    assert len(pl.read_parquet_schema(first)) < len(pl.read_parquet_schema(last))
+    with duckdb.connect() as connection:
+        relation = connection.sql(
+            "SELECT * FROM read_parquet('out/tables/fits/**/*.parquet', union_by_name = true,"
+            " hive_partitioning = false)"
+        )
+        assert relation.columns == list(FITS.schema)
