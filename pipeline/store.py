@@ -126,9 +126,7 @@ def replace_whole(
         If it cannot be written; what was there before is then untouched.
     """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
-        os.close(handle)
+        name = _temporary_beside(path)
         try:
             write(name)
             with Path(name).open("rb") as written:
@@ -147,6 +145,17 @@ def replace_whole(
     except (OSError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
     return digest
+
+
+def _temporary_beside(path: Path) -> str:
+    """Name of an empty file in the folder of a file that is to come."""
+    try:
+        handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
+    except FileNotFoundError:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
+    os.close(handle)
+    return name
 
 
 def _flush_folder(folder: Path) -> None:
