@@ -346,9 +346,9 @@ def report(
 ) -> None:
     """Write the report: pages for the fleet and each motor that open without a server.
 
-    Example: motor-leakage report configs/fleet.toml
+    Example: motor-leakage report demo/configs/fleet.toml
 
-    Then open out/report/index.html. A further run makes only what has changed. Exit code 1: a
+    Then open demo/out/report/index.html. A further run makes only what has changed. Exit code 1: a
     table file could not be read; the rest is there.
     """
     from pipeline.report import ReportRequest, build_report
@@ -421,7 +421,7 @@ def export(
 ) -> None:
     """Write published tables in another format; what is there of the same name is replaced.
 
-    Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
+    Example: motor-leakage export demo/configs/fleet.toml --csv csv --tables fits,parameters --bom
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front.
     """
@@ -464,7 +464,7 @@ def model(
     Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
     are the fleet's, without what a motor overrides. Prints the files that were written.
 
-    Example: motor-leakage model --type CB560 --config configs/fleet.toml --format svg
+    Example: motor-leakage model --type CB560 --config demo/configs/fleet.toml --format svg
     """
     from pipeline.config import load_fleet
     from pipeline.demo import shipped_configs
@@ -525,8 +525,7 @@ def ack(
 
     Example: motor-leakage ack demo/configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
 
-    Example: motor-leakage ack demo/configs/fleet.toml CB400-02 K_piston_ring
-    --note "rings worn" --finding confirmed
+    Once somebody has looked, add --finding confirmed, or --finding not_confirmed.
     """
     from pipeline.decisions import FINDINGS, Decision, record_decision
     from pipeline.status import alarmed_night
@@ -565,8 +564,7 @@ def baseline_reset(
     An overhaul, an oil change or a change of flushing belongs into the motor's file, dated, in
     `events`: that starts a new baseline as well.
 
-    Example: motor-leakage baseline reset demo/configs/fleet.toml CB560-01 2026-02-15
-    --note "sleeves replaced"
+    Example: motor-leakage baseline reset demo/configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
     from pipeline.decisions import Decision, record_decision
 

@@ -121,7 +121,11 @@ def _relative(table: Table, pairs: pl.DataFrame, name: str) -> Array:
     """Difference of each row; infinite where one is null or nan and the other is not."""
     one, two = pairs[name], pairs[f"{name}_other"]
     if table.schema[name] == pl.List(pl.Float64):
-        cells = [_apart(_array(a), _array(b)) for a, b in zip(one, two, strict=True)]
+        scale = LISTS.get(name)
+        cells = [
+            _apart(x, y, scale(x) if scale and x.size else None)
+            for x, y in ((_array(a), _array(b)) for a, b in zip(one, two, strict=True))
+        ]
         return np.array([cell.max(initial=0.0) for cell in cells])
     a, b = _array(one), _array(two)
     return _apart(a, b, _scale(table, pairs, name, a, b))
@@ -130,10 +134,49 @@ def _relative(table: Table, pairs: pl.DataFrame, name: str) -> Array:
 def _scale(table: Table, pairs: pl.DataFrame, name: str, a: Array, b: Array) -> Array | None:
     if table is FITS and name in ABSOLUTE:
         return np.ones(a.size)
+    if table is FITS and "mean_error" in name:
+        return _array(pairs["mean_flow_l_per_min"])
     if table is SENSITIVITIES and name == "effect":
         figure = pl.col("effect").abs().max().over([*FIT_KEY_NAMES, "indicator"])
         return _array(pairs.select(figure).to_series())
     return None
+
+
+def _column_norms(upper: Array) -> Array:
+    """Norm of the column of each element of a triangular factor."""
+    matrix, places = _matrix(upper)
+    norms: Array = np.linalg.norm(matrix, axis=0)[places[1]]
+    return norms
+
+
+def _deviations(upper: Array) -> Array:
+    """Product of the standard deviations that each element of a covariance belongs to."""
+    matrix, places = _matrix(upper)
+    deviation = np.sqrt(np.diag(matrix))
+    return np.maximum(deviation[places[0]] * deviation[places[1]], np.finfo(np.float64).tiny)
+
+
+def _matrix(upper: Array) -> tuple[Array, tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    size = (np.sqrt(8 * upper.size + 1) - 1) / 2
+    places = np.triu_indices(round(size))
+    matrix = np.zeros((round(size),) * 2)
+    matrix[places] = upper
+    return matrix, places
+
+
+def _largest_of_paths(coefficients: Array) -> Array:
+    """Largest of the loss factors for each: what is not identified is only known beside it."""
+    scale = np.full(coefficients.size, np.abs(coefficients[:-1]).max(initial=0.0))
+    scale[-1:] = np.maximum(np.abs(coefficients[-1:]), 1e-3)
+    return scale
+
+
+LISTS = {
+    "night_factor": _column_norms,
+    "coefficient_covariance": _deviations,
+    "coefficients": _largest_of_paths,
+}
+"""Triangles of matrices: an element that nearly cancels is as exact as what it is made of."""
 
 
 def _array(values: pl.Series | None) -> Array:

@@ -23,12 +23,13 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.fleet
+import pipeline.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
-from pipeline.store import night_file, publish_night, read_table
+from pipeline.store import Published, night_file, publish_night, read_table
 from tests.conftest import OwnFleet
 
 FIRST = dt.date(2026, 1, 2)
@@ -640,14 +641,14 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     fleet = own_fleet(PARQUET)
     calls = 0
 
-    def interrupted(*arguments: Any) -> None:
+    def interrupted(*arguments: Any) -> Published:
         nonlocal calls
         calls += 1
         if calls > after:
             raise KeyboardInterrupt
-        publish_night(*arguments)
+        return publish_night(*arguments)
 
-    monkeypatch.setattr(pipeline.fleet, "publish_night", interrupted)
+    monkeypatch.setattr(pipeline.publishing, "publish_night", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(fleet)
     monkeypatch.undo()
