@@ -203,6 +203,10 @@ class MotorRows:
                 row |= dict.fromkeys(("value", "lower", "upper"))
                 row["gated_reason"] = "no baseline yet"
             row["state_reason"] = self._why_no_baseline(watched, place)
+            era = next(one for one in self.watch.eras if place < one.segment.end)
+            if name in (DEVIATION, OWN_REFERENCE) and place < era.known_from:
+                # On that night there was no series to lay a line through.
+                return row | {"days_to_limit_status": "insufficient"}
             return row | self._line(watched, place, None)
         evidence = found.own.evidence[inside]
         limit = cusum_limit(watched.settings.false_alarms_per_year, baseline)
