@@ -30,6 +30,7 @@ from pipeline.trends.indicators import (
     Indicator,
     gap_change,
     scaled,
+    status_gates,
 )
 from pipeline.trends.peers import Peers
 from pipeline.trends.running import coverage, running_hours, sensor_health
@@ -367,6 +368,10 @@ class MotorRows:
     def _why_no_baseline(self, watched: Watched, place: int) -> str:
         segment, _, _ = _at(watched, place)
         good = int(np.isfinite(watched.series[segment.first : place + 1]).sum())
+        if watched.indicator.name in (DEVIATION, OWN_REFERENCE):
+            # Their series is only known in hindsight; every fitted night goes into it.
+            gates = status_gates(self.watch.history)[segment.first : place + 1]
+            good = sum(not reason for reason in gates)
         needed = watched.settings.baseline.provisional_nights
         return f"{good} of {needed} good nights for a baseline ({segment.reason})"
 
