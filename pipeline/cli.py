@@ -472,7 +472,8 @@ def model(
 
     fleet = load_fleet(config or shipped_configs() / "fleet.toml")
     subject = choose(fleet, motor_type, oil)
-    folder = output or fleet.output / "figures"
+    # The shipped config lies within the program: its output is nobody's.
+    folder = output or (fleet.output if config else Path("out").resolve()) / "figures"
     for path in write_model_figures(subject, folder, image_format.value):
         typer.echo(path)
 

@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.clean import ChannelRules, clean_channel, frozen, out_of_range, transient
+from pipeline.channel_rules import ChannelRules
+from pipeline.clean import clean_channel
 from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.ingest import RawChannel
+from pipeline.masks import frozen, out_of_range, transient
 from pipeline.resample import bring_together
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 

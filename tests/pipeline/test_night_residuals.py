@@ -404,16 +404,17 @@ def test_predictions_are_samples_of_the_night_and_the_fit_at_them(spec: MotorSpe
     flow = true_flow(spec, operation) + white()
     outcome = fitted(spec, operation, flow)
     hand, rows = by_hand(spec, operation, flow, outcome), outcome.rows["predictions"]
-    assert len(rows) == 400
+    # Thinned for plots, extremes kept.
+    assert 400 <= len(rows) <= 720
     microsecond = dt.timedelta(microseconds=1)
     epoch = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
     places = [
         int(np.searchsorted(operation.time_us, (row["time"] - epoch) // microsecond))
         for row in rows
     ]
-    # From the first sample to the last, evenly.
+    # From the first sample to the last, without a stretch left out.
     assert (places[0], places[-1]) == (0, N - 1)
-    assert set(np.diff(places)) == {18, 19}
+    assert np.diff(places).max() < 3 * N / len(rows)
     error = hand.error
     for place, row in zip(places, rows, strict=True):
         assert row["measured_l_per_min"] == flow[place]

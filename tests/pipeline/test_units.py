@@ -59,6 +59,7 @@ def test_canonical_units_are_those_of_the_tables() -> None:
         "oil_temperature": "degC",
         "speed": "rpm",
         "leakage_flow": "l/min",
+        "running_hours": "h",
     }
 
 

@@ -169,7 +169,7 @@ def test_every_figure_is_drawn(browser: Chrome, output: Path) -> None:
     visit(browser, output / "report" / "motors" / "CB560-01.html")
     wait(browser, "return document.body.dataset.night")
     figures = browser.find_elements(By.CSS_SELECTOR, "figure.chart")
-    assert len(figures) == 16
+    assert len(figures) == 17
     assert figures[-1].get_dom_attribute("data-drawn") is None
     for figure in figures:
         browser.execute_script("arguments[0].scrollIntoView()", figure)
@@ -304,7 +304,10 @@ def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
             *(pl.lit(value, rows.schema[name]).alias(name) for name, value in unread.items())
         ),
     )
-    for name in ("parameters", "starts", "sensitivities", "predictions", "block_statistics"):
+    for name in (
+        *("parameters", "starts", "sensitivities", "predictions", "block_statistics"),
+        *("residual_tests", "residual_verdicts", "trends"),
+    ):
         change_table(output, name, lambda rows: rows.clear())
     folder = output / "report"
     build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
