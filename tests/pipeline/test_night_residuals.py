@@ -414,7 +414,8 @@ def test_predictions_are_samples_of_the_night_and_the_fit_at_them(spec: MotorSpe
     ]
     # From the first sample to the last, without a stretch left out.
     assert (places[0], places[-1]) == (0, N - 1)
-    assert np.diff(places).max() < 3 * N / len(rows)
+    # Lowest and highest of four figures in each of 90 bins: no two bins go without a sample.
+    assert np.diff(places).max() < 2 * N / 90
     error = hand.error
     for place, row in zip(places, rows, strict=True):
         assert row["measured_l_per_min"] == flow[place]
@@ -428,4 +429,4 @@ def test_predictions_are_samples_of_the_night_and_the_fit_at_them(spec: MotorSpe
         }
         assert row["part"] == next((part for part, has in inside.items() if has), "guard")
     counts = [sum(row["part"] == part for row in rows) for part in ("training", "validation")]
-    assert counts == pytest.approx([320, 73], abs=2)
+    assert [count / len(rows) for count in counts] == pytest.approx([0.80, 0.18], abs=0.02)
