@@ -23,7 +23,7 @@ from pipeline.config import load_fleet
 from pipeline.demo import write_demo
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.report import ReportRequest, build_report
-from pipeline.schema import NIGHT_TABLES, PREDICTIONS, Table
+from pipeline.schema import NIGHT_TABLES, PREDICTIONS, TREND_TABLES, Table
 from pipeline.store import night_file, write_table
 from tests.pipeline.report.browser import installed, opened
 
@@ -62,9 +62,11 @@ def _fitted_night(folder: Path) -> Mapping[Table, pl.DataFrame]:
     output = folder / "fitted"
     run_fleet(RunRequest(replace(fleet, output=output), motors=(chosen,)))
     night = max((output / "tables" / "fits").rglob("*.parquet")).stem
+    label = dt.date.fromisoformat(night)
     templates = {
-        table: pl.read_parquet(night_file(output, table, dt.date.fromisoformat(night)))
-        for table in NIGHT_TABLES
+        table: pl.read_parquet(night_file(output, table, label))
+        for table in (*NIGHT_TABLES, *TREND_TABLES)
+        if night_file(output, table, label).exists()
     }
     shutil.rmtree(demo)
     return templates

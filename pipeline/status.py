@@ -85,7 +85,7 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
     fits = read_rows(output, FITS, motor_ids, ("motor_id", "night", "status"))
     decisions = read_decisions(output)
     motors = [
-        _motor_state(
+        motor_state(
             motor_id,
             trends.filter(motor_id=motor_id),
             fits.filter(motor_id=motor_id),
@@ -106,9 +106,10 @@ def _urgency(motor: MotorState) -> tuple[int, float, str]:
     return ORDER.index(motor.state), -(motor.deviation_percent or 0.0), motor.motor_id
 
 
-def _motor_state(
+def motor_state(
     motor_id: str, trends: pl.DataFrame, fits: pl.DataFrame, decisions: Sequence[Decision]
 ) -> MotorState:
+    """The state of one motor, from its own rows of `trends` and `fits` and what was said of it."""
     last_night, good = _last(fits), _last(fits.filter(status="ok"))
     if trends.is_empty():
         return MotorState(

@@ -31,6 +31,7 @@ STATES: Final = {
     "warning": "warning",
     "never": "no good night yet",
     "stale": "no recent good night",
+    "sensor": "a sensor has drifted",
     "grown": "leakage has grown",
     "gap": "a gap has changed",
     "fallen": "leakage has fallen",
@@ -39,6 +40,8 @@ STATES: Final = {
     "few": "change cannot be told",
     "unchanged": "no change of external leakage",
 }
+DRIFTED: Final = "drifted"
+ZEROS: Final = "the readings at halts say that a zero of pressure or flow has moved"
 OF_TRENDS: Final = {"stale": "stale", "insufficient": "few", "ok": "unchanged"}
 
 
@@ -92,7 +95,8 @@ def changes(motor: MotorHistory) -> Changes:
 
     Leakage at each night's own conditions moves with them, so it tells no change.
     """
-    leakage = motor.change(motor.reference)
+    kind, course = motor.leakage
+    leakage = None if kind == "own" else motor.change(course)
     found = [
         (name.removeprefix("K_"), change)
         for name, course in motor.coefficients.items()
@@ -120,20 +124,29 @@ def attention(
         The newest night of the whole fleet; None where it has none.
     """
     if standing is not None and standing.state == "alarm":
-        return Attention("alarm", standing.reason)
+        return _moved(standing)
     if not motor.nights:
         return Attention("never", "no night of this motor is in the tables")
     last = motor.fits.row(-1, named=True)
     if last["status"] == "failed":
         return Attention("failed", f"{motor.nights[-1]}: {last['reason']}")
     if standing is not None and standing.state in ("warning", "common_cause"):
-        return Attention(standing.state, standing.reason)
+        return _moved(standing)
     absent = _absent(motor, newest)
     if absent is not None:
         return absent
+    if standing is not None and standing.sensor_health == DRIFTED:
+        return Attention("sensor", ZEROS)
     if standing is not None:
         return Attention(OF_TRENDS[standing.state], standing.reason)
     return _unjudged(motor, changed)
+
+
+def _moved(standing: Standing) -> Attention:
+    """An indicator is beyond its limits; whether it may be a sensor's doing is said with it."""
+    drifted = standing.sensor_health == DRIFTED
+    reason = f"{standing.reason}; {ZEROS}" if drifted else standing.reason
+    return Attention(standing.state, reason, standing.deviation_percent or 0.0)
 
 
 def _absent(motor: MotorHistory, newest: dt.date | None) -> Attention | None:
@@ -160,7 +173,7 @@ def _unjudged(motor: MotorHistory, changed: Changes) -> Attention:
     path, gap = changed.gap if changed.gap and _is_telling(changed.gap[1]) else ("", None)
     told = []
     if leakage is not None:
-        told.append(f"reference leakage {signed(leakage.percent, 0)} %")
+        told.append(f"leakage {signed(leakage.percent, 0)} %")
     if gap is not None:
         told.append(f"{plain(path)} gap {signed(gap.gap_percent, 0)} %")
     if not told:

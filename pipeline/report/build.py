@@ -31,7 +31,7 @@ from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
-from pipeline.report.tables import History, night_paths, night_tables, read_history, read_night
+from pipeline.report.tables import SHOWN_TABLES, History, night_paths, read_history, read_night
 from pipeline.report.trends import standings
 from pipeline.schema import FITS, SCHEMA_VERSION
 from pipeline.store import remove_leftovers, table_folder
@@ -254,7 +254,7 @@ def _make_nights(
 def _table_states(output: Path, nights: Mapping[dt.date, object]) -> dict[dt.date, str]:
     """Hash of size and time of each night's table files, taken before they are read."""
     states = {night: hashlib.sha256() for night in nights}
-    for table in night_tables():
+    for table in SHOWN_TABLES:
         for night, path in night_paths(output, table).items():
             if night in states:
                 status = path.stat()
@@ -304,11 +304,10 @@ def _make_pages(
     def write(name: str, content: bytes) -> None:
         now.files[name] = write_changed(request.folder, name, content, before.files.get(name))
 
-    dates = {motor_id: one.event_dates for motor_id, one in request.known.items()}
-    motors = list(motor_histories(history, list(names), dates))
+    motors = list(motor_histories(history, list(names), _new_baselines(request, history)))
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    rows = fleet_rows(motors, names, types, standings(history.trends))
+    rows = fleet_rows(motors, names, types, standings(history))
     facts = FleetFacts(
         name=request.fleet or history.fleet or "Fleet",
         first=span[0] if span else None,
@@ -328,6 +327,15 @@ def _make_pages(
     return len(motors)
 
 
+def _new_baselines(request: ReportRequest, history: History) -> dict[str, list[dt.date]]:
+    """Dates by motor at which a new baseline starts: events, and resets that somebody asked for."""
+    dates = {motor_id: one.event_dates for motor_id, one in request.known.items()}
+    for one in history.decisions:
+        if one.kind == "baseline_reset":
+            dates.setdefault(one.motor_id, []).append(one.night)
+    return dates
+
+
 def _motor_page(
     request: ReportRequest,
     history: History,
@@ -343,7 +351,7 @@ def _motor_page(
         {**event, "date": event["date"].isoformat()}
         for event in sorted(known.events, key=lambda event: event["date"])
     ]
-    payload = motor_payload(motor, name, detailed, history.trends, events)
+    payload = motor_payload(motor, name, detailed, history, events)
     return motor_html(facts, row, motor, payload)
 
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.report.attention import GOOD, RECENT_NIGHTS, Attention, attention, changes
-from pipeline.report.history import Course, MotorHistory
+from pipeline.report.attention import GOOD, RECENT_NIGHTS, Attention, Changes, attention, changes
+from pipeline.report.history import LAST_NIGHTS, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.trends import Standing
-from pipeline.report.words import STATUSES, plain
+from pipeline.report.words import SENSORS, STATUSES, plain
 
 Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)
@@ -29,17 +29,20 @@ class FleetRow:
     attention
         How it stands, and why.
     leakage_kind
-        Whether the leakage is that at `reference` or at `own` conditions.
+        Conditions of the leakage: `reference`, `frozen` or `own`; see `MotorHistory.leakage`.
     leakage
         Newest value with its interval, l/min; None where there never was one.
     leakage_night
         Night of that value.
     leakage_change, gap_change
-        Percent since the first good nights; None where that cannot be told.
+        Percent from the baseline, or since the first good nights where there is none; None where
+        that cannot be told.
     gap_path
         Path of the gap that has changed most.
     last_good
         Newest night with a fit.
+    sensors
+        What the readings at halts say of the sensors' zeros, in words; empty where unknown.
     kept_percent
         Median share of samples kept in the recent fitted nights.
     strip, strip_words
@@ -66,6 +69,7 @@ class FleetRow:
     strip_width: int
     strip_words: str
     last_good: dt.date | None
+    sensors: str
 
 
 def fleet_rows(
@@ -117,7 +121,7 @@ def _row(
     days = np.array([night.toordinal() for night in motor.nights], dtype=np.int64)
     recent = _calendar(motor, newest)
     told = [status for status in recent if status is not None]
-    path, gap = changed.gap or ("", None)
+    path, gap = _gap_change(motor, changed)
     kept = good["kept_share"].tail(RECENT_NIGHTS).median() if good.height else None
     return FleetRow(
         motor_id=motor.motor_id,
@@ -128,8 +132,8 @@ def _row(
         leakage=_newest(course, known),
         leakage_night=motor.nights[known[-1]] if len(known) else None,
         line=sparkline(days, course, *(night.toordinal() for night in span)) if span else None,
-        leakage_change=changed.leakage.percent if changed.leakage else None,
-        gap_change=gap.gap_percent if gap else None,
+        leakage_change=_leakage_change(changed, standing),
+        gap_change=gap,
         gap_path=plain(path),
         validation_fit=last.get("validation_fit_percent"),
         previous_fit=last.get("previous_model_fit_percent"),
@@ -140,7 +144,27 @@ def _row(
         strip_width=STEP * RECENT_NIGHTS,
         strip_words=_in_words(told),
         last_good=last.get("night"),
+        sensors=SENSORS.get(standing.sensor_health, "") if standing else "",
     )
+
+
+def _leakage_change(changed: Changes, standing: Standing | None) -> float | None:
+    if standing is not None and standing.deviation_percent is not None:
+        return standing.deviation_percent
+    return changed.leakage.percent if changed.leakage else None
+
+
+def _gap_change(motor: MotorHistory, changed: Changes) -> tuple[str, float | None]:
+    """The path whose gap has changed most, and how much in percent."""
+    if not motor.baselines:
+        return (changed.gap[0], changed.gap[1].gap_percent) if changed.gap else ("", None)
+    medians = {
+        name: float(np.median(course.value[course.is_known][-LAST_NIGHTS:]))
+        for name, course in motor.gap_changes().items()
+        if motor.baselines.get(f"K_{name}")
+    }
+    path = max(medians, key=lambda name: abs(medians[name]), default="")
+    return path, medians.get(path)
 
 
 def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import Course, MotorHistory
+from pipeline.report.tables import History
 from pipeline.report.trends import trend_payload
 from pipeline.report.words import for_scripts
 from pipeline.thinning import keep_extremes
@@ -42,7 +43,7 @@ def motor_payload(
     motor: MotorHistory,
     page: str,
     detailed: set[dt.date],
-    trends: Mapping[str, pl.DataFrame],
+    history: History,
     events: Sequence[Payload],
 ) -> Payload:
     """The payload of a motor's page.
@@ -55,8 +56,8 @@ def motor_payload(
         Name of its page, without ending.
     detailed
         Nights of which there is a file of their own.
-    trends
-        Tables of trends by name, of all motors.
+    history
+        All nights of all motors, with their trends.
     events
         Dated events of the motor's config, with date, kind and note.
     """
@@ -77,13 +78,14 @@ def motor_payload(
         | {"systematic": _column(fits, "reference_leakage_systematic", places)},
         "own": _course(motor.own, places)
         | {"systematic": _column(fits, "own_conditions_leakage_systematic", places)},
+        "frozen": _course(motor.frozen, places),
         "conditions": _conditions(fits),
         "paths": _named(motor.paths, places),
         "gaps": _named(motor.gap_changes(), places),
         "coefficients": _named(motor.coefficients, places),
         "nightly": {name: _column(fits, column, places) for name, column in NIGHTLY.items()},
         "events": list(events),
-        "trend": trend_payload(motor.motor_id, trends),
+        "trend": trend_payload(motor.motor_id, history),
     }
 
 

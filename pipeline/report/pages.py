@@ -17,7 +17,7 @@ from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
-from pipeline.report.words import ABSENT, STATUSES, figure, signed
+from pipeline.report.words import ABSENT, LEAKAGE_KINDS, STATUSES, figure, signed
 
 FOLDER = Path(__file__).parent
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
@@ -90,6 +90,7 @@ def _environment() -> Environment:
     environment.filters |= {"figure": figure, "signed": signed, "status": _status}
     environment.globals |= {
         "absent": ABSENT,
+        "kinds": LEAKAGE_KINDS,
         "spark_width": WIDTH,
         "spark_height": HEIGHT,
         "strip_height": STRIP_HEIGHT,

@@ -1,7 +1,7 @@
 """The published tables as the report reads them: a night's rows of all motors, or all nights'.
 
 A file that is damaged costs its own rows and is named; one of a newer version of the program ends
-the report. Tables that a later version of the schema brings are read as soon as it has them.
+the report.
 """
 
 from __future__ import annotations
@@ -14,26 +14,39 @@ from pathlib import Path
 
 import polars as pl
 
+from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import StoreError
-from pipeline.schema import FIT_KEY_NAMES, FITS, PARAMETERS, RUNS, TABLES, Table
+from pipeline.schema import (
+    BLOCK_STATISTICS,
+    FIT_KEY_NAMES,
+    FITS,
+    INPUT_FILES,
+    PARAMETERS,
+    PREDICTIONS,
+    QUALITY,
+    RESIDUAL_TESTS,
+    RESIDUAL_VERDICTS,
+    RUNS,
+    SENSITIVITIES,
+    STARTS,
+    TREND_TABLES,
+    Table,
+)
 from pipeline.store import night_file, read_table, table_folder
 
-# Tables of a night that its page shows; those that the schema does not have yet are left out.
-NIGHT_NAMES = (
-    "fits",
-    "parameters",
-    "sensitivities",
-    "starts",
-    "predictions",
-    "residual_tests",
-    "residual_verdicts",
-    "quality",
-    "block_statistics",
-    "input_files",
+# Tables of a night that its page shows.
+SHOWN_TABLES = (
+    FITS,
+    PARAMETERS,
+    SENSITIVITIES,
+    STARTS,
+    PREDICTIONS,
+    RESIDUAL_TESTS,
+    RESIDUAL_VERDICTS,
+    QUALITY,
+    BLOCK_STATISTICS,
+    INPUT_FILES,
 )
-# Tables whose every row belongs to a motor's history.
-TREND_NAMES = ("trends", "alarms", "baselines", "change_points")
-KNOWN = {table.name: table for table in TABLES}
 READING_THREADS = 4
 
 
@@ -57,6 +70,8 @@ class History:
         Parameters of those fits.
     trends
         Tables of trends and alarms by name, as far as they are there.
+    decisions
+        What people said of the motors, the oldest first.
     fleet
         Name of the fleet in the newest run; empty where there is none.
     faults
@@ -66,6 +81,7 @@ class History:
     fits: pl.DataFrame
     parameters: pl.DataFrame
     trends: Mapping[str, pl.DataFrame] = field(default_factory=dict)
+    decisions: tuple[Decision, ...] = ()
     fleet: str = ""
     faults: tuple[str, ...] = ()
 
@@ -81,11 +97,6 @@ def night_paths(output: Path, table: Table) -> dict[dt.date, Path]:
     return dict(sorted(paths.items()))
 
 
-def night_tables() -> list[Table]:
-    """Tables that a night's page shows, as far as the schema has them."""
-    return [KNOWN[name] for name in NIGHT_NAMES if name in KNOWN]
-
-
 def read_night(output: Path, night: dt.date) -> dict[str, Read]:
     """Rows of one night by table, sorted by key; of fits' child tables those of primary fits.
 
@@ -95,7 +106,7 @@ def read_night(output: Path, night: dt.date) -> dict[str, Read]:
         If a file is of a newer version of the program.
     """
     found: dict[str, Read] = {}
-    for table in night_tables():
+    for table in SHOWN_TABLES:
         path = night_file(output, table, night)
         found[table.name] = _read([path] if path.exists() else [], table)
     fits = found["fits"].rows
@@ -129,9 +140,7 @@ def read_history(output: Path) -> History:
     parameters = _read(night_paths(output, PARAMETERS).values(), PARAMETERS, columns, wanted)
     runs = _read(_all_files(output, RUNS), RUNS, ["started_at", "fleet"])
     trends = {
-        name: _read(_all_files(output, KNOWN[name]), KNOWN[name])
-        for name in TREND_NAMES
-        if name in KNOWN
+        table.name: _read(night_paths(output, table).values(), table) for table in TREND_TABLES
     }
     primary = fits.rows.filter("is_primary").sort("motor_id", "night")
     newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
@@ -141,6 +150,7 @@ def read_history(output: Path) -> History:
             primary.select(FIT_KEY_NAMES), on=FIT_KEY_NAMES, how="semi"
         ).sort("motor_id", "parameter", "night"),
         trends={name: read.rows for name, read in trends.items() if read.rows.height},
+        decisions=read_decisions(output),
         fleet=newest[-1] if len(newest) else "",
         faults=tuple(
             fault for read in (fits, parameters, runs, *trends.values()) for fault in read.faults

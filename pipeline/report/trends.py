@@ -1,156 +1,169 @@
-"""Trends, alarms, baselines and change points of a motor, where a run has left such tables."""
+"""Trends, alarms, baselines, change points and decisions of a motor, as its page shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
+import numpy as np
 import polars as pl
 
-from pipeline.report.encoding import numbers
-from pipeline.report.words import plain
+from pipeline.decisions import Decision
+from pipeline.report.encoding import numbers, whole_numbers
+from pipeline.report.tables import History
+from pipeline.status import ORDER, motor_state
+from pipeline.thinning import keep_extremes
+from pipeline.trends.words import name_of
 
 Payload = dict[str, Any]
 
-# Worst first: the state of a motor is the worst of its indicators'.
-STATES = ("alarm", "warning", "common_cause", "stale", "insufficient", "ok")
+# A motor has some fifteen indicators; of each no more nights are drawn than that, extremes kept.
+PLOTTED_NIGHTS = 600
 WITHIN = "all indicators within their limits"
 # Of the newest night of an indicator, beside its course.
 LATEST = (
     "baseline_mean",
+    "deviation_percent",
     "slope_per_year",
     "slope_per_year_lower",
     "slope_per_year_upper",
     "slope_per_1000_h",
     "slope_per_1000_h_lower",
     "slope_per_1000_h_upper",
+    "n_slope",
     "provisional",
-    "p_value",
     "q_value",
     "state",
+    "state_reason",
     "gated_reason",
     "path",
     "path_probability",
+    "path_reason",
     "days_to_limit",
     "days_to_limit_lower",
     "days_to_limit_upper",
     "days_to_limit_status",
 )
-COURSES = ("value", "lower", "upper", "baseline_mean", "warning_limit", "alarm_limit", "cusum")
+COURSES = ("value", "lower", "upper", "baseline_mean", "limit", "cusum", "cusum_limit")
 
 
 @dataclass(frozen=True, slots=True)
 class Standing:
-    """The worst state among a motor's indicators in its newest night of trends.
+    """How a motor stands by the alarm rules.
 
     Attributes
     ----------
     state
-        One of `STATES`.
+        One of `pipeline.status.ORDER`.
     reason
-        Why, in words.
+        Why, in words, and what somebody said of it.
+    sensor_health
+        ok, drifted or unknown.
+    deviation_percent
+        How far the leakage is from its baseline; None where there is none.
     """
 
     state: str
     reason: str
+    sensor_health: str = "unknown"
+    deviation_percent: float | None = None
 
 
-def standings(trends: Mapping[str, pl.DataFrame]) -> dict[str, Standing]:
-    """The standing of each motor that has trends."""
-    rows = trends.get("trends")
-    if rows is None:
+def standings(history: History) -> dict[str, Standing]:
+    """The standing of each motor that has trends, the same that `motor-leakage status` prints."""
+    trends = history.trends.get("trends")
+    if trends is None:
         return {}
-    newest = rows.filter(pl.col("night") == pl.col("night").max().over("motor_id"))
-    alarms = _last_words(trends.get("alarms"))
-    found: dict[str, Standing] = {}
-    order = {state: place for place, state in enumerate(STATES)}
-    for row in newest.sort("motor_id", "indicator").to_dicts():
-        motor_id, state = row["motor_id"], row["state"]
-        known = found.get(motor_id)
-        if state not in order or (known and order[known.state] <= order[state]):
-            continue
-        said = None if state == "ok" else alarms.get((motor_id, row["indicator"], state))
-        told = WITHIN if state == "ok" else f"{plain(row['indicator'])}: {plain(state)}"
-        found[motor_id] = Standing(state, said or told)
+    fits = {part["motor_id"][0]: part for part in history.fits.partition_by("motor_id")}
+    found = {}
+    for rows in trends.partition_by("motor_id"):
+        motor_id = rows["motor_id"][0]
+        said = [one for one in history.decisions if one.motor_id == motor_id]
+        own_fits = fits.get(motor_id, history.fits.clear())
+        state = motor_state(motor_id, rows, own_fits, said)
+        reason = state.reason or (WITHIN if state.state == "ok" else "")
+        if state.acknowledged:
+            reason += f" (acknowledged: {state.acknowledged})"
+        health = state.sensor_health or "unknown"
+        found[motor_id] = Standing(state.state, reason, health, state.deviation_percent)
     return found
 
 
-def _last_words(alarms: pl.DataFrame | None) -> dict[tuple[str, str, str], str]:
-    """The newest reason for each motor, indicator and state that was entered."""
-    if alarms is None:
-        return {}
-    return {
-        (row["motor_id"], row["indicator"], row["to_state"]): row["reason"]
-        for row in alarms.sort("time").to_dicts()
-    }
-
-
-def trend_payload(motor_id: str, trends: Mapping[str, pl.DataFrame]) -> Payload:
-    """What a motor's page shows of its trends; empty lists where there is nothing.
-
-    Parameters
-    ----------
-    motor_id
-        The motor.
-    trends
-        The tables of trends by name, of all motors.
-    """
+def trend_payload(motor_id: str, history: History) -> Payload:
+    """What a motor's page shows of its trends; empty lists where there is nothing."""
     own = {
-        name: rows.filter(pl.col("motor_id") == motor_id).drop("run_id", "motor_id", strict=False)
-        for name, rows in trends.items()
+        name: rows.filter(motor_id=motor_id).drop("run_id", "motor_id")
+        for name, rows in history.trends.items()
     }
     return {
+        "order": ORDER,
         "indicators": _indicators(own.get("trends")),
-        **{name: _records(own.get(name)) for name in ("alarms", "baselines")},
-        "change_points": _records(_as_seen_last(own.get("change_points"))),
+        "alarms": _records(own.get("alarms")),
+        "baselines": _baselines_in_use(own.get("baselines")),
+        "change_points": _newest_change_points(own.get("change_points")),
+        "decisions": _decisions(motor_id, history.decisions),
     }
-
-
-def _as_seen_last(changes: pl.DataFrame | None) -> pl.DataFrame | None:
-    """Change points as the newest night saw them, at the nights of the changes."""
-    if changes is None or changes.is_empty():
-        return None
-    newest = changes.filter(pl.col("night") == pl.col("night").max())
-    return newest.drop("night").rename({"change_night": "night"})
 
 
 def _indicators(rows: pl.DataFrame | None) -> list[Payload]:
+    """Those that ask for attention first; before others those that alarms are raised on."""
     if rows is None:
         return []
-    return [
-        _indicator(part)
-        for part in rows.sort("indicator", "night").partition_by("indicator", maintain_order=True)
+    ordered = rows.sort("indicator", "night")
+    indicators = [
+        _indicator(part) for part in ordered.partition_by("indicator", maintain_order=True)
     ]
+    return sorted(
+        indicators,
+        key=lambda one: (ORDER.index(one["latest"]["state"]), "n_slope" not in one["latest"]),
+    )
 
 
 def _indicator(rows: pl.DataFrame) -> Payload:
     last = rows.row(-1, named=True)
+    columns = {name: rows[name].cast(pl.Float64).to_numpy() for name in COURSES}
+    places = keep_extremes(np.column_stack([columns["value"], columns["cusum"]]), PLOTTED_NIGHTS)
+    states = rows["state"].to_list()
     return {
         "indicator": last["indicator"],
+        "name": name_of(last["indicator"]),
         "unit": last["unit"],
-        "nights": [night.isoformat() for night in rows["night"]],
-        "state": rows["state"].to_list(),
-        **{
-            name: numbers(rows[name].cast(pl.Float64).to_numpy())
-            for name in _present(COURSES, rows)
-        },
-        "latest": {name: last[name] for name in _present(LATEST, rows) if last[name] is not None},
+        "days": whole_numbers(rows["night"].to_physical().to_numpy()[places]),
+        # A digit for each night: the place of its state in the order of urgency.
+        "states": "".join(str(ORDER.index(states[place])) for place in places.tolist()),
+        **{name: numbers(values[places]) for name, values in columns.items()},
+        "latest": {name: last[name] for name in LATEST if last[name] is not None},
     }
 
 
-def _present(names: Iterable[str], rows: pl.DataFrame) -> list[str]:
-    return [name for name in names if name in rows.columns]
+def _baselines_in_use(rows: pl.DataFrame | None) -> list[Payload]:
+    """The baseline of each indicator that was frozen last."""
+    if rows is None:
+        return []
+    return _records(rows.sort("indicator", "night").unique("indicator", keep="last"))
+
+
+def _newest_change_points(rows: pl.DataFrame | None) -> list[Payload]:
+    """Change points as the newest night sees them."""
+    if rows is None:
+        return []
+    newest = pl.col("night") == pl.col("night").max().over("indicator")
+    return _records(rows.filter(newest).sort("indicator", "change_night"))
+
+
+def _decisions(motor_id: str, decisions: Sequence[Decision]) -> list[Payload]:
+    return [_plain(asdict(one).items()) for one in decisions if one.motor_id == motor_id]
 
 
 def _records(rows: pl.DataFrame | None) -> list[Payload]:
-    if rows is None:
-        return []
-    return [
-        {name: _plain_value(value) for name, value in row.items() if value is not None}
-        for row in rows.to_dicts()
-    ]
+    return [] if rows is None else [_plain(row.items()) for row in rows.to_dicts()]
 
 
-def _plain_value(value: Any) -> Any:
-    return value.isoformat() if hasattr(value, "isoformat") else value
+def _plain(items: Iterable[tuple[str, Any]]) -> Payload:
+    """Values as JSON has them, dates as text; those that are absent are left out."""
+    return {
+        name: value.isoformat() if hasattr(value, "isoformat") else value
+        for name, value in items
+        if value is not None
+    }

@@ -70,6 +70,34 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
+# Which leakage stands for a motor, if not that at the reference conditions.
+LEAKAGE_KINDS: Final[Mapping[str, str]] = {
+    "frozen": "at the motor's own conditions",
+    "own": "at each night's conditions",
+}
+SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
+INDICATOR_STATES: Final[Mapping[str, str]] = {
+    "ok": "no change",
+    "warning": "warning",
+    "alarm": "alarm",
+    "common_cause": "common cause",
+    "stale": "no recent figure",
+    "insufficient": "too little to tell",
+}
+TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
+    "no_trend": "no trend towards it",
+    "already_crossed": "already crossed",
+    "beyond_horizon": "beyond the horizon",
+    "unbounded": "cannot be told: the trend may be none",
+    "insufficient": "too few nights",
+}
+DECISIONS: Final[Mapping[str, str]] = {
+    "acknowledged": "acknowledged",
+    "finding": "inspected",
+    "baseline_reset": "baseline reset",
+    "confirmed": "wear was found",
+    "not_confirmed": "no wear was found",
+}
 EVENTS: Final[Mapping[str, str]] = {
     "overhaul": "overhaul",
     "oil_change": "oil change",
@@ -99,6 +127,9 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "rules": RULES,
         "flushing": FLUSHING,
         "tests": TESTS,
+        "indicatorStates": INDICATOR_STATES,
+        "timesToLimit": TIMES_TO_LIMIT,
+        "decisions": DECISIONS,
         "events": EVENTS,
     }
 

@@ -197,6 +197,7 @@ const motorLeakage = (() => {
     ticklen: 4,
     tickcolor: "#aab3bd",
     zeroline: false,
+    exponentformat: "power",
     automargin: true,
     title: { standoff: 6 },
   };

@@ -13,78 +13,72 @@
     systematic: decode(packed.systematic),
   });
   const reference = course(page.reference);
+  const frozen = course(page.frozen);
   const own = course(page.own);
   const known = (values) => values.some((value) => value !== null);
 
   const interval = (figure, at) => [figure.value[at], figure.lower[at], figure.upper[at]];
 
+  /* The leakage that is told first is shown, the others on request. */
+  const LEAKAGES = [
+    ["at the reference conditions", reference, style(0), "reference"],
+    ["at the motor's own conditions", frozen, style(2), "own, frozen"],
+    [
+      "at each night's conditions",
+      own,
+      { color: COLOURS.quiet, dash: "dash", symbol: "square" },
+      "the night's",
+    ],
+  ].filter(([, leakage]) => known(leakage.value));
+
+  /* Marks along the bottom for nights without a fit, with the reason. */
+  function unfittedNights() {
+    const missing = nights.map((_, at) => at).filter((at) => statuses[at] !== "ok");
+    const why = (at) =>
+      `${word("statuses", statuses[at])}: ${page.reasons[places[at]] ?? ""}`.slice(0, 120);
+    return {
+      type: "scatter",
+      mode: "markers",
+      name: "no fit",
+      x: missing.map((at) => nights[at]),
+      y: missing.map(() => 0.02),
+      yaxis: "y2",
+      text: missing.map((at) => text(why(at))),
+      hovertemplate: "%{x|%Y-%m-%d}: %{text}<extra></extra>",
+      marker: { color: COLOURS.vermilion, symbol: "x-thin-open", size: 7, line: { width: 1.5 } },
+    };
+  }
+
   show("course-leakage", () => {
-    if (!known(reference.value) && !known(own.value))
+    if (!LEAKAGES.length)
       return {
         absent:
           "No night of this motor has a leakage: none was fitted, or its logs determine none.",
       };
-    const traces = [];
-    if (known(reference.value)) {
-      traces.push(band(nights, reference.lower, reference.upper, COLOURS.blue, "reference"));
-      traces.push(
-        line("at reference conditions", reference.value, style(0), {
-          hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g} l/min<extra>reference</extra>",
+    const traces = LEAKAGES.flatMap(([name, leakage, look, short], place) => {
+      const visible = place === 0 ? true : "legendonly";
+      return [
+        { ...band(nights, leakage.lower, leakage.upper, look.color, name), visible },
+        line(name, leakage.value, look, {
+          visible,
+          hovertemplate: `%{x|%Y-%m-%d}: %{y:.4g} l/min<extra>${short}</extra>`,
         }),
-      );
-    }
-    if (known(own.value)) {
-      const only = traces.length === 0;
-      const visible = only ? true : "legendonly";
-      traces.push({ ...band(nights, own.lower, own.upper, COLOURS.quiet, "own"), visible });
-      traces.push(
-        line(
-          "at the night's own conditions",
-          own.value,
-          { color: COLOURS.quiet, dash: "dash", symbol: "square" },
-          {
-            visible,
-            legendgroup: "own",
-            hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g} l/min<extra>own conditions</extra>",
-          },
-        ),
-      );
-    }
-    const missing = nights.map((_, at) => at).filter((at) => statuses[at] !== "ok");
-    if (missing.length) {
-      traces.push({
-        type: "scatter",
-        mode: "markers",
-        name: "no fit",
-        x: missing.map((at) => nights[at]),
-        y: missing.map(() => 0.02),
-        yaxis: "y2",
-        text: missing.map((at) =>
-          text(
-            `${word("statuses", statuses[at])}: ${page.reasons[places[at]] ?? ""}`.slice(0, 120),
-          ),
-        ),
-        hovertemplate: "%{x|%Y-%m-%d}: %{text}<extra></extra>",
-        marker: { color: COLOURS.vermilion, symbol: "x-thin-open", size: 7, line: { width: 1.5 } },
-      });
-    }
+      ];
+    });
+    const missing = unfittedNights();
+    const first = LEAKAGES[0][1];
     return {
-      traces,
+      traces: missing.x.length ? [...traces, missing] : traces,
       height: 340,
       onClick: open,
       layout: {
         xaxis: { type: "date" },
         yaxis: {
           title: "leakage, l/min",
-          range: known(reference.value)
-            ? limits(
-                [...reference.value, ...reference.lower, ...reference.upper],
-                (middle) => 0.05 * Math.abs(middle),
-              )
-            : limits(
-                [...own.value, ...own.lower, ...own.upper],
-                (middle) => 0.05 * Math.abs(middle),
-              ),
+          range: limits(
+            [...first.value, ...first.lower, ...first.upper],
+            (middle) => 0.05 * Math.abs(middle),
+          ),
         },
         yaxis2: { overlaying: "y", range: [0, 1], visible: false, fixedrange: true },
         ...marks(),
@@ -93,20 +87,18 @@
         columns: [
           "Night",
           "Outcome",
-          { name: "Reference leakage", unit: "l/min" },
-          "lower",
-          "upper",
-          { name: "± systematic", unit: "l/min" },
-          { name: "At own conditions", unit: "l/min" },
-          "lower",
-          "upper",
+          ...LEAKAGES.flatMap(([name]) => [
+            { name: `Leakage ${name}`, unit: "l/min" },
+            "from",
+            "to",
+          ]),
+          { name: "± systematic, at the reference conditions", unit: "l/min" },
         ],
         rows: nights.map((night, at) => [
           night,
           word("statuses", statuses[at]),
-          ...interval(reference, at),
+          ...LEAKAGES.flatMap(([, leakage]) => interval(leakage, at)),
           reference.systematic[at],
-          ...interval(own, at),
         ]),
       },
     };
@@ -149,8 +141,8 @@
             "Night",
             ...courses.flatMap((one) => [
               { name: one.name, unit: title.split(", ").pop() },
-              "lower",
-              "upper",
+              "from",
+              "to",
             ]),
           ],
           rows: nights.map((night, at) => [night, ...courses.flatMap((one) => interval(one, at))]),

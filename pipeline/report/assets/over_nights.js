@@ -2,7 +2,7 @@
 "use strict";
 
 motorLeakage.overNights = (() => {
-  const { COLOURS, page, decode, plain, text, word } = motorLeakage;
+  const { COLOURS, page, decode, text, format, word } = motorLeakage;
 
   const places = decode(page.plotted);
   const nights = places.map((place) => page.nights[place]);
@@ -19,8 +19,8 @@ motorLeakage.overNights = (() => {
         dash: "solid",
       })),
       ...changePoints.map((point) => ({
-        date: point.night,
-        label: `change point${point.model ? ` (${plain(point.model)})` : ""}`,
+        date: point.change_night,
+        label: `${point.size_percent > 0 ? "+" : ""}${format(point.size_percent, 2)} % (${point.model})`,
         colour: COLOURS.purple,
         dash: "dot",
       })),

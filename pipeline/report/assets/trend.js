@@ -1,118 +1,149 @@
-/* Trends and alarms of a motor, where a run has left such tables. */
+/* Trends, alarms and what people said of a motor, where a run has judged its trends. */
 "use strict";
 
 (() => {
-  const { COLOURS, page, decode, plain, text, format, element, table, show, unit } = motorLeakage;
+  const { COLOURS, ABSENT, page, decode, plain, text, format, element, table, show, word, unit } =
+    motorLeakage;
   const { open, marks, band } = motorLeakage.overNights;
 
-  const { indicators, alarms, baselines, change_points: changePoints } = page.trend;
-  const STATE_SYMBOLS = {
-    ok: "circle",
-    warning: "triangle-up",
-    alarm: "triangle-up",
-    common_cause: "diamond",
-    stale: "circle-open",
-    insufficient: "circle-open",
+  const { alarms, baselines, change_points: changePoints, decisions } = page.trend;
+  const DAY_MS = 86400000;
+  const indicators = page.trend.indicators.map((one) => ({
+    ...one,
+    nights: decode(one.days).map((day) => new Date(day * DAY_MS).toISOString().slice(0, 10)),
+    state: [...one.states].map((place) => page.trend.order[Number(place)]),
+  }));
+  const LOOKS = {
+    ok: { symbol: "circle", color: COLOURS.green },
+    warning: { symbol: "triangle-up", color: COLOURS.orange },
+    alarm: { symbol: "triangle-up", color: COLOURS.vermilion },
+    common_cause: { symbol: "diamond", color: COLOURS.purple },
   };
-  const STATE_COLOURS = {
-    ok: COLOURS.green,
-    warning: COLOURS.orange,
-    alarm: COLOURS.vermilion,
-    common_cause: COLOURS.purple,
-  };
+  const UNKNOWN = { symbol: "circle-open", color: COLOURS.quiet };
+  const look = (state) => LOOKS[state] ?? UNKNOWN;
+  const stateWord = (state) => word("indicatorStates", state);
 
-  function indicatorChart(one) {
-    const value = decode(one.value);
-    const [lower, upper] = [decode(one.lower), decode(one.upper)];
-    const ownUnit = unit(one.unit);
-    const step = (name, packed, colour, dash) => ({
+  /* Shares are shown in percent. */
+  const isShare = (one) => one.unit === "1";
+  const scaled = (one, packed) =>
+    decode(packed).map((value) => (value === null || !isShare(one) ? value : 100 * value));
+  const unitOf = (one) => (isShare(one) ? "%" : unit(one.unit));
+  const label = (one) => (unitOf(one) ? `${one.name}, ${unitOf(one)}` : one.name);
+  const isKnown = (values) => values.some((value) => value !== null);
+
+  function step(one, name, values, colour, dash, yaxis) {
+    return {
       type: "scatter",
       mode: "lines",
       name,
       legendgroup: name,
       x: one.nights,
-      y: decode(packed),
+      y: values,
+      yaxis,
       line: { color: colour, width: 1.2, dash, shape: "hv" },
       hovertemplate: `%{x|%Y-%m-%d}: %{y:.4g}<extra>${name}</extra>`,
-    });
-    const traces = [];
-    if (lower.length) traces.push(band(one.nights, lower, upper, COLOURS.blue, "value"));
-    traces.push({
-      type: "scatter",
-      mode: "lines+markers",
-      name: text(plain(one.indicator)),
-      legendgroup: "value",
-      x: one.nights,
-      y: value,
-      connectgaps: false,
-      line: { color: COLOURS.blue, width: 1.3 },
-      marker: {
-        size: 6,
-        symbol: one.state.map((state) => STATE_SYMBOLS[state] ?? "circle"),
-        color: one.state.map((state) => STATE_COLOURS[state] ?? COLOURS.quiet),
+    };
+  }
+
+  function course(one) {
+    const value = scaled(one, one.value);
+    return [
+      band(one.nights, scaled(one, one.lower), scaled(one, one.upper), COLOURS.blue, "value"),
+      {
+        type: "scatter",
+        mode: "lines+markers",
+        name: text(one.name),
+        legendgroup: "value",
+        x: one.nights,
+        y: value,
+        connectgaps: false,
+        line: { color: COLOURS.blue, width: 1.3 },
+        marker: {
+          size: 6,
+          symbol: one.state.map((state) => look(state).symbol),
+          color: one.state.map((state) => look(state).color),
+        },
+        text: one.state.map((state) => text(stateWord(state))),
+        hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g}, %{text}<extra></extra>",
       },
-      text: one.state.map((state) => text(plain(state ?? ""))),
-      hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g}, %{text}<extra></extra>",
-    });
-    if (one.baseline_mean) traces.push(step("baseline", one.baseline_mean, COLOURS.ink, "dash"));
-    if (one.warning_limit)
-      traces.push(step("warning", one.warning_limit, COLOURS.orange, "dashdot"));
-    if (one.alarm_limit) traces.push(step("alarm", one.alarm_limit, COLOURS.vermilion, "longdash"));
-    const frozen = baselines.filter(
-      (baseline) => baseline.indicator === one.indicator && baseline.start && baseline.end,
-    );
+      step(one, "baseline", scaled(one, one.baseline_mean), COLOURS.ink, "dash"),
+      step(one, "limit of alarm", scaled(one, one.limit), COLOURS.vermilion, "longdash"),
+    ];
+  }
+
+  /* The figure above, the CUSUM that watches it below. */
+  function indicatorChart(one) {
+    if (!isKnown(decode(one.value)))
+      return { absent: one.latest.gated_reason ?? one.latest.state_reason ?? "No night has it." };
+    const cusum = decode(one.cusum);
+    const isWatched = isKnown(cusum);
+    const traces = course(one);
+    const layout = {
+      xaxis: { type: "date", anchor: isWatched ? "y2" : "y" },
+      yaxis: { title: text(unitOf(one) || one.name), domain: [isWatched ? 0.36 : 0, 1] },
+    };
+    if (isWatched) {
+      layout.yaxis2 = { title: "CUSUM, sd", domain: [0, 0.26], rangemode: "tozero", nticks: 4 };
+      traces.push(
+        step(one, "CUSUM", cusum, COLOURS.sky, "solid", "y2"),
+        step(one, "its limit", decode(one.cusum_limit), COLOURS.orange, "dashdot", "y2"),
+      );
+    }
     const lines = marks(changePoints.filter((point) => point.indicator === one.indicator));
+    const frozen = baselines.filter((baseline) => baseline.indicator === one.indicator);
+    layout.shapes = [
+      ...frozen.map((baseline) => ({
+        type: "rect",
+        layer: "below",
+        x0: baseline.start,
+        x1: baseline.end,
+        yref: "y domain",
+        y0: 0,
+        y1: 1,
+        fillcolor: "#eef1f4",
+        line: { width: 0 },
+      })),
+      ...lines.shapes,
+    ];
+    layout.annotations = lines.annotations;
+    const [value, lower, upper, baseline] = ["value", "lower", "upper", "baseline_mean"].map(
+      (name) => scaled(one, one[name]),
+    );
     return {
-      traces,
-      height: 360,
+      traces: traces.filter((trace) => trace.y.some((number) => number !== null)),
+      layout,
+      height: 440,
       onClick: open,
-      layout: {
-        xaxis: { type: "date" },
-        yaxis: { exponentformat: "power", title: ownUnit ? `${plain(one.indicator)}, ${ownUnit}` : plain(one.indicator) },
-        shapes: [
-          ...frozen.map((baseline) => ({
-            type: "rect",
-            layer: "below",
-            x0: baseline.start,
-            x1: baseline.end,
-            yref: "paper",
-            y0: 0,
-            y1: 1,
-            fillcolor: "#eef1f4",
-            line: { width: 0 },
-          })),
-          ...lines.shapes,
-        ],
-        annotations: lines.annotations,
-      },
       table: {
-        columns: ["Night", { name: plain(one.indicator), unit: ownUnit }, "Baseline", "State"],
+        columns: [
+          "Night",
+          { name: one.name, unit: unitOf(one) },
+          "from",
+          "to",
+          "Baseline",
+          { name: "CUSUM", unit: "sd" },
+          "State",
+        ],
         rows: one.nights.map((night, at) => [
           night,
           value[at],
-          decode(one.baseline_mean)[at],
-          plain(one.state[at] ?? ""),
+          lower[at],
+          upper[at],
+          baseline[at],
+          cusum[at],
+          stateWord(one.state[at]),
         ]),
       },
     };
   }
 
-  if (indicators.length) {
-    const select = element(
-      "select",
-      { "aria-label": "Indicator" },
-      ...indicators.map((one, place) => element("option", { value: place }, plain(one.indicator))),
+  function menu() {
+    const options = indicators.map((one, place) =>
+      element("option", { value: place }, `${label(one)}: ${stateWord(one.latest.state)}`),
     );
-    const worst = ["alarm", "warning", "common_cause"]
-      .map((state) => indicators.findIndex((one) => one.latest.state === state))
-      .find((place) => place >= 0);
-    select.value = String(
-      worst ??
-        Math.max(
-          indicators.findIndex((one) => one.indicator === "reference_leakage"),
-          0,
-        ),
-    );
+    const select = element("select", {}, ...options);
+    const first = indicators.findIndex((one) => isKnown(decode(one.value)));
+    select.value = String(Math.max(first, 0));
     const controls = document.querySelector("#trend-course .controls");
     controls.append(element("label", {}, "Indicator ", select));
     controls.hidden = false;
@@ -120,63 +151,115 @@
       show("trend-course", () => indicatorChart(indicators[Number(select.value)]));
     select.addEventListener("change", chosen);
     chosen();
-    const range = (latest, name) =>
-      latest[name] === undefined
-        ? null
-        : `${format(latest[name], 3)}${latest[`${name}_lower`] === undefined ? "" : ` (${format(latest[`${name}_lower`], 3)} to ${format(latest[`${name}_upper`], 3)})`}`;
-    document.getElementById("trend-table").append(
-      table(
-        [
-          "Indicator",
-          "Unit",
-          "State",
-          "Slope a year",
-          "Slope in 1000 h",
-          "q",
-          "Path",
-          "Days to limit",
-          "Note",
-        ],
-        indicators.map((one) => {
-          const last = one.latest;
-          const path = last.path
-            ? `${plain(last.path)}${last.path_probability === undefined ? "" : ` (${Math.round(100 * last.path_probability)} %)`}`
-            : null;
-          const toLimit =
-            range(last, "days_to_limit") ??
-            (last.days_to_limit_status ? plain(last.days_to_limit_status) : null);
-          return [
-            plain(one.indicator),
-            unit(one.unit),
-            plain(last.state ?? ""),
-            range(last, "slope_per_year"),
-            range(last, "slope_per_1000_h"),
-            last.q_value ?? null,
-            path,
-            toLimit,
-            [last.provisional ? "provisional" : "", last.gated_reason ?? ""]
-              .filter(Boolean)
-              .join("; ") || null,
-          ];
-        }),
-      ),
-    );
-    if (alarms.length) {
-      document.getElementById("alarm-table").append(
-        element("h3", {}, "Changes of state"),
-        table(
-          ["Time", "Indicator", "From", "To", "Why"],
-          [...alarms]
-            .reverse()
-            .map((alarm) => [
-              String(alarm.time).slice(0, 16).replace("T", " "),
-              plain(alarm.indicator),
-              plain(alarm.from_state ?? ""),
-              plain(alarm.to_state ?? ""),
-              alarm.reason ?? "",
-            ]),
-        ),
-      );
-    }
   }
+
+  const figure = (content) => element("span", { class: "figure" }, content);
+
+  /* A figure of the newest night with its interval. */
+  function withInterval(latest, name, factor = 1) {
+    if (latest[name] === undefined) return ABSENT;
+    const [value, low, high] = [name, `${name}_lower`, `${name}_upper`].map((key) =>
+      latest[key] === undefined ? null : factor * latest[key],
+    );
+    if (low === null) return format(value, 3);
+    return `${format(value, 3)} (${format(low, 3)} to ${high === null ? "no end" : format(high, 3)})`;
+  }
+
+  function toLimit({ latest }) {
+    const status = latest.days_to_limit_status;
+    if (latest.days_to_limit !== undefined) return withInterval(latest, "days_to_limit");
+    return status === undefined ? ABSENT : word("timesToLimit", status);
+  }
+
+  function path({ latest }) {
+    if (latest.path === undefined) return latest.path_reason ?? ABSENT;
+    const percent = 100 * (latest.path_probability ?? 0);
+    const probable =
+      latest.path_probability === undefined
+        ? ""
+        : ` (${percent > 99 ? "over 99" : Math.round(percent)} %)`;
+    return plain(latest.path) + probable;
+  }
+
+  function indicatorTable() {
+    const judged = indicators.filter((one) => one.latest.n_slope !== undefined);
+    const rows = judged.map((one) => {
+      const { latest } = one;
+      const factor = isShare(one) ? 100 : 1;
+      const said = [latest.state_reason, latest.gated_reason].filter(Boolean).join("; ");
+      const state = element("span", {}, stateWord(latest.state));
+      if (said) state.append(element("small", {}, said));
+      const away = latest.deviation_percent;
+      return [
+        one.name,
+        unitOf(one),
+        state,
+        figure(away === undefined ? ABSENT : `${away > 0 ? "+" : ""}${format(away, 3)} %`),
+        figure(withInterval(latest, "slope_per_year", factor)),
+        figure(withInterval(latest, "slope_per_1000_h", factor)),
+        figure(
+          latest.q_value === undefined
+            ? ABSENT
+            : latest.q_value < 1e-4
+              ? "< 0.0001"
+              : format(latest.q_value, 2),
+        ),
+        path(one),
+        toLimit(one),
+      ];
+    });
+    const names = [
+      "Indicator",
+      "Unit",
+      "State",
+      "From baseline",
+      "Slope a year",
+      "Slope in 1000 h",
+      "q of no slope",
+      "Path",
+      "Days to the limit",
+    ];
+    return table(names, rows);
+  }
+
+  const moment = (time) => String(time).slice(0, 16).replace("T", " ");
+  const nameOf = (indicator) =>
+    indicators.find((one) => one.indicator === indicator)?.name ?? plain(indicator ?? "");
+
+  function alarmTable() {
+    const newestFirst = [...alarms].sort((a, b) => b.time.localeCompare(a.time));
+    return table(
+      [{ name: "Time", unit: "UTC" }, "Indicator", "From", "To", "Why"],
+      newestFirst.map((alarm) => [
+        figure(moment(alarm.time)),
+        nameOf(alarm.indicator),
+        stateWord(alarm.from_state),
+        stateWord(alarm.to_state),
+        alarm.reason ?? "",
+      ]),
+    );
+  }
+
+  function decisionTable() {
+    return table(
+      [{ name: "Time", unit: "UTC" }, "What", "Indicator", "Night", "Note"],
+      decisions.map((one) => [
+        figure(moment(one.time)),
+        [word("decisions", one.kind), one.finding && word("decisions", one.finding)]
+          .filter(Boolean)
+          .join(": "),
+        one.indicator ? nameOf(one.indicator) : "all",
+        figure(one.night),
+        one.note ?? "",
+      ]),
+    );
+  }
+
+  const panel = (id, title, content) =>
+    document.getElementById(id).append(element("h3", {}, title), content);
+
+  menu();
+  panel("trend-table", "Indicators in the newest night", indicatorTable());
+  if (alarms.length) panel("alarm-table", "Changes of state", alarmTable());
+  if (decisions.length) panel("decision-table", "What was said of it", decisionTable());
 })();

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -55,12 +55,16 @@ def parameter(number: int, name: str, value: float, half: float | None = None, *
 
 
 def history(
-    fits: Sequence[Row], parameters: Sequence[Row] = (), events: Sequence[dt.date] = ()
+    fits: Sequence[Row],
+    parameters: Sequence[Row] = (),
+    events: Sequence[dt.date] = (),
+    trends: Mapping[str, pl.DataFrame] | None = None,
 ) -> MotorHistory:
     """The history of the one motor that the rows are of."""
     tables = History(
         fits=frame(FITS, fits).sort("motor_id", "night"),
         parameters=frame(PARAMETERS, parameters).sort("motor_id", "parameter", "night"),
+        trends=trends or {},
     )
     (motor,) = motor_histories(tables, ["M"], {"M": events})
     return motor
@@ -71,8 +75,3 @@ def scattered(n: int, level: float, seed: int, sd: float = 0.01) -> list[float]:
     noise = np.random.default_rng(seed).standard_normal(n)
     values: list[float] = (level * (1 + sd * noise)).tolist()
     return values
-
-
-def without(rows: pl.DataFrame) -> pl.DataFrame:
-    """None of the rows."""
-    return rows.clear()

@@ -2,14 +2,26 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from dataclasses import replace
 from typing import Any
 
-import polars as pl
 import pytest
 
+from pipeline.decisions import Decision
 from pipeline.report.attention import STATES, Attention, attention, changes
 from pipeline.report.history import MotorHistory
+from pipeline.report.tables import History
 from pipeline.report.trends import Standing, standings, trend_payload
+from pipeline.schema import (
+    ALARMS,
+    BASELINES,
+    CHANGE_POINTS,
+    FITS,
+    PARAMETERS,
+    TRENDS,
+    frame,
+)
 from tests.pipeline.report.nights import (
     FIRST,
     ONE_DAY,
@@ -69,7 +81,7 @@ def test_both_leakage_and_gap_are_told() -> None:
     rows = [parameter(n, "K_balance_sleeve", 1e-14 * (1 + (n > 9)), 1e-16) for n in range(20)]
     found = judged(history(fits, rows))
     assert found.code == "grown"
-    assert "reference leakage +29 %" in found.reason
+    assert "leakage +29 %" in found.reason
     assert "balance sleeve gap +26 %" in found.reason
 
 
@@ -128,61 +140,103 @@ def test_judged_trends_decide(state: str, code: str) -> None:
     assert (found.code, found.reason) == (code, "as the rules say")
 
 
-# Tables of trends, with the columns of design.md, section 4
+def test_the_larger_alarm_comes_first() -> None:
+    large = judged(history(STEADY), Standing("alarm", "x", "ok", 40.0))
+    small = judged(history(STEADY), Standing("alarm", "y", "ok", 30.0))
+    assert large.rank < small.rank
+
+
+def test_a_drifted_sensor_is_named_before_wear_is() -> None:
+    found = judged(history(STEADY), Standing("ok", "fine", "drifted"))
+    assert found.code == "sensor"
+    both = judged(history(STEADY), Standing("alarm", "leakage +40 %", "drifted"))
+    assert both.code == "alarm"
+    assert both.reason.startswith("leakage +40 %; the readings at halts say")
+
+
+# Tables of trends
 
 
 def trend(motor: str, number: int, indicator: str, state: str, **more: Any) -> dict[str, Any]:
     row = {"motor_id": motor, "night": FIRST + number * ONE_DAY, "indicator": indicator}
-    return (
-        row
-        | {"value": 1.0 + number, "unit": "l_per_min", "baseline_mean": 1.0}
-        | ({"state": state, "run_id": "r"} | more)
+    row |= {"value": 1.0 + number, "unit": "l/min", "baseline_mean": 1.0, "n_slope": 30}
+    return row | {"state": state, "sensor_health": "ok"} | more
+
+
+def tables(decisions: tuple[Decision, ...] = ()) -> History:
+    trends = [
+        trend("M", 0, "reference_leakage", "alarm"),
+        trend("M", 1, "reference_leakage", "ok", slope_per_year=0.2, deviation_percent=3.0),
+        trend("M", 1, "K_balance_sleeve", "warning", state_reason="sleeve +38 % [29, 47]"),
+        trend("M", 1, "leakage_balance_sleeve", "warning", n_slope=None),
+        trend("N", 0, "reference_leakage", "stale", state_reason="no figure for 8 nights"),
+        trend("O", 0, "reference_leakage", "ok", sensor_health="drifted"),
+    ]
+    alarm = {"motor_id": "M", "indicator": "K_balance_sleeve", "from_state": "ok"}
+    alarm |= {"to_state": "warning", "reason": "sleeve +38 %", "night": FIRST + ONE_DAY}
+    baseline = {"motor_id": "M", "indicator": "reference_leakage", "start": FIRST, "end": FIRST}
+    changes = {"motor_id": "M", "indicator": "reference_leakage", "size_percent": 5.0}
+    return History(
+        fits=frame(FITS, [fit(0), fit(1)]),
+        parameters=frame(PARAMETERS, []),
+        trends={
+            "trends": frame(TRENDS, trends),
+            "alarms": frame(ALARMS, [alarm | {"time": dt.datetime(2026, 1, 2, 6, tzinfo=dt.UTC)}]),
+            "baselines": frame(
+                BASELINES,
+                [baseline | {"night": FIRST + n * ONE_DAY, "mean": 1.0 + n} for n in range(2)],
+            ),
+            "change_points": frame(
+                CHANGE_POINTS,
+                [
+                    changes | {"night": FIRST + n * ONE_DAY, "change_night": FIRST + m * ONE_DAY}
+                    for n, m in ((0, 0), (1, 1))
+                ],
+            ),
+        },
+        decisions=decisions,
     )
 
 
-TRENDS = {
-    "trends": pl.DataFrame(
-        [
-            trend("M", 0, "reference_leakage", "alarm"),
-            trend("M", 1, "reference_leakage", "ok", slope_per_year=0.2, days_to_limit=40.0),
-            trend("M", 1, "K_balance_sleeve", "warning", path="balance_sleeve"),
-            trend("N", 0, "reference_leakage", "stale"),
-            trend("O", 0, "reference_leakage", "ok"),
-        ]
-    ),
-    "alarms": pl.DataFrame(
-        {
-            "motor_id": ["M", "M"],
-            "time": [FIRST, FIRST + ONE_DAY],
-            "indicator": ["K_balance_sleeve"] * 2,
-            "from_state": ["ok", "ok"],
-            "to_state": ["warning", "warning"],
-            "reason": ["an earlier one", "balance sleeve leakage +38 % [29, 47]"],
-            "run_id": ["r", "r"],
-        }
-    ),
-}
+SEEN = Decision(
+    motor_id="M",
+    indicator="K_balance_sleeve",
+    time=dt.datetime(2026, 1, 3, 9, tzinfo=dt.UTC),
+    kind="acknowledged",
+    night=FIRST + ONE_DAY,
+    note="ordered a sleeve",
+)
 
 
-def test_standing_is_the_worst_state_of_the_newest_night_in_the_alarm_s_words() -> None:
-    found = standings(TRENDS)
-    assert found["M"] == Standing("warning", "balance sleeve leakage +38 % [29, 47]")
-    assert found["N"] == Standing("stale", "reference leakage: stale")
-    assert found["O"] == Standing("ok", "all indicators within their limits")
-    assert standings({}) == {}
+def test_standing_is_that_of_the_command_status() -> None:
+    found = standings(tables())
+    assert found["M"] == Standing("warning", "sleeve +38 % [29, 47]", "ok", 3.0)
+    assert found["N"] == Standing("stale", "no figure for 8 nights", "ok")
+    assert found["O"] == Standing("ok", "all indicators within their limits", "drifted")
+    said = standings(tables((SEEN,)))["M"].reason
+    assert said == "sleeve +38 % [29, 47] (acknowledged: ordered a sleeve)"
+    assert standings(replace(tables(), trends={})) == {}
 
 
 def test_trends_of_a_motor_go_to_its_page_and_no_other_s() -> None:
-    payload = trend_payload("M", TRENDS)
+    payload = trend_payload("M", tables((SEEN,)))
+    # The one that asks for attention first, and of these what alarms are raised on.
     assert [one["indicator"] for one in payload["indicators"]] == [
         "K_balance_sleeve",
+        "leakage_balance_sleeve",
         "reference_leakage",
     ]
-    leakage = payload["indicators"][1]
-    assert leakage["nights"] == ["2026-01-01", "2026-01-02"]
+    leakage = payload["indicators"][2]
+    assert leakage["name"] == "reference leakage"
+    days = unpacked(leakage["days"]).tolist()
+    assert days == [(FIRST + n * ONE_DAY - dt.date(1970, 1, 1)).days for n in range(2)]
     assert unpacked(leakage["value"]).tolist() == [1.0, 2.0]
-    assert leakage["state"] == ["alarm", "ok"]
+    assert [payload["order"][int(place)] for place in leakage["states"]] == ["alarm", "ok"]
     assert leakage["latest"]["slope_per_year"] == 0.2
-    assert [alarm["reason"] for alarm in payload["alarms"]] == TRENDS["alarms"]["reason"].to_list()
-    assert payload["change_points"] == []
-    assert trend_payload("unknown", TRENDS)["indicators"] == []
+    assert [alarm["reason"] for alarm in payload["alarms"]] == ["sleeve +38 %"]
+    # Of what was frozen or seen anew, the newest.
+    assert [one["mean"] for one in payload["baselines"]] == [2.0]
+    assert [one["change_night"] for one in payload["change_points"]] == ["2026-01-02"]
+    assert [one["note"] for one in payload["decisions"]] == ["ordered a sleeve"]
+    other = trend_payload("unknown", tables((SEEN,)))
+    assert not any(other[name] for name in other if name != "order")

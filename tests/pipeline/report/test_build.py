@@ -17,7 +17,7 @@ import pytest
 import pipeline.report.build as build_module
 from pipeline.errors import StoreError, UsageError
 from pipeline.report import KnownMotor, ReportRequest, ReportResult, build_report
-from pipeline.schema import FITS, PARAMETERS, PREDICTIONS
+from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
 from pipeline.store import VERSION_KEY, night_file, read_table, write_table
 from tests.pipeline.report.conftest import change_table
 from tests.pipeline.report.packed import night_file as read_night_file
@@ -83,7 +83,7 @@ def test_pages_and_nights_are_small(report: Path) -> None:
 
 def test_pages_of_ten_years_are_small(output: Path) -> None:
     before = NIGHTS[0] - dt.timedelta(days=1)
-    for table in (FITS, PARAMETERS):
+    for table in (FITS, PARAMETERS, TRENDS):
         # All in one file: it is the page that is looked at, not the reading.
         rows = read_table(night_file(output, table, NIGHTS[0]), table).filter(motor_id=MOTOR)
         labels = pl.DataFrame({"night": [before - dt.timedelta(days=n) for n in range(3650)]})

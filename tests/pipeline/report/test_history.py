@@ -7,6 +7,7 @@ import datetime as dt
 import numpy as np
 import pytest
 
+from pipeline.schema import BASELINES, TRENDS, frame
 from tests.pipeline.report.nights import (
     FIRST,
     ONE_DAY,
@@ -117,6 +118,35 @@ def test_scatter_alone_is_hardly_ever_a_clear_change() -> None:
         assert abs(change.percent) < 15
         clear += change.is_clear
     assert clear < 0.06 * 300
+
+
+def test_a_frozen_baseline_takes_the_place_of_the_first_nights() -> None:
+    """Two freezes of one baseline, the second of which holds, and a later baseline."""
+    rows = [parameter(n, "K_piston_ring", 2e-14, 1e-16) for n in range(6)]
+    later = FIRST + 3 * ONE_DAY
+    frozen = [(FIRST, FIRST + ONE_DAY, 9e-14), (FIRST, later, 1e-14), (later, later, 2e-14)]
+    key = {"motor_id": "M", "indicator": "K_piston_ring"}
+    baselines = frame(
+        BASELINES,
+        [key | {"start": start, "night": night, "mean": mean} for start, night, mean in frozen],
+    )
+    motor = history([fit(n) for n in range(6)], rows, trends={"baselines": baselines})
+    change = motor.gap_changes()["piston_ring"].value
+    assert change[:3] == pytest.approx(100 * (2 ** (1 / 3) - 1))
+    assert change[3:] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_leakage_at_the_motor_s_own_conditions_stands_in_before_each_night_s() -> None:
+    key = {"motor_id": "M", "indicator": "own_reference_leakage"}
+    rows = [key | {"night": FIRST + n * ONE_DAY, "value": 4.0 + n} for n in (1, 7)]
+    own = {"own_conditions_leakage_l_per_min": 4.2}
+    nights = [fit(n, None, **own) for n in range(3)]
+    motor = history(nights, trends={"trends": frame(TRENDS, rows)})
+    name, course = motor.leakage
+    assert name == "frozen"
+    # A night of which there is no fit is none of the motor's nights.
+    assert course.value[1] == 5.0
+    assert np.isnan(course.value[[0, 2]]).all()
 
 
 def test_leakage_at_own_conditions_stands_in_where_there_is_no_other() -> None:
