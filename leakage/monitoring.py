@@ -33,6 +33,7 @@ from leakage.alarms import (
 from leakage.autoregression import Array, Nights, variance_of_mean
 from leakage.baseline import Baseline, BaselineSettings, fit_baseline
 from leakage.cusum import cusum, cusum_limit
+from leakage.peers import moved_alike
 from leakage.slope import check_series
 
 LeadsTo: TypeAlias = Literal["nothing", "warning", "alarm"]
@@ -78,8 +79,9 @@ class Track:
     Attributes
     ----------
     baselines
-        In the order in which they served: a provisional one, then the whole; none where there are
-        too few good nights, or their mean is not positive.
+        In the order in which they served: a provisional one, then the whole, or the provisional
+        one again where it is kept; none where there are too few good nights, or their mean is not
+        positive.
     served_from
         Place in the series from which each served.
     deviation
@@ -159,6 +161,7 @@ def monitor(
     values: Array,
     settings: MonitorSettings | None = None,
     others_log_change: Array | None = None,
+    others_known_from: int = 0,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -175,14 +178,17 @@ def monitor(
         Median over the other motors of the circuit of the logarithm of the same indicator over its
         baseline (:func:`leakage.peers.peer_deviations`), shape (n,); nan where none is known. None
         for a motor without a circuit.
+    others_known_from
+        Place of the first night on which that was known, of any night: before it the own values
+        decide alone, as they did then.
 
     Returns
     -------
     Monitoring
         States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
-        value; otherwise what the own and the corrected values both say, the milder of the two. The
-        own ones decide alone where the corrected have no baseline or are stale. An absolute limit
-        holds whatever the others do.
+        value; otherwise what the own values say or, where the circuit moved alike, the milder of
+        that and of what the corrected values say. The own ones decide alone where the corrected
+        have no baseline or are stale. An absolute limit holds whatever the others do.
 
     Raises
     ------
@@ -202,12 +208,15 @@ def monitor(
     chosen = settings or MonitorSettings()
     own = track(nights, values, chosen)
     corrected = circuit = None
+    comparable = np.arange(len(nights)) >= others_known_from
     if others_log_change is not None:
         check_series(nights, others_log_change)
         common = np.exp(others_log_change)
         corrected = track(nights, values / common, replace(chosen, limits=Limits()))
         circuit = track(nights, common, replace(chosen, limits=Limits()))
-    states = _states(own, corrected, circuit, chosen.stale_nights)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            comparable &= moved_alike(np.log1p(own.deviation), np.log1p(circuit.deviation))
+    states = _states(own, corrected, circuit, chosen.stale_nights, comparable)
     return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
 
 
@@ -363,9 +372,10 @@ def _serve(
     parts.follow(nights[:end], values[:end], provisional, settings, start)
     kept = _why_kept(first, whole, bool(parts.severity[end - 1]))
     if kept:
+        # As a baseline of its own: what was said before it was decided stays as it was said.
         first = replace(first, reason=_joined(kept, first.reason))
         parts.follow(nights, values, first, settings, start)
-        return [(start, first)]
+        return [(start, provisional), (end, first)]
     parts.follow(nights, values, whole, settings, end)
     return [(start, provisional), (end, whole)]
 
@@ -380,15 +390,19 @@ def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
 
 
 def _states(
-    own: Track, corrected: Track | None, circuit: Track | None, stale_nights: int
+    own: Track,
+    corrected: Track | None,
+    circuit: Track | None,
+    stale_nights: int,
+    comparable: NDArray[np.bool_],
 ) -> list[State]:
     """State of each night from its tracks."""
     severity, common = own.severity, np.zeros(len(own.severity), dtype=np.bool_)
     if corrected is not None and circuit is not None:
-        usable = corrected.has_baseline & (corrected.since_good <= stale_nights)
-        explained = usable & (corrected.severity == 0) & (own.severity > 0)
-        common = explained & (circuit.severity > 0)
-        severity = np.where(usable, np.minimum(severity, corrected.severity), severity)
+        usable = corrected.has_baseline & (corrected.since_good <= stale_nights) & comparable
+        milder = usable & (corrected.severity < own.severity)
+        common = milder & (corrected.severity == 0) & (circuit.severity > 0)
+        severity = np.where(milder, corrected.severity, severity)
     severity = np.maximum(severity, own.limit_severity)
     states = np.array(OF_SEVERITY, dtype=object)[severity]
     states[common & (own.limit_severity == 0)] = "common_cause"
