@@ -33,7 +33,6 @@ from leakage.alarms import (
 from leakage.autoregression import Array, Nights, variance_of_mean
 from leakage.baseline import Baseline, BaselineSettings, fit_baseline
 from leakage.cusum import cusum, cusum_limit
-from leakage.peers import moved_alike
 from leakage.slope import check_series
 
 LeadsTo: TypeAlias = Literal["nothing", "warning", "alarm"]
@@ -186,9 +185,10 @@ def monitor(
     -------
     Monitoring
         States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
-        value; otherwise what the own values say or, where the circuit moved alike, the milder of
-        that and of what the corrected values say. The own ones decide alone where the corrected
-        have no baseline or are stale. An absolute limit holds whatever the others do.
+        value; otherwise what the own and the corrected values both say, the milder of the two; what
+        both have told stays a warning for as long as the own values tell it. The own ones decide
+        alone where the corrected have no baseline or are stale. An absolute limit holds whatever
+        the others do.
 
     Raises
     ------
@@ -214,8 +214,6 @@ def monitor(
         common = np.exp(others_log_change)
         corrected = track(nights, values / common, replace(chosen, limits=Limits()))
         circuit = track(nights, common, replace(chosen, limits=Limits()))
-        with np.errstate(invalid="ignore", divide="ignore"):
-            comparable &= moved_alike(np.log1p(own.deviation), np.log1p(circuit.deviation))
     states = _states(own, corrected, circuit, chosen.stale_nights, comparable)
     return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
 
@@ -400,9 +398,12 @@ def _states(
     severity, common = own.severity, np.zeros(len(own.severity), dtype=np.bool_)
     if corrected is not None and circuit is not None:
         usable = corrected.has_baseline & (corrected.since_good <= stale_nights) & comparable
-        milder = usable & (corrected.severity < own.severity)
-        common = milder & (corrected.severity == 0) & (circuit.severity > 0)
-        severity = np.where(milder, corrected.severity, severity)
+        both = np.where(usable, np.minimum(severity, corrected.severity), severity)
+        # What both have told stays told while the own values tell it: that another motor rises
+        # later does not undo it.
+        both = np.maximum(both, _latched(usable & (both > 0), severity > 0))
+        common = (both == 0) & (severity > 0) & (circuit.severity > 0)
+        severity = both
     severity = np.maximum(severity, own.limit_severity)
     states = np.array(OF_SEVERITY, dtype=object)[severity]
     states[common & (own.limit_severity == 0)] = "common_cause"
@@ -410,6 +411,15 @@ def _states(
     states[~own.has_baseline] = "insufficient"
     found: list[State] = states.tolist()
     return found
+
+
+def _latched(begins: NDArray[np.bool_], lasts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """On from where it begins for as long as it lasts."""
+    places = np.arange(len(begins))
+    begun = np.maximum.accumulate(np.where(begins, places, -1))
+    ended = np.maximum.accumulate(np.where(lasts, -1, places))
+    latched: NDArray[np.bool_] = begun > ended
+    return latched
 
 
 def _joined(*reasons: str) -> str:

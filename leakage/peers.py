@@ -13,8 +13,6 @@ from leakage.errors import ShapeError
 
 # Good nights that say how far something has moved.
 NIGHTS_OF_NOW = 5
-# Moves that differ by no more than this factor are alike.
-ALIKE = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,37 +92,6 @@ def peer_deviations(log_ratios: Array) -> PeerDeviations:
         some = n_others[:, motor] > 0
         others[some, motor] = np.nanmedian(rest[some], axis=1)
     return PeerDeviations(others, log_ratios - others, n_others)
-
-
-def moved_alike(own: Array, others: Array) -> NDArray[np.bool_]:
-    """Nights on which a motor and the others of its circuit had moved the same way and as far.
-
-    Parameters
-    ----------
-    own, others
-        Logarithmic changes, shape (n,); nan where none is known.
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,): whether the one is between half and twice the other, both by the median of
-        their last five good nights, so that what another motor did in a night or two decides
-        nothing.
-
-    Examples
-    --------
-    >>> wear, oil = np.full(9, 0.3), np.full(9, 0.2)
-    >>> moved_alike(oil, oil).all(), moved_alike(wear, np.full(9, 0.05)).any()
-    (np.True_, np.False_)
-    """
-    here, there = recent_median(own), recent_median(others)
-    with np.errstate(invalid="ignore"):
-        alike: NDArray[np.bool_] = (
-            (here * there > 0.0)
-            & (np.abs(there) >= np.abs(here) / ALIKE)
-            & (np.abs(there) <= np.abs(here) * ALIKE)
-        )
-    return alike
 
 
 def recent_median(values: Array) -> Array:

@@ -122,6 +122,9 @@ class Layout:
                 ("fitted", "?"),
                 ("poor", "?"),
                 ("outside", "?"),
+                ("used", "?"),
+                ("kind", "S16"),
+                ("minutes", "f8"),
                 ("n_nights", "i2"),
                 ("mode", "S9"),
                 ("model", "S16"),
@@ -214,9 +217,11 @@ def records_of(
     ok = (fits["status"] == OK).to_numpy()
     short = ok & (minutes < LEAST_MINUTES_INTERVAL)
     records["fitted"] = ok & ~short
+    records["minutes"] = minutes
     records["poor"] = short | (fits["status"] == INSUFFICIENT_DATA).to_numpy()
     records["mode"] = fits["flushing_mode"].fill_null("").to_numpy()
     records["model"] = fits["model_hash"].fill_null("").to_numpy()
+    records["kind"] = records["model"]
     for name, column in SINGLE.items():
         records[name] = _numbers(fits, column)
     for place, column in enumerate(OWN):

@@ -24,7 +24,7 @@ from leakage.slope import benjamini_hochberg
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
 from pipeline.errors import StoreError
-from pipeline.schema import ALARMS, TREND_TABLES
+from pipeline.schema import ALARMS, BLOCK_STATISTICS, TREND_TABLES
 from pipeline.store import read_rows, stage
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
@@ -32,6 +32,7 @@ from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.history import History, read_histories
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.peers import LogChange, Peers, log_change, moved_apart, peers_of_circuit
+from pipeline.trends.poor_nights import BLOCK_COLUMNS, with_poor_nights
 from pipeline.trends.record import Record, read_record, trend_hash
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
@@ -172,7 +173,7 @@ def _run_circuit(
         motor_id = spec.motor_id
         if motor_id in histories:
             said = decisions_of(task.decisions, motor_id)
-            part = done.guarded(motor_id, partial(Part.of, histories[motor_id], said))
+            part = done.guarded(motor_id, partial(_part, task.output, histories[motor_id], said))
             if part is not None:
                 parts[motor_id] = part
     peers = circuit_peers(parts) if len(group) > 1 else {}
@@ -217,6 +218,16 @@ def nights_to_do(
         if first <= last:
             found[motor_id] = (first, last)
     return found
+
+
+def _part(output: Path, history: History, said: tuple[Decision, ...]) -> Part:
+    """What is known of a motor, its poor nights fitted together."""
+
+    def read_blocks(nights: Sequence[dt.date]) -> pl.DataFrame:
+        motors = [history.spec.motor_id]
+        return read_rows(output, BLOCK_STATISTICS, motors, BLOCK_COLUMNS, nights=nights)
+
+    return Part.of(with_poor_nights(history, said, read_blocks), said)
 
 
 def decisions_of(decisions: Sequence[Decision], motor_id: str) -> tuple[Decision, ...]:
