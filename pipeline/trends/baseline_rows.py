@@ -15,9 +15,9 @@ from pipeline.trends.standing import CHANGED, Standing
 
 Row = dict[str, Any]
 
-# An indicator that has changed is described anew on the night on which it is told, and every so
-# many nights after.
-NIGHTS_BETWEEN = 7
+# An indicator that has changed is described anew on the night on which it is told and every week
+# for four weeks, then every four weeks.
+WEEK, MONTH = 7, 28
 
 
 def baseline_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
@@ -74,15 +74,17 @@ def change_point_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row
 
 
 def _due(standing: Standing, name: str) -> list[bool]:
-    """Nights on which an indicator is described: told changed, and every seventh after that."""
+    """Nights on which an indicator that has changed is described."""
     numbers, states = standing.history.numbers, standing.states[name]
-    due, since = [], 0
+    due: list[bool] = []
+    since = 0
     before = ""
     for state, number in zip(states, numbers.tolist(), strict=True):
         changed = state in CHANGED
         if changed and state != before:
             since = number
-        due.append(changed and (number - since) % NIGHTS_BETWEEN == 0)
+        age = number - since
+        due.append(changed and age % (WEEK if age <= MONTH else MONTH) == 0)
         before = state
     return due
 
