@@ -78,6 +78,8 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
         "deviation_percent": _finite(100.0 * found.own.deviation[inside]),
         "cusum": _finite(found.own.evidence[inside] * limit),
         "cusum_limit": limit,
+        "warning_limit": baseline.mean * (1.0 + watched.settings.levels.warning) - indicator.shift,
+        "alarm_limit": baseline.mean * (1.0 + watched.settings.levels.alarm) - indicator.shift,
     }
     if state != "ok":
         path = path_behind(standing, name, place)
