@@ -66,6 +66,17 @@ class Levels:
                 f"{self.least_sd:g} standard deviations; expected 1 ≤ m ≤ n, 1 ≤ off and 0 ≤ sd",
             )
 
+    def in_effect(self, sd: float) -> tuple[float, float]:
+        """Warning and alarm over a baseline whose nights scatter by a relative sd, [-].
+
+        Examples
+        --------
+        >>> Levels().in_effect(0.01), Levels().in_effect(0.05)
+        ((0.15, 0.3), (0.225, 0.3))
+        """
+        least = self.least_sd * sd
+        return max(self.warning, least), max(self.alarm, least)
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -156,9 +167,8 @@ def level_severity(
         Two columns of 0, 1 or 2, shape (n,).
     """
     by_level = np.zeros(len(deviation), dtype=np.int64)
-    for severity, level in ((1, rule.warning), (2, rule.alarm)):
-        least = max(level, rule.least_sd * sd)
-        by_level[above_level(deviation, least, rule.deadband, rule)] = severity
+    for severity, level in enumerate(rule.in_effect(sd), start=1):
+        by_level[above_level(deviation, level, rule.deadband, rule)] = severity
     by_limit = np.zeros(len(deviation), dtype=np.int64)
     for severity, limit in ((1, limits.warning), (2, limits.alarm)):
         if limit is not None:

@@ -30,7 +30,7 @@ from leakage.alarms import (
     nights_since_good,
     state_changes,
 )
-from leakage.autoregression import Array, Nights, variance_of_mean
+from leakage.autoregression import Array, Nights, variance_of_sum
 from leakage.baseline import Baseline, BaselineSettings, fit_baseline
 from leakage.cusum import cusum, cusum_limit
 from leakage.slope import check_series
@@ -38,8 +38,9 @@ from leakage.slope import check_series
 LeadsTo: TypeAlias = Literal["nothing", "warning", "alarm"]
 _SEVERITY_OF: dict[LeadsTo, int] = {"nothing": 0, "warning": 1, "alarm": 2}
 
-# Good nights that say how large a change is now.
+# Good nights that say how large a change is now; from so many on, by the end of their line.
 NIGHTS_OF_SIZE = 10
+LEAST_OF_LINE = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,6 +110,11 @@ class Track:
     limit_severity: Severities
     has_baseline: NDArray[np.bool_]
     since_good: Nights
+
+    def baseline_at(self, place: int) -> Baseline | None:
+        """The baseline that served in a night; None before there was one."""
+        served = int(np.searchsorted(self.served_from, place, side="right"))
+        return self.baselines[served - 1] if served else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,23 +285,57 @@ def change_size(
     Returns
     -------
     ChangeSize or None
-        From up to ten good nights since the change began: of a rise that goes on, what it is now.
-        None where the sum tells no change on that night.
+        From up to ten good nights since the change began. None where the sum tells no change on
+        that night.
+
+    Notes
+    -----
+    A mean over ten nights lags behind a wear that goes on. So it is the end of the straight line
+    through them; with fewer than five nights their mean.
     """
-    began = int(followed.onset[place])
-    if began < 0:
+    began, baseline = int(followed.onset[place]), followed.baseline_at(place)
+    if began < 0 or baseline is None:
         return None
-    served = int(np.searchsorted(followed.served_from, place, side="right")) - 1
-    baseline = followed.baselines[served]
     recent = np.flatnonzero(np.isfinite(values[: place + 1]) & (np.arange(place + 1) >= began))
     recent = recent[-NIGHTS_OF_SIZE:]
-    ratio = float(np.mean(values[recent])) / baseline.mean
+    weights = weights_of_now(nights[recent])
+    ratio = float(weights @ values[recent]) / baseline.mean
     # Nights scatter in proportion to the indicator.
-    scatter = baseline.sd**2 * variance_of_mean(baseline.phi, nights[recent])
+    scatter = baseline.sd**2 * variance_of_sum(weights, baseline.phi, nights[recent])
     error = ratio * math.hypot(math.sqrt(scatter), baseline.mean_error) / baseline.mean
     half = float(stdtrit(baseline.n - 1, 0.5 + coverage / 2)) * error
     rise = ratio - 1.0
     return ChangeSize(int(nights[began]), rise, rise - half, rise + half, len(recent))
+
+
+def weights_of_now(nights: Nights) -> Array:
+    """Weights with which some nights tell what an indicator is in the last of them.
+
+    Parameters
+    ----------
+    nights
+        Numbers of the nights, increasing, shape (n,).
+
+    Returns
+    -------
+    ndarray
+        Of the end of the straight line through them, shape (n,), which sum to 1; all alike for
+        fewer than five nights.
+
+    Examples
+    --------
+    >>> weights_of_now(np.arange(2)).tolist()
+    [0.5, 0.5]
+    >>> nights = np.arange(10)
+    >>> round(float(weights_of_now(nights) @ (3.0 + 2.0 * nights)), 9)
+    21.0
+    """
+    n = len(nights)
+    weights: Array = np.full(n, 1.0 / max(n, 1))
+    if n >= LEAST_OF_LINE:
+        centred = nights - np.mean(nights)
+        weights = weights + centred * centred[-1] / float(centred @ centred)
+    return weights
 
 
 @dataclass(slots=True)
