@@ -27,6 +27,7 @@ from leakage.alarms import (
     State,
     StateChange,
     level_severity,
+    limit_severity,
     nights_since_good,
     state_changes,
 )
@@ -94,7 +95,7 @@ class Track:
     severity
         By levels and sum together, shape (n,): 0, 1 or 2; nights without a value hold.
     limit_severity
-        By the absolute limits, likewise.
+        By the absolute limits, likewise; they need no baseline.
     has_baseline
         Shape (n,).
     since_good
@@ -194,7 +195,7 @@ def monitor(
         value; otherwise what the own and the corrected values both say, the milder of the two; what
         both have told stays a warning for as long as the own values tell it. The own ones decide
         alone where the corrected have no baseline or are stale. An absolute limit holds whatever
-        the others do.
+        the others do, with or without a baseline.
 
     Raises
     ------
@@ -260,7 +261,7 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
         evidence=parts.evidence,
         onset=parts.onset,
         severity=parts.severity,
-        limit_severity=parts.limit_severity,
+        limit_severity=limit_severity(values, settings.limits, settings.levels),
         has_baseline=np.arange(len(nights)) >= first_served,
         since_good=nights_since_good(nights, good),
     )
@@ -346,7 +347,6 @@ class _Parts:
     evidence: Array
     onset: NDArray[np.int64]
     severity: Severities
-    limit_severity: Severities
 
     @classmethod
     def empty(cls, n: int) -> _Parts:
@@ -354,7 +354,6 @@ class _Parts:
             np.full(n, np.nan),
             np.full(n, np.nan),
             np.full(n, -1, dtype=np.int64),
-            np.zeros(n, dtype=np.int64),
             np.zeros(n, dtype=np.int64),
         )
 
@@ -372,19 +371,13 @@ class _Parts:
         sums = cusum(nights, values, baseline, limit)
         watched = values[start:]
         deviation = baseline.deviation(watched)
-        by_level, by_limit = level_severity(
-            deviation,
-            baseline.highest_sd() / baseline.mean,
-            settings.levels,
-            watched,
-            settings.limits,
-        )
+        relative_sd = baseline.highest_sd() / baseline.mean
+        by_level = level_severity(deviation, relative_sd, settings.levels)
         by_sum = np.where(sums.is_on[start:], _SEVERITY_OF[settings.cusum_leads_to], 0)
         self.deviation[start:stop] = deviation
         self.evidence[start:stop] = sums.statistic[start:] / limit
         self.onset[start:stop] = sums.onset[start:]
         self.severity[start:stop] = np.maximum(by_level, by_sum)
-        self.limit_severity[start:stop] = by_limit
 
 
 def _serve(
@@ -448,7 +441,7 @@ def _states(
     states = np.array(OF_SEVERITY, dtype=object)[severity]
     states[common & (own.limit_severity == 0)] = "common_cause"
     states[own.since_good > stale_nights] = "stale"
-    states[~own.has_baseline] = "insufficient"
+    states[~own.has_baseline & (own.limit_severity == 0)] = "insufficient"
     found: list[State] = states.tolist()
     return found
 

@@ -56,6 +56,8 @@ class Sudden:
         other motors of the oil circuit did, too.
     words
         For people.
+    steps
+        Logarithm of the step of each indicator that tells it.
     """
 
     place: int
@@ -63,6 +65,16 @@ class Sudden:
     until: int
     kind: Kind
     words: str
+    steps: Mapping[str, float]
+
+    def undoes(self, earlier: Sudden) -> bool:
+        """Whether it leads back to where an earlier one began, which still stood."""
+        both = self.steps.keys() & earlier.steps.keys()
+        return (
+            earlier.place < self.place < earlier.until
+            and bool(both)
+            and all(abs(self.steps[name] + earlier.steps[name]) <= ALIKE for name in both)
+        )
 
     def stands(self, place: int) -> bool:
         """Whether it is told in a night."""
@@ -85,7 +97,10 @@ def sudden_changes(
     ]
     for part in segments(history, decisions, DEVIATION):
         found += _falls(history, part, flow, others)
-    return tuple(sorted(found, key=lambda one: (one.told, KINDS.index(one.kind))))
+    told = sorted(found, key=lambda one: (one.told, KINDS.index(one.kind)))
+    return tuple(
+        one for at, one in enumerate(told) if not any(one.undoes(before) for before in told[:at])
+    )
 
 
 def _jumps(history: History, part: Segment, series: Array, least: float) -> dict[int, Jump]:
@@ -116,7 +131,7 @@ def _of_paths(
         moved = {name: one.size for name, one in steps.items()}
         words = _words_of_paths(kind, history, part.first + place, moved, len(paths))
         until = _until(part, told, members)
-        found.append(Sudden(part.first + place, part.first + told, until, kind, words))
+        found.append(Sudden(part.first + place, part.first + told, until, kind, words, moved))
     return found
 
 
@@ -206,9 +221,10 @@ def _falls(history: History, part: Segment, flow: Indicator, peers: Peers | None
         told = max(part.first + jump.told, known_from)
         of_others = _of_others(part, place, told - part.first, peers)
         kind: Kind = "circuit" if of_others <= jump.log_step / 2.0 else "fall"
+        moved = {DEVIATION: jump.log_step}
         words = _words_of_fall(kind, history, part.first + place, jump.log_step)
         until = _until(part, jump.told, [(flow.watched, jump)])
-        found.append(Sudden(part.first + place, told, until, kind, words))
+        found.append(Sudden(part.first + place, told, until, kind, words, moved))
     return found
 
 

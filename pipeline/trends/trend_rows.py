@@ -69,8 +69,12 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     row = _figures(indicator, place)
     row |= {"state": state, "state_reason": None}
     if baseline is None:
-        row["state_reason"] = why_no_baseline(standing, name, place)
-        return row | _line(standing, name, place, None)
+        why = (
+            why_no_baseline(standing, name, place)
+            if state == "insufficient"
+            else why_state(standing, name, place, None)
+        )
+        return row | {"state_reason": why} | _line(standing, name, place, None)
     limit = cusum_limit(watched.settings.false_alarms_per_year, baseline)
     (warning, alarm), limits = standing.levels(name, place), watched.settings.limits
     row |= {
