@@ -428,7 +428,7 @@ def test_plain_reading_of_old_and_new_files_sees_all_columns(
     assert len(pl.read_parquet_schema(first)) < len(pl.read_parquet_schema(last))
     with duckdb.connect() as connection:
         relation = connection.sql(
-            "SELECT * FROM read_parquet('out/tables/fits/**/*.parquet', union_by_name = true,"
+            "SELECT * FROM read_parquet('demo/out/tables/fits/**/*.parquet', union_by_name = true,"
             " hive_partitioning = false)"
         )
         assert relation.columns == list(FITS.schema)

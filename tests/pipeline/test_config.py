@@ -603,3 +603,23 @@ def test_what_is_no_toml_file_is_left_alone(configs: Path) -> None:
     (configs / "motors" / "README.md").write_text("notes")
     (configs / "motors" / "CB400-01.toml~").write_text("backup")
     assert len(load(configs).motors) == 6
+
+
+@pytest.mark.parametrize(
+    ("table", "lines", "words"),
+    [
+        ("alarms", "deadband_percent = 15.0", "expected deadband_percent below warning_percent"),
+        ("alarms", "warning_percent = 30.0", "expected warning_percent below alarm_percent"),
+        ("alarms", "on_nights = [6, 5]", "expected on_nights as [m, n] with 1 <= m <= n"),
+        ("alarms", 'webhook_url = "file:///etc/passwd"', "expected webhook_url to begin with http"),
+        ("trend", "baseline_nights = 30\nprovisional_nights = 40", "no more than baseline_nights"),
+    ],
+)
+def test_settings_of_trends_that_contradict_each_other(
+    configs: Path, table: str, lines: str, words: str
+) -> None:
+    path = configs / "fleet.toml"
+    path.write_text(path.read_text("utf-8") + f"\n[{table}]\n{lines}\n", "utf-8")
+    (fault,) = faults(configs)
+    assert fault.key == table
+    assert words in str(fault)
