@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -127,9 +128,28 @@ def write_changed(
     """
     entry = (content_hash(content), len(content))
     if entry != before or not is_as_left(folder, name, entry):
-        # Not flushed to the disk one by one: after a power cut sizes tell what is to be redone.
-        replace_whole(folder / name, lambda path: _write(path, content), durable=False)
+        _put(folder / name, content)
     return entry
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Write a file whole beside its name, then rename it.
+
+    Neither flushed to the disk nor read back, file by file, as a report has tens of thousands:
+    after a power cut sizes tell what is to be made again.
+    """
+    beside = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
+    try:
+        try:
+            beside.write_bytes(content)
+        except FileNotFoundError:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            beside.write_bytes(content)
+        beside.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            beside.unlink()
+        raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
 
 
 def is_as_left(folder: Path, name: str, entry: tuple[str, int]) -> bool:
