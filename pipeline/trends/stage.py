@@ -26,13 +26,14 @@ from pipeline.decisions import Decision
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, TREND_TABLES
 from pipeline.store import read_rows, stage
+from pipeline.stored_blocks import BLOCK_COLUMNS
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.history import History, read_histories
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.peers import LogChange, Peers, log_change, moved_apart, peers_of_circuit
-from pipeline.trends.poor_nights import BLOCK_COLUMNS, with_poor_nights
+from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.record import Record, read_record, trend_hash
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
