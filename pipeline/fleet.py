@@ -18,6 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -49,14 +50,13 @@ from pipeline.schema import (
 from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of
 from pipeline.store import last_night, remove_leftovers
+from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
     TrendOutcome,
     TrendTask,
-    forget_records,
     run_trends,
     trend_tasks,
     with_q_values,
-    write_record,
 )
 from pipeline.workers import run_tasks
 
@@ -282,6 +282,8 @@ def _publish(
 ) -> int:
     """Publish what the motors' tasks have staged, then what was remembered of it."""
     fresh = [outcome for outcome in outcomes if outcome.nights]
+    for outcome in fresh:
+        note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
     publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh])
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
@@ -315,11 +317,10 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
-    failures: dict[str, str] = {}
-    alarms: list[Mapping[str, Any]] = []
-    for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
-        alarms += _publish_trend_rows(publisher, outcome)
-        failures |= outcome.failures
+    made = list(run_tasks(run_trends, tasks, _lost_trends, fleet.execution))
+    # All tasks first: a night's q-values are over the slopes of the whole fleet.
+    alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+    failures = {motor_id: why for one in made for motor_id, why in one.failures.items()}
     judged = [
         replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
         if one.motor_id in failures and one.status != FAILED
@@ -329,19 +330,21 @@ def _publish_trends(
     return judged, alarms
 
 
-def _publish_trend_rows(publisher: Publisher, outcome: TrendOutcome) -> list[Mapping[str, Any]]:
-    """Publish what a task has staged; returns the new rows of `alarms`."""
-    fresh = [motor_id for motor_id, nights in outcome.nights.items() if nights]
+def _publish_trend_rows(
+    publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
+) -> list[Mapping[str, Any]]:
+    """Publish what the tasks have staged; returns the new rows of `alarms`."""
+    fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
     lost_before = set(publisher.lost)
-    publisher.nights(TREND_TABLES, fresh, {TRENDS.name: with_q_values})
-    for motor_id, record in outcome.records.items():
-        write_record(publisher.output, motor_id, record)
+    finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
+    publisher.nights(TREND_TABLES, fresh, {TRENDS.name: finish})
+    for one in made:
+        for motor_id, record in one.records.items():
+            write_record(publisher.output, motor_id, record)
     for night in sorted(set(publisher.lost) - lost_before):
         forget_records(publisher.output, publisher.lost[night])
-    staged = publisher.staged(ALARMS, fresh).values()
-    nights = ((rows, night) for rows in staged for night in rows.nights)
-    frames = (rows.rows(night) for rows, night in nights)
-    return [row for found in frames if found is not None for row in found.to_dicts()]
+    new = [row for one in made for row in one.alarms]
+    return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
 
 
 def _config_hash(tasks: Sequence[MotorTask]) -> str:

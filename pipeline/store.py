@@ -12,7 +12,7 @@ import hashlib
 import logging
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -201,8 +201,9 @@ def read_rows(
     motor_ids: Sequence[str],
     columns: Sequence[str] = (),
     month: str = "*",
+    nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """The published rows of some motors in all night files of a table, or in those of a month.
+    """The published rows of some motors in all night files of a table, or in some of them.
 
     Parameters
     ----------
@@ -214,6 +215,8 @@ def read_rows(
         Which columns; all if none. Those that an older file had not are null.
     month
         YYYY-MM; all by default.
+    nights
+        Labels; None: all.
 
     Returns
     -------
@@ -227,7 +230,11 @@ def read_rows(
     """
     chosen = list(columns or table.schema)
     empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
-    paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+    if nights is None:
+        paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+    else:
+        files = (night_file(output, table, night) for night in sorted(nights))
+        paths = [str(path) for path in files if path.exists()]
     if not paths:
         return empty.select(chosen)
     # A flipped bit would otherwise be a step in a trend.
@@ -235,8 +242,8 @@ def read_rows(
     layout = ds.ParquetFileFormat(default_fragment_scan_options=checked)
     wanted = ds.field("motor_id").isin(list(motor_ids))
     try:
-        files = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
-        rows = pl.from_arrow(files.to_table(columns=chosen, filter=wanted, use_threads=False))
+        content = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
+        rows = pl.from_arrow(content.to_table(columns=chosen, filter=wanted, use_threads=False))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
     assert isinstance(rows, pl.DataFrame)
