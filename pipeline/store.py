@@ -19,7 +19,6 @@ from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
-import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
@@ -228,6 +227,9 @@ def read_rows(
     StoreError
         If a file is damaged.
     """
+    # It takes as long to import as half the program, and no run needs it to begin.
+    import pyarrow.dataset as ds
+
     chosen = list(columns or table.schema)
     empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
     if nights is None:

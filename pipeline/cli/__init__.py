@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import sys
 from typing import Annotated, NoReturn
 
@@ -17,6 +16,7 @@ from pipeline.cli.arguments import (
     EXIT_USAGE,
 )
 from pipeline.errors import LockedError, MotorLeakageError, UsageError
+from pipeline.messages import error_line, speak
 
 app = typer.Typer(
     name="motor-leakage",
@@ -67,14 +67,27 @@ def _exit_code(error: MotorLeakageError) -> int:
     return EXIT_LOCKED if isinstance(error, LockedError) else EXIT_NOTHING_PUBLISHED
 
 
+def _call_as_program() -> int:
+    """Call the command so that wrong usage is an error of ours and not a box; its exit code."""
+    try:
+        return int(app(standalone_mode=False) or EXIT_OK)
+    except Exception as error:
+        # Typer's own class of errors has no public name in all versions.
+        if not hasattr(error, "format_message"):
+            raise
+        raise UsageError("usage", error.format_message()) from error
+
+
 def main() -> NoReturn:
     """Run the command; every expected error is one message on stderr and a stated exit code."""
-    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    # Before anything is parsed: a fault in the arguments is a message, too.
+    as_json = "--json" in sys.argv[1:]
+    speak(as_json=as_json)
     try:
-        app()
+        code = _call_as_program() if as_json else app()
     except MotorLeakageError as error:
-        typer.echo(f"motor-leakage: {error.code}: {error}", err=True)
-        sys.exit(_exit_code(error))
+        code = _exit_code(error)
+        typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
     except KeyboardInterrupt:
-        sys.exit(EXIT_INTERRUPTED)
-    sys.exit(EXIT_OK)
+        code = EXIT_INTERRUPTED
+    sys.exit(code or EXIT_OK)

@@ -105,6 +105,14 @@ class Reporter:
                 "files": _by_fate(result.files),
                 "interrupted": result.interrupted,
                 "seconds": round(result.seconds, 3),
+                "seconds_by_stage": {
+                    name: round(seconds, 3) for name, seconds in _by_stage(result).items()
+                },
+                "errors": _by_code(result),
+                "alarms": [
+                    {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
+                    for row in result.alarms
+                ],
             }
             say(json.dumps(line))
             return
@@ -115,6 +123,39 @@ class Reporter:
             f"{result.seconds:.1f} s, {len(result.failed)} motors failed; logs: {files}; "
             f"tables in {output / 'tables'}"
         )
+        taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
+        if taken:
+            stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
+            say(f"seconds by stage, those of motors added up: {stages}")
+        for code, count in _by_code(result).items():
+            say(f"{code}: {count} motors")
+        for row in result.alarms:
+            say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
+
+
+def _by_stage(result: RunResult) -> dict[str, float]:
+    """Seconds by stage: those of the motors' tasks added up, then those of the run."""
+    from collections import Counter
+
+    from pipeline.fleet import MOTOR_STAGES
+
+    spent = Counter[str]()
+    for outcome in result.outcomes:
+        spent.update(outcome.seconds)
+    return {name: spent[name] for name in MOTOR_STAGES} | dict(result.seconds_by_stage)
+
+
+def _words(stage: str) -> str:
+    """A stage as people call it."""
+    names = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
+    return names.get(stage, stage.removesuffix("_s"))
+
+
+def _by_code(result: RunResult) -> dict[str, int]:
+    """Motors that failed by the code of their first failure."""
+    from collections import Counter
+
+    return dict(sorted(Counter(one.error_code or "" for one in result.failed).items()))
 
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:

@@ -54,6 +54,19 @@ RUNS = Table(
         Column("n_motors_failed", pl.Int64, "", "Motors with at least one failed night"),
         Column("n_nights", pl.Int64, "", "Nights of motors that were written"),
         Column("seconds", pl.Float64, "s", "Wall-clock time"),
+        Column("motors_s", pl.Float64, "s", "Of it: until the tasks of all motors were done"),
+        Column("publish_s", pl.Float64, "s", "Of it: publishing what they had staged"),
+        Column("trends_s", pl.Float64, "s", "Of it: making and publishing trends"),
+        *(
+            Column(f"{name}_version", pl.String, "", f"Version of {words}")
+            for name, words in (
+                ("python", "Python"),
+                ("polars", "Polars"),
+                ("pyarrow", "PyArrow"),
+                ("numpy", "NumPy"),
+                ("scipy", "SciPy"),
+            )
+        ),
     ),
 )
 
@@ -87,7 +100,12 @@ MOTOR_OUTCOMES = Table(
         Column("read_s", pl.Float64, "s", "Seconds for finding, hashing and reading logs"),
         Column("clean_s", pl.Float64, "s", "Seconds for cleaning and the time base"),
         Column("statistics_s", pl.Float64, "s", "Seconds for regressors and blocks"),
-        Column("fit_s", pl.Float64, "s", "Seconds for certificate, search and validation"),
+        Column(
+            "fit_s",
+            pl.Float64,
+            "s",
+            "Seconds for certificate, search and validation; before version 4 residuals too",
+        ),
         Column("store_s", pl.Float64, "s", "Seconds for staging the rows"),
         Column("peak_memory_mib", pl.Float64, "MiB", "Largest memory of the worker so far"),
         Column("n_refitted", pl.Int64, "", "Nights fitted anew from statistics, without a log"),
@@ -109,6 +127,7 @@ MOTOR_OUTCOMES = Table(
             "",
             "New log files of nights that were not asked for, or that wait for a growing file",
         ),
+        Column("residuals_s", pl.Float64, "s", "Seconds for the tests of residuals"),
     ),
 )
 
