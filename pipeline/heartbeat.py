@@ -127,6 +127,7 @@ class Heartbeat:
         )
         self._changing = threading.Lock()
         self._over = threading.Event()
+        self._told = False
         self._thread = threading.Thread(target=self._keep_beating, name="heartbeat", daemon=True)
 
     def __enter__(self) -> Heartbeat:
@@ -165,7 +166,9 @@ class Heartbeat:
             try:
                 replace_whole(heartbeat_file(self._output), write, durable=False)
             except StoreError as error:
-                log.warning("no heartbeat: %s", error)
+                if not self._told:
+                    log.warning("no heartbeat: %s", error)
+                self._told = True
 
     def _keep_beating(self) -> None:
         while not self._over.wait(self._interval_s):
