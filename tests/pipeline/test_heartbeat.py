@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.fleet
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, run_fleet

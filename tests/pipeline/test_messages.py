@@ -16,7 +16,6 @@ import pytest
 from pipeline.cli import main
 from pipeline.messages import FORM, JsonLine, error_line, speak_as_told
 
-
 Called = Callable[..., tuple[object, list[str], list[str]]]
 
 
