@@ -15,6 +15,7 @@ BENCHMARKS = (
     "mcap_reading",
     "model_choices",
     "multi_start",
+    "night_cost",
     "report",
     "residual_tests",
     "table_reading",

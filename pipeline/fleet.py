@@ -17,15 +17,16 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
+from pipeline.disk_space import require_space
 from pipeline.errors import LockedError, StoreError
+from pipeline.heartbeat import Heartbeat
 from pipeline.ledger import forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
@@ -49,6 +50,7 @@ from pipeline.schema import (
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of
+from pipeline.status import last_good_run
 from pipeline.store import last_night, remove_leftovers
 from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
@@ -58,12 +60,24 @@ from pipeline.trends.stage import (
     trend_tasks,
     with_q_values,
 )
+from pipeline.versions import own_version, versions
 from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
 Progress = Callable[[MotorOutcome], None]
 
+# Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
+MOTOR_STAGES = (
+    "read_s",
+    "clean_s",
+    "statistics_s",
+    "fit_s",
+    "residuals_s",
+    "refit_s",
+    "store_s",
+)
+STAGES = ("motors_s", "publish_s", "trends_s")
 # A task of trends reads the tables of all its motors at once.
 MOTORS_A_TREND_TASK = 32
 
@@ -119,6 +133,8 @@ class RunResult:
         Wall-clock time.
     alarms
         New rows of `alarms`.
+    seconds_by_stage
+        Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
     """
 
     run_id: str
@@ -127,6 +143,7 @@ class RunResult:
     interrupted: bool
     seconds: float
     alarms: tuple[Mapping[str, Any], ...] = ()
+    seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def files(self) -> Counter[str]:
@@ -158,12 +175,15 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     LockedError
         If another run writes to the same output.
     StoreError
-        If nothing can be published.
+        If nothing can be published, or there is too little room for it.
     """
-    output = request.fleet.output
-    with _locked(output), _staging(output) as staging:
+    fleet = request.fleet
+    output = fleet.output
+    require_space(output, request.specs, fleet.execution.minimum_free_mib)
+    with locked(output), _staging(output) as staging:
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
-        return _run(request, staging, progress)
+        with Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat:
+            return _run(request, staging, progress, heartbeat)
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
@@ -191,7 +211,15 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
     )
 
 
-def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
+def _last_good_run(output: Path) -> dt.datetime | None:
+    try:
+        return last_good_run(output)
+    except StoreError as error:
+        log.warning("%s", error)
+        return None
+
+
+def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Heartbeat) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
     tasks = [_task(request, spec, staging) for spec in request.specs]
@@ -200,22 +228,36 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     try:
         for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
             outcomes[outcome.motor_id] = outcome
+            heartbeat.motor_done()
             progress(outcome)
     except KeyboardInterrupt:
         interrupted = True
+    ends = [time.perf_counter()]
     finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
+    heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id)
     n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    ends.append(time.perf_counter())
+    heartbeat.say(stage="trends")
     alarms: list[Mapping[str, Any]] = []
     if not interrupted:
         finished, alarms = _publish_trends(request, publisher, finished)
-    seconds = time.perf_counter() - begin
+    ends.append(time.perf_counter())
+    stages = zip(STAGES, [begin, *ends], ends, strict=False)
     result = RunResult(
-        run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
+        run_id,
+        tuple(finished),
+        n_nights,
+        interrupted,
+        seconds=ends[-1] - begin,
+        alarms=tuple(alarms),
+        seconds_by_stage={name: end - start for name, start, end in stages},
     )
+    heartbeat.say(stage="recording")
     _publish_run(publisher, request, result, started, config_hash)
+    heartbeat.finished(run_id, good=not interrupted)
     for fault in notify(fleet.settings.alarms, fleet.name, alarms):
         log.warning("%s", fault)
     return result
@@ -231,7 +273,7 @@ def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
 
 
 @contextmanager
-def _locked(output: Path) -> Iterator[None]:
+def locked(output: Path) -> Iterator[None]:
     """Hold the output for one run; the lock ends with the process, however that ends."""
     try:
         output.mkdir(parents=True, exist_ok=True)
@@ -353,7 +395,7 @@ def _config_hash(tasks: Sequence[MotorTask]) -> str:
 
 def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
     inputs = [one for outcome in outcomes for one in (outcome.motor_id, *outcome.inputs)]
-    text = "|".join((version("motor-leakage"), str(SCHEMA_VERSION), config_hash, *inputs))
+    text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -376,7 +418,7 @@ def _publish_run(
         if result.failed
         else "ok",
         "fleet": fleet.name,
-        "version": version("motor-leakage"),
+        **versions(),
         "schema_version": SCHEMA_VERSION,
         "config_hash": config_hash,
         "seed": min(seeds),
@@ -385,13 +427,13 @@ def _publish_run(
         "n_motors_failed": len(result.failed),
         "n_nights": result.n_nights,
         "seconds": result.seconds,
+        **result.seconds_by_stage,
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
-    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "refit_s", "store_s")
     statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
     return {
         "run_id": run_id,
@@ -402,7 +444,7 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "message": outcome.message,
         "peak_memory_mib": outcome.peak_memory_mib,
         "n_refitted": outcome.n_refitted,
-        **{stage: outcome.seconds.get(stage, 0.0) for stage in stages},
+        **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
         **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
         "growing": list(outcome.growing),

@@ -32,6 +32,7 @@ from pipeline.ledger import (
 )
 from pipeline.log_shelf import LogShelf
 from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
+from pipeline.messages import speak_as_told
 from pipeline.motor_night import (
     FAILED,
     INSUFFICIENT_DATA,
@@ -180,6 +181,7 @@ def run_motor(task: MotorTask) -> MotorOutcome:
     MotorOutcome
         Also where the task failed as a whole: with status ``failed`` and no nights.
     """
+    speak_as_told()
     with threadpool_limits(1):
         try:
             return _Nights(task).run()

@@ -178,7 +178,7 @@ class StoredNights:
             row["weight_inflation"],
             search=False,
         )
-        return FittedMode.of(found, error=np.empty(0), budget=ErrorBudget(()), residuals=())
+        return FittedMode.of(found, error=np.empty(0), budget=ErrorBudget(()))
 
     def _fits_row(
         self,

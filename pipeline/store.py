@@ -19,7 +19,6 @@ from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
@@ -240,23 +239,22 @@ def read_rows(
     empty = empty.select(["motor_id", *(name for name in chosen if name != "motor_id")])
     try:
         parts = [_read_motors(path, motor_ids, empty.columns) for path in paths]
-        rows = pl.from_arrow(pa.concat_tables(parts, promote_options="default"))
-        assert isinstance(rows, pl.DataFrame)
-        rows = pl.concat([empty, rows], how="diagonal_relaxed")
-    except (OSError, ValueError, pa.ArrowException) as error:
+        rows = pl.concat([empty, *parts], how="diagonal_relaxed")
+    except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
         raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
     return rows.select(chosen).cast(pl.Schema({name: table.schema[name] for name in chosen}))
 
 
-def _read_motors(path: str, motor_ids: Sequence[str], columns: Sequence[str]) -> pa.Table:
+def _read_motors(path: str, motor_ids: Sequence[str], columns: Sequence[str]) -> pl.DataFrame:
     """Some motors' rows of a file, in those columns that it has.
 
     File by file, as a scanner of many takes longer for small ones; with checksums, as a flipped bit
     would otherwise be a step in a trend.
     """
     with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        content = file.read(columns=list(columns), use_threads=False)
-    return content.filter(pc.is_in(content["motor_id"], pa.array(motor_ids, pa.large_string())))
+        rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
+    assert isinstance(rows, pl.DataFrame)
+    return rows.filter(pl.col("motor_id").is_in(list(motor_ids)))
 
 
 def _require_known_version(path: Path, content: pa.Table) -> None:

@@ -390,6 +390,12 @@ class Execution(Section):
     backend: Literal["loky", "sequential"] = Field(
         "loky", description="`loky`: worker processes; `sequential`: one after the other, here"
     )
+    minimum_free_mib: float = Field(
+        100.0,
+        ge=0,
+        description="Disk space that a run leaves free beyond its own tables, or else does not "
+        "begin [MiB]; 0: not looked at",
+    )
 
 
 class Settings(Section):

@@ -171,7 +171,7 @@ def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
 
 
 def test_3_while_another_run_holds_the_output(call: Call, fleet: Path) -> None:
-    with pipeline.fleet._locked(fleet.parent.parent / "out"):
+    with pipeline.fleet.locked(fleet.parent.parent / "out"):
         code, out, err = call("fit-fleet", fleet)
     assert (code, out) == (3, "")
     assert re.search(

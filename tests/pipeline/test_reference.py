@@ -241,7 +241,7 @@ def test_readme_config_example_is_a_motor_of_the_shipped_fleet(tmp_path: Path) -
 
 
 def test_stated_exit_codes_are_those_of_the_command() -> None:
-    tree = ast.parse((ROOT / "pipeline" / "cli.py").read_text("utf-8"))
+    tree = ast.parse((ROOT / "pipeline" / "cli" / "arguments.py").read_text("utf-8"))
     values = {
         constant.value
         for node in tree.body
