@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store import replace_whole
+from pipeline.landing import put
 
 log = logging.getLogger(__name__)
 
@@ -159,12 +159,8 @@ class Heartbeat:
             now = dt.datetime.now(dt.UTC)
             self._beat = replace(self._beat, beaten_at=now, **changes)  # type: ignore[arg-type]
             text = json.dumps(_as_text(asdict(self._beat)), indent=1) + "\n"
-
-            def write(name: str) -> None:
-                Path(name).write_text(text, "utf-8")
-
             try:
-                replace_whole(heartbeat_file(self._output), write, durable=False)
+                put(heartbeat_file(self._output), text.encode(), durable=False)
             except StoreError as error:
                 if not self._told:
                     log.warning("no heartbeat: %s", error)

@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store import TEMPORARY_PREFIX, replace_whole
+from pipeline.landing import TEMPORARY_PREFIX, flush_all, put, read
 
 FILE = "manifest.json"
 FORMAT = 1
@@ -69,7 +68,7 @@ def read_manifest(folder: Path) -> Manifest | None:
             )
         return None
     try:
-        document = json.loads(path.read_bytes())
+        document = json.loads(read(path))
         if document["format"] != FORMAT:
             return Manifest("", files=_files(document))
         return Manifest(document["program"], dict(document["nights"]), _files(document))
@@ -99,7 +98,9 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
         "files": dict(sorted(manifest.files.items())),
     }
     text = json.dumps(document, separators=(",", ":"))
-    replace_whole(folder / FILE, lambda name: _write(name, text.encode()))
+    # One flush for all pages, not one for each: first they, then what tells that they are there.
+    flush_all()
+    put(folder / FILE, text.encode())
 
 
 def write_changed(
@@ -128,28 +129,8 @@ def write_changed(
     """
     entry = (content_hash(content), len(content))
     if entry != before or not is_as_left(folder, name, entry):
-        _put(folder / name, content)
+        put(folder / name, content, durable=False)
     return entry
-
-
-def _put(path: Path, content: bytes) -> None:
-    """Write a file whole beside its name, then rename it.
-
-    Neither flushed to the disk nor read back, file by file, as a report has tens of thousands:
-    after a power cut sizes tell what is to be made again.
-    """
-    beside = path.with_name(f"{TEMPORARY_PREFIX}{os.getpid()}-{path.name}")
-    try:
-        try:
-            beside.write_bytes(content)
-        except FileNotFoundError:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            beside.write_bytes(content)
-        beside.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            beside.unlink()
-        raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
 
 
 def is_as_left(folder: Path, name: str, entry: tuple[str, int]) -> bool:
@@ -171,7 +152,3 @@ def remove_stale(folder: Path, before: Manifest, now: Manifest) -> int:
                 path.unlink()
                 path.parent.rmdir()
     return len(stale)
-
-
-def _write(name: str, content: bytes) -> None:
-    Path(name).write_bytes(content)

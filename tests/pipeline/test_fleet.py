@@ -29,7 +29,7 @@ from pipeline.errors import LockedError, StoreError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
-from pipeline.store import Published, night_file, publish_night, read_table
+from pipeline.store import NightFile, night_file, prepare_night, read_table
 from tests.conftest import OwnFleet
 
 FIRST = dt.date(2026, 1, 2)
@@ -642,14 +642,14 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     fleet = own_fleet(PARQUET)
     calls = 0
 
-    def interrupted(*arguments: Any) -> Published:
+    def interrupted(*arguments: Any) -> NightFile:
         nonlocal calls
         calls += 1
         if calls > after:
             raise KeyboardInterrupt
-        return publish_night(*arguments)
+        return prepare_night(*arguments)
 
-    monkeypatch.setattr(pipeline.publishing, "publish_night", interrupted)
+    monkeypatch.setattr(pipeline.publishing, "prepare_night", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(fleet)
     monkeypatch.undo()
