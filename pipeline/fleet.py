@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 import shutil
+import socket
 import tempfile
 import time
 from collections import Counter
@@ -20,15 +21,23 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pipeline.config import Fleet, MotorSpec
+from pipeline.config import Execution, Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.errors import LockedError, StoreError
 from pipeline.ledger import forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
+from pipeline.motor_task import (
+    MotorOutcome,
+    MotorTask,
+    Step,
+    lost,
+    plan_motor,
+    run_motor,
+    without_lost_night,
+)
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
 from pipeline.publishing import Publisher
@@ -51,17 +60,21 @@ from pipeline.settings_hashes import settings_of
 from pipeline.store import last_night, remove_leftovers
 from pipeline.trends.stage import (
     TrendOutcome,
-    TrendTask,
     forget_records,
+    lost_trends,
     run_trends,
     trend_tasks,
     with_q_values,
+    without_lost_motor,
     write_record,
 )
+from pipeline.worker_process import Loss
 from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 Progress = Callable[[MotorOutcome], None]
 
 # A task of trends reads the tables of all its motors at once.
@@ -198,7 +211,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
+        for outcome in _results(run_motor, tasks, lost, without_lost_night, fleet.execution):
             outcomes[outcome.motor_id] = outcome
             progress(outcome)
     except KeyboardInterrupt:
@@ -221,13 +234,28 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     return result
 
 
-def _lost(task: MotorTask, how: str) -> MotorOutcome:
-    return lost(task, "worker_died", f"its worker died twice: {how}")
+def _results(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: Callable[[Task, Loss], Result],
+    without: Callable[[Task, Loss], Task | None],
+    execution: Execution,
+) -> Iterator[Result]:
+    """Results of tasks; one that was lost in a known part of its work is done without that part."""
+    rest: list[Task] = []
 
+    def lose(task: Task, loss: Loss) -> Result | None:
+        smaller = without(task, loss)
+        if smaller is None:
+            return lost(task, loss)
+        rest.append(smaller)
+        return None
 
-def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
-    words = f"the worker of its trends died twice: {how}"
-    return TrendOutcome(failures={spec.motor_id: words for spec in task.specs})
+    for result in run_tasks(function, tasks, lose, execution):
+        if result is not None:
+            yield result
+    if rest:
+        yield from _results(function, rest, lost, without, execution)
 
 
 @contextmanager
@@ -253,7 +281,8 @@ def _locked(output: Path) -> Iterator[None]:
             ) from error
         stream.truncate(0)
         stream.write(
-            f"process {os.getpid()} since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
+            f"process {os.getpid()} on {socket.gethostname()} "
+            f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
         )
         stream.flush()
         yield
@@ -315,14 +344,15 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
-    failures: dict[str, str] = {}
+    failures: dict[str, Loss] = {}
     alarms: list[Mapping[str, Any]] = []
-    for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
+    results = _results(run_trends, tasks, lost_trends, without_lost_motor, fleet.execution)
+    for outcome in results:
         alarms += _publish_trend_rows(publisher, outcome)
         failures |= outcome.failures
     judged = [
-        replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
-        if one.motor_id in failures and one.status != FAILED
+        replace(one, status=FAILED, error_code=loss.code, message=f"trends: {loss.how}")
+        if (loss := failures.get(one.motor_id)) and one.status != FAILED
         else one
         for one in outcomes
     ]

@@ -11,7 +11,7 @@ import json
 import logging
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,7 @@ from pipeline.trends.peers import Peers, log_change, moved_apart, peers_of_circu
 from pipeline.trends.rows import RAISED, MotorRows, Row, by_night
 from pipeline.trends.segments import segments
 from pipeline.trends.watch import Era, motor_indicators, watch
+from pipeline.worker_process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 
@@ -59,6 +60,8 @@ class TrendTask:
         Last night of the fleet.
     decisions
         What people said.
+    given_up
+        By motor: how this run's workers were lost in its trends, each time.
     """
 
     specs: tuple[MotorSpec, ...]
@@ -67,6 +70,7 @@ class TrendTask:
     changed_from: Mapping[str, dt.date | None]
     tonight: dt.date
     decisions: tuple[Decision, ...] = ()
+    given_up: Mapping[str, Loss] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,12 +84,12 @@ class TrendOutcome:
     records
         By motor: what is to be remembered once they are published.
     failures
-        By motor: what went wrong, in words.
+        By motor: what went wrong.
     """
 
     nights: Mapping[str, int] = field(default_factory=dict)
     records: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    failures: Mapping[str, str] = field(default_factory=dict)
+    failures: Mapping[str, Loss] = field(default_factory=dict)
 
 
 def trend_tasks(
@@ -125,35 +129,55 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         try:
             histories = read_histories(task.output, ids, task.tonight)
         except StoreError as error:
-            return TrendOutcome(failures=dict.fromkeys(ids, error.message))
+            return TrendOutcome(failures=dict.fromkeys(ids, _failure(error)))
         nights: dict[str, int] = {}
         records: dict[str, Mapping[str, str]] = {}
-        failures: dict[str, str] = {}
+        failures = dict(task.given_up)
         parts: dict[str, _Part] = {}
         for spec in task.specs:
-            if spec.motor_id in histories:
+            if spec.motor_id in histories and spec.motor_id not in failures:
+                sign_of_life(spec.motor_id)
                 try:
                     history = histories[spec.motor_id]
                     said = decisions_of(task.decisions, spec.motor_id)
                     parts[spec.motor_id] = _Part.of(spec, history, said)
                 except Exception as error:  # the edge of a motor: it must not take others down
                     log.exception("trends of motor %s failed", spec.motor_id)
-                    failures[spec.motor_id] = f"{type(error).__name__}: {error}"
+                    failures[spec.motor_id] = _failure(error)
+        sign_of_life("")
         peers = _peers(task, histories, parts)
         for spec in task.specs:
             motor_id = spec.motor_id
             if motor_id not in task.changed_from or motor_id not in parts:
                 continue
+            sign_of_life(motor_id)
             try:
                 done = _stage_motor(task, spec, histories[motor_id], parts[motor_id], peers)
-            except StoreError as error:
-                failures[motor_id] = error.message
             except Exception as error:  # as above
                 log.exception("trends of motor %s failed", motor_id)
-                failures[motor_id] = f"{type(error).__name__}: {error}"
+                failures[motor_id] = _failure(error)
             else:
                 nights[motor_id], records[motor_id] = done
         return TrendOutcome(nights, records, failures)
+
+
+def _failure(error: Exception) -> Loss:
+    if isinstance(error, StoreError):
+        return Loss(error.code, error.message)
+    return loss_of(error)
+
+
+def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
+    """The outcome of a task that was lost as a whole."""
+    ids = (spec.motor_id for spec in task.specs)
+    return TrendOutcome(failures={one: task.given_up.get(one, loss) for one in ids})
+
+
+def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
+    """The task that gives up the motor in which it was lost; None where it is not known."""
+    if not loss.part:
+        return None
+    return replace(task, given_up={**task.given_up, loss.part: loss})
 
 
 def decisions_of(decisions: Sequence[Decision], motor_id: str) -> tuple[Decision, ...]:
