@@ -12,6 +12,7 @@ import hashlib
 import logging
 import os
 import secrets
+import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
@@ -19,9 +20,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pipeline.config import Fleet, MotorSpec
+from pipeline.config import Execution, Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.disk_space import require_space
 from pipeline.errors import LockedError, StoreError
@@ -30,7 +31,15 @@ from pipeline.landing import make_folders, remove_all, remove_leftovers
 from pipeline.ledger import Ledger, forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
+from pipeline.motor_task import (
+    MotorOutcome,
+    MotorTask,
+    Step,
+    lost,
+    plan_motor,
+    run_motor,
+    without_lost_night,
+)
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
 from pipeline.publishing import Publisher
@@ -55,16 +64,20 @@ from pipeline.store import last_night
 from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
     TrendOutcome,
-    TrendTask,
+    lost_trends,
     run_trends,
     trend_tasks,
     with_q_values,
+    without_lost_motor,
 )
 from pipeline.versions import own_version, versions
+from pipeline.worker_process import Loss
 from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 Progress = Callable[[MotorOutcome], None]
 
 # Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
@@ -227,7 +240,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Hear
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
+        for outcome in _results(run_motor, tasks, lost, without_lost_night, fleet.execution):
             outcomes[outcome.motor_id] = outcome
             heartbeat.motor_done()
             progress(outcome)
@@ -264,19 +277,37 @@ def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Hear
     return result
 
 
-def _lost(task: MotorTask, how: str) -> MotorOutcome:
-    return lost(task, "worker_died", f"its worker died twice: {how}")
+def _results(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: Callable[[Task, Loss], Result],
+    without: Callable[[Task, Loss], Task | None],
+    execution: Execution,
+) -> Iterator[Result]:
+    """Results of tasks; one that was lost in a known part of its work is done without that part."""
+    rest: list[Task] = []
 
+    def lose(task: Task, loss: Loss) -> Result | None:
+        smaller = without(task, loss)
+        if smaller is None:
+            return lost(task, loss)
+        rest.append(smaller)
+        return None
 
-def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
-    words = f"the worker of its trends died twice: {how}"
-    return TrendOutcome(failures={spec.motor_id: words for spec in task.specs})
+    for result in run_tasks(function, tasks, lose, execution):
+        if result is not None:
+            yield result
+    if rest:
+        yield from _results(function, rest, lost, without, execution)
 
 
 @contextmanager
 def locked(output: Path) -> Iterator[None]:
     """Hold the output for one run; the lock ends with the process, however that ends."""
-    holder = f"process {os.getpid()} since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
+    holder = (
+        f"process {os.getpid()} on {socket.gethostname()} "
+        f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
+    )
     try:
         make_folders(output)
         stream = (output / "lock").open("a+", encoding="utf-8")
@@ -369,13 +400,13 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
-    made = list(run_tasks(run_trends, tasks, _lost_trends, fleet.execution))
+    made = list(_results(run_trends, tasks, lost_trends, without_lost_motor, fleet.execution))
     # All tasks first: a night's q-values are over the slopes of the whole fleet.
     alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
-    failures = {motor_id: why for one in made for motor_id, why in one.failures.items()}
+    failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
     judged = [
-        replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
-        if one.motor_id in failures and one.status != FAILED
+        replace(one, status=FAILED, error_code=loss.code, message=f"trends: {loss.how}")
+        if (loss := failures.get(one.motor_id)) and one.status != FAILED
         else one
         for one in outcomes
     ]

@@ -13,13 +13,14 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
 import polars as pl
+from polars.exceptions import PanicException
 from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
@@ -51,12 +52,15 @@ from pipeline.refit import REFITTED_TABLES, StoredNights
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
 from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
 from pipeline.store import night_file, read_rows, stage
+from pipeline.worker_process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
+# A motor of which more nights than this take their worker with them is given up as a whole.
+MOST_GIVEN_UP = 3
 
 
 class Work(Enum):
@@ -93,6 +97,8 @@ class MotorTask:
         Whether to make nights anew from their logs that nothing has changed of.
     retry
         Whether to try nights and logs again that failed.
+    given_up
+        Nights that this run's workers were lost in, each time.
     """
 
     spec: MotorSpec
@@ -102,6 +108,7 @@ class MotorTask:
     until: dt.date | None = None
     force: bool = False
     retry: bool = False
+    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -181,21 +188,35 @@ def run_motor(task: MotorTask) -> MotorOutcome:
     -------
     MotorOutcome
         Also where the task failed as a whole: with status ``failed`` and no nights.
+
+    Raises
+    ------
+    MemoryError
+        If there is not enough memory for what all its nights need.
     """
     speak_as_told()
     with threadpool_limits(1):
         try:
             return _Nights(task).run()
         except StoreError as error:
-            return lost(task, error.code, error.message)
-        except Exception as error:  # the edge of a motor's task: it must not take others down
+            return lost(task, Loss(error.code, error.message))
+        except MemoryError:  # a fresh worker may have what it takes
+            raise
+        except (Exception, PanicException) as error:  # the edge of a motor's task
             log.exception("motor %s failed", task.spec.motor_id)
-            return lost(task, "internal", legible(f"{type(error).__name__}: {error}"))
+            return lost(task, loss_of(error))
 
 
-def lost(task: MotorTask, code: str, message: str) -> MotorOutcome:
+def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
     """The outcome of a motor whose task was lost as a whole."""
-    return MotorOutcome(task.spec.motor_id, FAILED, code, message)
+    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
+
+
+def without_lost_night(task: MotorTask, loss: Loss) -> MotorTask | None:
+    """The task that gives up the night in which it was lost; None where that is not to be had."""
+    if not loss.part or len(task.given_up) == MOST_GIVEN_UP:
+        return None
+    return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
 
 
 def _hash_of_model(model: PreviousModel) -> str:
@@ -269,6 +290,7 @@ class _Nights:
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
             self.records[label] = NightRecord(NO_NEW_DATA)
+        sign_of_life("")
         with self._timed("store_s"):
             self._stage()
         return self._outcome()
@@ -377,6 +399,9 @@ class _Nights:
 
     def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
         """What comes of a night; None where it stays as published, for want of its log."""
+        if given_up := self.task.given_up.get(label):
+            return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
+        sign_of_life(label.isoformat())
         try:
             if work is not Work.READ:
                 make = self.stored.refit if work is Work.REFIT else self.stored.judge
@@ -387,10 +412,10 @@ class _Nights:
             return self._read_and_fit(label, before)
         except StoreError:
             raise
-        except Exception as error:  # a fault of ours in one night must not cost the motor's others
+        except (Exception, PanicException) as error:  # one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
-            reason = legible(f"{type(error).__name__}: {error}")
-            return unfitted(self.spec, label, FAILED, reason, code="internal")
+            loss = loss_of(error)
+            return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)

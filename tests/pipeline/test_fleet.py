@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -516,7 +517,7 @@ def test_two_runs_never_write_at_once(own_fleet: OwnFleet) -> None:
     loaded = load_fleet(fleet)
     run_fleet(RunRequest(loaded), second)
     (message,) = seen
-    assert f"process {os.getpid()} since 20" in message
+    assert f"process {os.getpid()} on {socket.gethostname()} since 20" in message
     # It is free again, and the first run's tables are whole.
     assert run(fleet).n_nights == 0
     assert rows(output_of(fleet), "fits").height == 3
@@ -606,7 +607,7 @@ def test_a_signal_keeps_what_is_done(
 ) -> None:
     fleet, process = waiting_run(jobs)
     # A second run is turned away at once, and told by whom.
-    with pytest.raises(LockedError, match=f"process {process.pid} since"):
+    with pytest.raises(LockedError, match=rf"process {process.pid} on \S+ since"):
         run(fleet)
     (os.killpg if to_all else os.kill)(process.pid, number)
     out, err = process.communicate(timeout=60)

@@ -206,7 +206,10 @@ def check_tables(output: Path, fleet: TinyFleet) -> None:
             assert same(now.get(name), after.get(name)), name
 
 
+LASTING = {"tables", "ledger", "manifest", "lock", "heartbeat.json"}
+
+
 def temporary(output: Path) -> list[Path]:
     """What should not outlive a run."""
-    strangers = {path.name for path in output.iterdir()} - {"tables", "ledger", "manifest", "lock"}
+    strangers = {path.name for path in output.iterdir()} - LASTING
     return [*map(Path, sorted(strangers)), *output.rglob(".writing-*"), *output.rglob("*.damaged")]
