@@ -12,6 +12,7 @@ BENCHMARKS = (
     "demo_dialects",
     "demo_run",
     "demo_truth",
+    "fuzz",
     "mcap_reading",
     "model_choices",
     "multi_start",
