@@ -66,6 +66,17 @@ class Levels:
                 f"{self.least_sd:g} standard deviations; expected 1 ≤ m ≤ n, 1 ≤ off and 0 ≤ sd",
             )
 
+    def in_effect(self, sd: float) -> tuple[float, float]:
+        """Warning and alarm over a baseline whose nights scatter by a relative sd, [-].
+
+        Examples
+        --------
+        >>> Levels().in_effect(0.01), Levels().in_effect(0.05)
+        ((0.15, 0.3), (0.225, 0.3))
+        """
+        least = self.least_sd * sd
+        return max(self.warning, least), max(self.alarm, least)
+
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -132,10 +143,8 @@ def above_level(values: Array, level: float, deadband: float, rule: Levels) -> N
     return _held(is_on, good)
 
 
-def level_severity(
-    deviation: Array, sd: float, rule: Levels, values: Array, limits: Limits
-) -> tuple[Severities, Severities]:
-    """Severity by the levels over the baseline, and by the limits of the motor type.
+def level_severity(deviation: Array, sd: float, rule: Levels) -> Severities:
+    """Severity by the levels over the baseline.
 
     Parameters
     ----------
@@ -145,25 +154,38 @@ def level_severity(
         Relative standard deviation of the nights, from the safe side.
     rule
         The levels.
-    values
-        The indicator itself, shape (n,).
-    limits
-        Absolute ones.
 
     Returns
     -------
-    tuple
-        Two columns of 0, 1 or 2, shape (n,).
+    ndarray
+        0, 1 or 2, shape (n,).
     """
-    by_level = np.zeros(len(deviation), dtype=np.int64)
-    for severity, level in ((1, rule.warning), (2, rule.alarm)):
-        least = max(level, rule.least_sd * sd)
-        by_level[above_level(deviation, least, rule.deadband, rule)] = severity
-    by_limit = np.zeros(len(deviation), dtype=np.int64)
+    found = np.zeros(len(deviation), dtype=np.int64)
+    for severity, level in enumerate(rule.in_effect(sd), start=1):
+        found[above_level(deviation, level, rule.deadband, rule)] = severity
+    return found
+
+
+def limit_severity(values: Array, limits: Limits, rule: Levels) -> Severities:
+    """Severity by the limits of the motor type, which need no baseline.
+
+    Parameters
+    ----------
+    values
+        The indicator itself, shape (n,); nights that are not finite hold.
+    limits, rule
+        Absolute limits, and how many nights it takes.
+
+    Returns
+    -------
+    ndarray
+        0, 1 or 2, shape (n,).
+    """
+    found = np.zeros(len(values), dtype=np.int64)
     for severity, limit in ((1, limits.warning), (2, limits.alarm)):
         if limit is not None:
-            by_limit[above_level(values, limit, limits.deadband, rule)] = severity
-    return by_level, by_limit
+            found[above_level(values, limit, limits.deadband, rule)] = severity
+    return found
 
 
 def nights_since_good(nights: Nights, good: NDArray[np.bool_]) -> Nights:

@@ -27,10 +27,11 @@ from leakage.alarms import (
     State,
     StateChange,
     level_severity,
+    limit_severity,
     nights_since_good,
     state_changes,
 )
-from leakage.autoregression import Array, Nights, variance_of_mean
+from leakage.autoregression import Array, Nights, variance_of_sum
 from leakage.baseline import Baseline, BaselineSettings, fit_baseline
 from leakage.cusum import cusum, cusum_limit
 from leakage.slope import check_series
@@ -38,8 +39,9 @@ from leakage.slope import check_series
 LeadsTo: TypeAlias = Literal["nothing", "warning", "alarm"]
 _SEVERITY_OF: dict[LeadsTo, int] = {"nothing": 0, "warning": 1, "alarm": 2}
 
-# Good nights that say how large a change is now.
+# Good nights that say how large a change is now; from so many on, by the end of their line.
 NIGHTS_OF_SIZE = 10
+LEAST_OF_LINE = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +95,7 @@ class Track:
     severity
         By levels and sum together, shape (n,): 0, 1 or 2; nights without a value hold.
     limit_severity
-        By the absolute limits, likewise.
+        By the absolute limits, likewise; they need no baseline.
     has_baseline
         Shape (n,).
     since_good
@@ -109,6 +111,11 @@ class Track:
     limit_severity: Severities
     has_baseline: NDArray[np.bool_]
     since_good: Nights
+
+    def baseline_at(self, place: int) -> Baseline | None:
+        """The baseline that served in a night; None before there was one."""
+        served = int(np.searchsorted(self.served_from, place, side="right"))
+        return self.baselines[served - 1] if served else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +195,7 @@ def monitor(
         value; otherwise what the own and the corrected values both say, the milder of the two; what
         both have told stays a warning for as long as the own values tell it. The own ones decide
         alone where the corrected have no baseline or are stale. An absolute limit holds whatever
-        the others do.
+        the others do, with or without a baseline.
 
     Raises
     ------
@@ -254,7 +261,7 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
         evidence=parts.evidence,
         onset=parts.onset,
         severity=parts.severity,
-        limit_severity=parts.limit_severity,
+        limit_severity=limit_severity(values, settings.limits, settings.levels),
         has_baseline=np.arange(len(nights)) >= first_served,
         since_good=nights_since_good(nights, good),
     )
@@ -279,23 +286,57 @@ def change_size(
     Returns
     -------
     ChangeSize or None
-        From up to ten good nights since the change began: of a rise that goes on, what it is now.
-        None where the sum tells no change on that night.
+        From up to ten good nights since the change began. None where the sum tells no change on
+        that night.
+
+    Notes
+    -----
+    A mean over ten nights lags behind a wear that goes on. So it is the end of the straight line
+    through them; with fewer than five nights their mean.
     """
-    began = int(followed.onset[place])
-    if began < 0:
+    began, baseline = int(followed.onset[place]), followed.baseline_at(place)
+    if began < 0 or baseline is None:
         return None
-    served = int(np.searchsorted(followed.served_from, place, side="right")) - 1
-    baseline = followed.baselines[served]
     recent = np.flatnonzero(np.isfinite(values[: place + 1]) & (np.arange(place + 1) >= began))
     recent = recent[-NIGHTS_OF_SIZE:]
-    ratio = float(np.mean(values[recent])) / baseline.mean
+    weights = weights_of_now(nights[recent])
+    ratio = float(weights @ values[recent]) / baseline.mean
     # Nights scatter in proportion to the indicator.
-    scatter = baseline.sd**2 * variance_of_mean(baseline.phi, nights[recent])
+    scatter = baseline.sd**2 * variance_of_sum(weights, baseline.phi, nights[recent])
     error = ratio * math.hypot(math.sqrt(scatter), baseline.mean_error) / baseline.mean
     half = float(stdtrit(baseline.n - 1, 0.5 + coverage / 2)) * error
     rise = ratio - 1.0
     return ChangeSize(int(nights[began]), rise, rise - half, rise + half, len(recent))
+
+
+def weights_of_now(nights: Nights) -> Array:
+    """Weights with which some nights tell what an indicator is in the last of them.
+
+    Parameters
+    ----------
+    nights
+        Numbers of the nights, increasing, shape (n,).
+
+    Returns
+    -------
+    ndarray
+        Of the end of the straight line through them, shape (n,), which sum to 1; all alike for
+        fewer than five nights.
+
+    Examples
+    --------
+    >>> weights_of_now(np.arange(2)).tolist()
+    [0.5, 0.5]
+    >>> nights = np.arange(10)
+    >>> round(float(weights_of_now(nights) @ (3.0 + 2.0 * nights)), 9)
+    21.0
+    """
+    n = len(nights)
+    weights: Array = np.full(n, 1.0 / max(n, 1))
+    if n >= LEAST_OF_LINE:
+        centred = nights - np.mean(nights)
+        weights = weights + centred * centred[-1] / float(centred @ centred)
+    return weights
 
 
 @dataclass(slots=True)
@@ -306,7 +347,6 @@ class _Parts:
     evidence: Array
     onset: NDArray[np.int64]
     severity: Severities
-    limit_severity: Severities
 
     @classmethod
     def empty(cls, n: int) -> _Parts:
@@ -314,7 +354,6 @@ class _Parts:
             np.full(n, np.nan),
             np.full(n, np.nan),
             np.full(n, -1, dtype=np.int64),
-            np.zeros(n, dtype=np.int64),
             np.zeros(n, dtype=np.int64),
         )
 
@@ -332,19 +371,13 @@ class _Parts:
         sums = cusum(nights, values, baseline, limit)
         watched = values[start:]
         deviation = baseline.deviation(watched)
-        by_level, by_limit = level_severity(
-            deviation,
-            baseline.highest_sd() / baseline.mean,
-            settings.levels,
-            watched,
-            settings.limits,
-        )
+        relative_sd = baseline.highest_sd() / baseline.mean
+        by_level = level_severity(deviation, relative_sd, settings.levels)
         by_sum = np.where(sums.is_on[start:], _SEVERITY_OF[settings.cusum_leads_to], 0)
         self.deviation[start:stop] = deviation
         self.evidence[start:stop] = sums.statistic[start:] / limit
         self.onset[start:stop] = sums.onset[start:]
         self.severity[start:stop] = np.maximum(by_level, by_sum)
-        self.limit_severity[start:stop] = by_limit
 
 
 def _serve(
@@ -408,7 +441,7 @@ def _states(
     states = np.array(OF_SEVERITY, dtype=object)[severity]
     states[common & (own.limit_severity == 0)] = "common_cause"
     states[own.since_good > stale_nights] = "stale"
-    states[~own.has_baseline] = "insufficient"
+    states[~own.has_baseline & (own.limit_severity == 0)] = "insufficient"
     found: list[State] = states.tolist()
     return found
 

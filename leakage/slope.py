@@ -154,10 +154,10 @@ def fit_slope(
     if n < LEAST_NIGHTS:
         return Slope("too_few_nights", n)
     nights, values, x, scale = nights[kept], values[kept], x[kept], scale[kept]
+    if not np.ptp(x) > 0.0:
+        return Slope("no_span", n)
     pivot = float(np.mean(x))
     centred = x - pivot
-    if not centred.any():
-        return Slope("no_span", n)
     median_slope = theil_sen(x, values)
     design = np.column_stack([np.ones(n), centred]) / scale[:, None]
     first, residuals = _least_squares(design, values / scale)

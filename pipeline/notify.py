@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import logging
 import subprocess
-import urllib.error
 import urllib.request
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -52,7 +52,7 @@ def _run(command: Sequence[str], content: bytes) -> str:
         done = subprocess.run(  # noqa: S603
             list(command), input=content, capture_output=True, timeout=TIMEOUT_S, check=False
         )
-    except (OSError, subprocess.TimeoutExpired) as error:
+    except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         return f"alarms.command: {error}"
     if done.returncode:
         words = done.stderr.decode("utf-8", "replace").strip()[:200]
@@ -66,5 +66,5 @@ def _post(url: str, content: bytes) -> str:
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - http or https
             return ""
-    except (urllib.error.URLError, OSError, ValueError) as error:
-        return f"alarms.webhook_url: {error}"
+    except (OSError, ValueError, http.client.HTTPException) as error:
+        return f"alarms.webhook_url: {error or type(error).__name__}"

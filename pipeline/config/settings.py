@@ -378,6 +378,8 @@ class Alarms(Section):
             raise ValueError("expected on_nights as [m, n] with 1 <= m <= n")
         if self.warning_percent >= self.alarm_percent:
             raise ValueError("expected warning_percent below alarm_percent")
+        if self.deadband_percent >= self.warning_percent:
+            raise ValueError("expected deadband_percent below warning_percent")
         if self.webhook_url and not self.webhook_url.startswith(("http://", "https://")):
             raise ValueError("expected webhook_url to begin with http:// or https://")
         return self

@@ -157,23 +157,23 @@ def _latest_sums(standing: Standing, place: int) -> Array | None:
 def _changes(standing: Standing, place: int, flows: Mapping[str, float]) -> dict[str, _Change]:
     """Changes of the coefficients that were known in the baseline and are known since.
 
-    A wear that goes on is judged by its latest nights.
+    A wear that goes on is judged by its latest nights, and what all motors of the oil circuit did
+    is none.
     """
     begin = standing.earliest_onset(place)
     found = {}
-    for watched in standing.watched.values():
+    for name, watched in standing.watched.items():
         path = watched.indicator.path
-        if path not in flows:
+        series, baseline = standing.own_change(name, place)
+        if path not in flows or baseline is None:
             continue
-        segment, _, baseline = watched.at(place)
-        if baseline is None:
-            continue
-        good = np.flatnonzero(np.isfinite(watched.series[: place + 1]))
+        segment, _, _ = watched.at(place)
+        good = np.flatnonzero(np.isfinite(series[: place + 1]))
         last = standing.history.place_of(baseline.last_night)
         before = good[(good >= segment.first) & (good <= last)]
         now = good[good >= max(begin, segment.first)][-NIGHTS_OF_NOW:]
         if len(before) >= LEAST_NIGHTS and len(now):
-            found[path] = _Change(watched.series, baseline, before, now)
+            found[path] = _Change(series, baseline, before, now)
     return {path: found[path] for path in flows if path in found}
 
 
@@ -228,15 +228,14 @@ def _rest(
         Size, variance, and covariance with the changes of the known coefficients; None where the
         indicator has no figures since the change began.
     """
-    watched = standing.watched[name]
-    segment, found, baseline = watched.at(place)
-    begin = max(standing.earliest_onset(place) - segment.first, 0)
-    recent = found.own.deviation[begin : place - segment.first + 1]
+    segment, _, _ = standing.watched[name].at(place)
+    series, baseline = standing.own_change(name, place)
+    recent = series[max(standing.earliest_onset(place), segment.first) : place + 1]
     recent = recent[np.isfinite(recent)][-NIGHTS_OF_NOW:]
     if baseline is None or not len(recent):
         return None
     level = _level(standing, name, place, baseline)
-    whole = level * float(np.mean(recent))
+    whole = level * float(np.mean(baseline.deviation(recent)))
     error = level * baseline.sd / baseline.mean
     variance = error**2 * (
         1.0 / len(recent) + (baseline.mean_error / max(baseline.sd, 1e-300)) ** 2

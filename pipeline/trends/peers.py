@@ -7,7 +7,7 @@ was known when the two could first be compared: a night's state must not hang on
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,40 +95,44 @@ def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...
     return LogChange(np.where(np.isfinite(change), change, np.nan), known_at, parts)
 
 
-def moved_apart(changes: Sequence[Array], percent: float) -> NDArray[np.bool_]:
-    """Nights on which a motor's coefficients had moved by different amounts: oil moves all alike.
+def moved_apart(
+    changes: Mapping[str, Array], paths: Collection[str], percent: float
+) -> dict[str, NDArray[np.bool_]]:
+    """Nights on which an indicator had risen above what a motor's paths have in common.
+
+    Oil moves all paths alike, wear lifts some of them above the others: what the lowest did may be
+    the oil, the rest of what another indicator did is the motor's own.
 
     Parameters
     ----------
     changes
-        Log changes of its coefficients, shape (n,) each.
+        Log changes by indicator, shape (n,) each.
+    paths
+        Which of them are coefficients of paths.
     percent
-        Least difference that counts, in points; it must be half of the largest change as well.
+        Least difference from the lowest path that counts, in points; it must be half of the
+        indicator's own change as well.
 
     Returns
     -------
-    ndarray of bool
-        Shape (n,); False with fewer than two coefficients. By the median of the last five good
-        nights of each, so that an odd night decides nothing.
+    dict of str to ndarray of bool
+        By indicator, shape (n,); False with fewer than two paths known. By the median of the last
+        five good nights of each, so that an odd night decides nothing.
 
     Examples
     --------
-    >>> sleeve, ring = np.full(9, 0.4), np.zeros(9)
-    >>> moved_apart([sleeve, ring], 5.0).all(), moved_apart([sleeve, sleeve], 5.0).any()
-    (np.True_, np.False_)
+    >>> moved = {"K_sleeve": np.full(9, 0.4), "K_ring": np.zeros(9), "leakage": np.full(9, 0.15)}
+    >>> found = moved_apart(moved, ("K_sleeve", "K_ring"), 5.0)
+    >>> {name: bool(one.all()) for name, one in found.items()}
+    {'K_sleeve': True, 'K_ring': False, 'leakage': True}
     """
-    n = len(changes[0]) if changes else 0
-    moved = np.array([recent_median(one) for one in changes]).reshape(len(changes), n)
-    moved = 100.0 * np.expm1(moved)
-    known = np.isfinite(moved).sum(axis=0) > 1
-    highest, lowest = (
-        np.max(np.where(np.isfinite(moved), moved, -np.inf), axis=0, initial=-np.inf),
-        np.min(np.where(np.isfinite(moved), moved, np.inf), axis=0, initial=np.inf),
-    )
-    largest = np.maximum(np.abs(highest), np.abs(lowest))
-    apart = np.zeros(n, dtype=np.bool_)
-    apart[known] = (highest - lowest)[known] > np.maximum(percent, largest[known] / 2)
-    return apart
+    moved = {name: 100.0 * np.expm1(recent_median(one)) for name, one in changes.items()}
+    several = np.sum([np.isfinite(moved[name]) for name in paths], axis=0) > 1
+    lowest: Array = np.fmin.reduce([moved[name] for name in paths], axis=0, initial=np.inf)
+    return {
+        name: several & (one - lowest > np.maximum(percent, np.abs(one) / 2))
+        for name, one in moved.items()
+    }
 
 
 def peers_of_circuit(
@@ -145,8 +149,8 @@ def peers_of_circuit(
     changes
         Log changes of those that have the indicator.
     apart
-        Nights on which a motor's own paths had moved by different amounts: it wears, and what it
-        does then says nothing of the oil.
+        Nights on which a motor's indicator had risen by more than its paths have in common: it
+        wears, and what it does then says nothing of the oil.
 
     Returns
     -------

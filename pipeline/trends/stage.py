@@ -274,7 +274,8 @@ class Part:
     changes
         How far each indicator had moved.
     apart
-        Nights on which its paths had moved by different amounts, shape (n,).
+        By indicator, nights on which it had risen by more than the motor's paths have in common,
+        shape (n,).
     """
 
     history: History
@@ -282,7 +283,7 @@ class Part:
     eras: tuple[Era, ...]
     indicators: Mapping[str, Indicator]
     changes: Mapping[str, LogChange]
-    apart: NDArray[np.bool_]
+    apart: Mapping[str, NDArray[np.bool_]]
 
     @classmethod
     def of(cls, history: History, decisions: tuple[Decision, ...]) -> Part:
@@ -292,10 +293,11 @@ class Part:
             name: log_change(history, one, segments(history, decisions, name))
             for name, one in indicators.items()
         }
-        paths = [changes[name].told for name, one in indicators.items() if one.path]
-        apart = np.zeros(len(history), dtype=np.bool_)
-        if paths:
-            apart = moved_apart(paths, history.spec.settings.alarms.common_cause_percent)
+        apart = moved_apart(
+            {name: one.told for name, one in changes.items()},
+            [name for name, one in indicators.items() if one.path],
+            history.spec.settings.alarms.common_cause_percent,
+        )
         return cls(history, decisions, eras, indicators, changes, apart)
 
 
@@ -307,7 +309,7 @@ def circuit_peers(parts: Mapping[str, Part]) -> dict[str, dict[str, Peers]]:
             motor_id: part.changes[name] for motor_id, part in parts.items() if name in part.changes
         }
         histories = {motor_id: parts[motor_id].history for motor_id in own}
-        apart = {motor_id: parts[motor_id].apart for motor_id in own}
+        apart = {motor_id: parts[motor_id].apart[name] for motor_id in own}
         for motor_id, one in peers_of_circuit(histories, own, apart).items():
             found[motor_id][name] = one
     return found

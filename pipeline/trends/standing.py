@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.alarms import OF_SEVERITY
+from leakage.baseline import Baseline
 from pipeline.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
@@ -42,7 +43,8 @@ class Standing:
     peers
         By indicator, what the other motors of its oil circuit did; empty for a motor on its own.
     apart
-        Nights on which its paths had moved by different amounts, shape (n,).
+        By indicator, nights on which it had risen by more than the motor's paths have in common,
+        shape (n,).
     sudden
         Sudden changes that no event explains.
     zeros
@@ -53,7 +55,7 @@ class Standing:
     eras: tuple[Era, ...]
     watched: Mapping[str, Watched]
     peers: Mapping[str, Peers]
-    apart: NDArray[np.bool_]
+    apart: Mapping[str, NDArray[np.bool_]]
     sudden: tuple[Sudden, ...]
     zeros: Mapping[str, Zero]
 
@@ -71,19 +73,19 @@ class Standing:
     @cached_property
     def states(self) -> dict[str, tuple[str, ...]]:
         """State of each night, by indicator."""
-        found = {name: self._states(one) for name, one in self.watched.items()}
+        found = {name: self._states(name, one) for name, one in self.watched.items()}
         found[DEVIATION] = self._with_sudden(found[DEVIATION])
         return {name: tuple(states) for name, states in found.items()} | {
             name: zero.state for name, zero in self.zeros.items()
         }
 
-    def _states(self, watched: Watched) -> list[str]:
-        """What moved one path alone is no common cause, whatever the other motors did."""
+    def _states(self, name: str, watched: Watched) -> list[str]:
+        """What moved one path alone is the motor's own, whatever the other motors did."""
         states: list[str] = []
         for segment, found in zip(watched.segments, watched.monitoring, strict=True):
             part: list[str] = list(found.states)
-            for inside in np.flatnonzero(self.apart[segment.first : segment.end]).tolist():
-                if part[inside] == "common_cause":
+            for inside in np.flatnonzero(self.apart[name][segment.first : segment.end]).tolist():
+                if part[inside] in ("ok", "common_cause"):
                     part[inside] = OF_SEVERITY[int(found.own.severity[inside])]
             states += part
         return states
@@ -103,6 +105,28 @@ class Standing:
         standing = [one for one in self.sudden if one.stands(place)]
         latest = max((one.place for one in standing), default=0)
         return next((one for one in standing if one.place == latest), None)
+
+    def levels(self, name: str, place: int) -> tuple[float, float]:
+        """Relative rises that are a warning and an alarm in a night, by its baseline's scatter."""
+        watched = self.watched[name]
+        _, _, baseline = watched.at(place)
+        sd = 0.0 if baseline is None else baseline.highest_sd() / baseline.mean
+        return watched.settings.levels.in_effect(sd)
+
+    def own_change(self, name: str, place: int) -> tuple[Array, Baseline | None]:
+        """Series and baseline that tell what a motor did by itself, as of a night.
+
+        Where all of its oil circuit has moved, that is taken off.
+        """
+        watched = self.watched[name]
+        segment, found, baseline = watched.at(place)
+        inside = place - segment.first
+        if found.circuit is None or found.corrected is None or not found.circuit.severity[inside]:
+            return watched.series, baseline
+        corrected = found.corrected.baseline_at(inside)
+        if corrected is None:
+            return watched.series, baseline
+        return watched.series / np.exp(self.peers[name].others), corrected
 
     def era(self, place: int) -> Era:
         """The era of a night."""

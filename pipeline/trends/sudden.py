@@ -35,6 +35,9 @@ TOOK_PART_SD = 2.0
 ALIKE = 0.05
 # Good nights that say whether it is undone.
 NIGHTS_OF_NOW = 5
+AS_THE_OTHERS = (
+    "as in the other motors of the oil circuit: oil, temperature or charge pressure, not this motor"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +52,12 @@ class Sudden:
         Places of the nights from which, and before which, it stands.
     kind
         ``exchange``: every path changed, by different amounts; ``alike``: all by the same factor;
-        ``fall``: the drain flow fell, and nobody can tell through which path; ``circuit``: a fall
-        that the other motors of the oil circuit shared.
+        ``fall``: the drain flow fell, and nobody can tell through which path; ``circuit``: what the
+        other motors of the oil circuit did, too.
     words
         For people.
+    steps
+        Logarithm of the step of each indicator that tells it.
     """
 
     place: int
@@ -60,6 +65,16 @@ class Sudden:
     until: int
     kind: Kind
     words: str
+    steps: Mapping[str, float]
+
+    def undoes(self, earlier: Sudden) -> bool:
+        """Whether it leads back to where an earlier one began, which still stood."""
+        both = self.steps.keys() & earlier.steps.keys()
+        return (
+            earlier.place < self.place < earlier.until
+            and bool(both)
+            and all(abs(self.steps[name] + earlier.steps[name]) <= ALIKE for name in both)
+        )
 
     def stands(self, place: int) -> bool:
         """Whether it is told in a night."""
@@ -74,13 +89,18 @@ def sudden_changes(
 ) -> tuple[Sudden, ...]:
     """All sudden changes of a motor, in order of the nights on which they are told."""
     paths = {name: one for name, one in indicators.items() if one.path}
-    found = [
-        one for part in segments(history, decisions) for one in _of_paths(history, part, paths)
-    ]
     flow, others = indicators[DEVIATION], peers.get(DEVIATION)
+    found = [
+        one
+        for part in segments(history, decisions)
+        for one in _of_paths(history, part, paths, peers)
+    ]
     for part in segments(history, decisions, DEVIATION):
         found += _falls(history, part, flow, others)
-    return tuple(sorted(found, key=lambda one: (one.told, KINDS.index(one.kind))))
+    told = sorted(found, key=lambda one: (one.told, KINDS.index(one.kind)))
+    return tuple(
+        one for at, one in enumerate(told) if not any(one.undoes(before) for before in told[:at])
+    )
 
 
 def _jumps(history: History, part: Segment, series: Array, least: float) -> dict[int, Jump]:
@@ -91,7 +111,9 @@ def _jumps(history: History, part: Segment, series: Array, least: float) -> dict
     return {one.place: one for one in jumps}
 
 
-def _of_paths(history: History, part: Segment, paths: Mapping[str, Indicator]) -> list[Sudden]:
+def _of_paths(
+    history: History, part: Segment, paths: Mapping[str, Indicator], peers: Mapping[str, Peers]
+) -> list[Sudden]:
     """Nights in which every path changed, as far as the second of them tells it."""
     jumps = {name: _jumps(history, part, one.value, LEAST_STEP) for name, one in paths.items()}
     found = []
@@ -101,23 +123,67 @@ def _of_paths(history: History, part: Segment, paths: Mapping[str, Indicator]) -
             continue
         # Judged once, by what is known in that night: later nights change nothing of it.
         told = sorted(here)[1][0]
-        steps = _steps(part, place, told, paths)
-        if len(steps) < 2 or not all(took_part for _, took_part in steps.values()):
+        steps = _steps(part, place, told, paths, peers)
+        kind = _kind(steps, len(paths))
+        if kind is None:
             continue
-        moved = {name: step for name, (step, _) in steps.items()}
-        spread = max(moved.values()) - min(moved.values())
-        kind: Kind = "alike" if spread <= ALIKE else "exchange"
         members = [(paths[name].value, jumps[name][place]) for at, name in here if at <= told]
-        words = _words(kind, history, part.first + place, moved)
+        moved = {name: one.size for name, one in steps.items()}
+        words = _words_of_paths(kind, history, part.first + place, moved, len(paths))
         until = _until(part, told, members)
-        found.append(Sudden(part.first + place, part.first + told, until, kind, words))
+        found.append(Sudden(part.first + place, part.first + told, until, kind, words, moved))
     return found
 
 
+def _kind(steps: Mapping[str, _Step], n_paths: int) -> Kind | None:
+    """What the steps of a night's paths mean; None where they may as well be damage."""
+    if len(steps) < 2 or not all(one.took_part for one in steps.values()):
+        return None
+    if not any(one.alone for one in steps.values()):
+        return "circuit"
+    if not all(one.alone for one in steps.values()):
+        return None
+    own = [one.own for one in steps.values()]
+    if max(own) - min(own) <= ALIKE:
+        return "alike"
+    # Where only some paths are known, and all have grown, damage does that, too.
+    return None if len(steps) < n_paths and min(own) > 0 else "exchange"
+
+
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """What a path did in a night.
+
+    Attributes
+    ----------
+    size, own
+        Logarithm of its step, and less that of the other motors of the oil circuit.
+    scatter
+        Of the nights before, at least that of `LEAST_SCATTER`.
+    """
+
+    size: float
+    own: float
+    scatter: float
+
+    @property
+    def took_part(self) -> bool:
+        return abs(self.size) > TOOK_PART_SD * self.scatter
+
+    @property
+    def alone(self) -> bool:
+        """Whether it took part beyond what the other motors did."""
+        return abs(self.own) > TOOK_PART_SD * self.scatter
+
+
 def _steps(
-    part: Segment, place: int, told: int, paths: Mapping[str, Indicator]
-) -> dict[str, tuple[float, bool]]:
-    """By path that was known before and after: logarithm of its step, and whether it took part."""
+    part: Segment,
+    place: int,
+    told: int,
+    paths: Mapping[str, Indicator],
+    peers: Mapping[str, Peers],
+) -> dict[str, _Step]:
+    """By path that was known before and after, what it did."""
     steps = {}
     for name, one in paths.items():
         series = one.value[part.first : part.first + told + 1]
@@ -126,10 +192,21 @@ def _steps(
         after = series[good[good >= place]][:AFTER]
         if len(before) < LEAST_BEFORE or len(after) < AFTER:
             continue
-        log_step = float(np.log(np.median(after) / np.median(before)))
+        size = float(np.log(np.median(after) / np.median(before)))
         scatter = max(float(np.std(np.log(before), ddof=1)), LEAST_SCATTER)
-        steps[name] = (log_step, abs(log_step) > TOOK_PART_SD * scatter)
+        others = _of_others(part, place, told, peers.get(name))
+        steps[name] = _Step(size, size - others, scatter)
     return steps
+
+
+def _of_others(part: Segment, place: int, told: int, peers: Peers | None) -> float:
+    """Logarithm of the step of the other motors of the oil circuit; 0 where it is not known."""
+    if peers is None or part.first + told < peers.known_from(part):
+        return 0.0
+    series = peers.others[part.first : part.end]
+    before, after = series[:place], series[place : told + 1]
+    before, after = before[np.isfinite(before)][-MOST_BEFORE:], after[np.isfinite(after)]
+    return float(np.median(after) - np.median(before)) if len(before) and len(after) else 0.0
 
 
 def _falls(history: History, part: Segment, flow: Indicator, peers: Peers | None) -> list[Sudden]:
@@ -142,23 +219,13 @@ def _falls(history: History, part: Segment, flow: Indicator, peers: Peers | None
         # Before there is a baseline's model, there is no deviation to fall.
         known_from = part.first + int(np.argmax(flow.told[part.first : part.end]))
         told = max(part.first + jump.told, known_from)
-        kind: Kind = "circuit" if _shared(part, jump, told, peers) else "fall"
-        words = _words(kind, history, part.first + place, {DEVIATION: jump.log_step})
+        of_others = _of_others(part, place, told - part.first, peers)
+        kind: Kind = "circuit" if of_others <= jump.log_step / 2.0 else "fall"
+        moved = {DEVIATION: jump.log_step}
+        words = _words_of_fall(kind, history, part.first + place, jump.log_step)
         until = _until(part, jump.told, [(flow.watched, jump)])
-        found.append(Sudden(part.first + place, told, until, kind, words))
+        found.append(Sudden(part.first + place, told, until, kind, words, moved))
     return found
-
-
-def _shared(part: Segment, jump: Jump, told: int, peers: Peers | None) -> bool:
-    """Whether the other motors of the circuit fell alike, by half of it at least."""
-    if peers is None or peers.known_from(part) > told:
-        return False
-    others = peers.others[part.first : part.end]
-    before, after = others[: jump.place], others[jump.place : jump.told + 1]
-    before, after = before[np.isfinite(before)][-MOST_BEFORE:], after[np.isfinite(after)]
-    if not len(before) or not len(after):
-        return False
-    return float(np.median(after) - np.median(before)) <= jump.log_step / 2.0
 
 
 def _until(part: Segment, told: int, members: Sequence[tuple[Array, Jump]]) -> int:
@@ -177,27 +244,36 @@ def _until(part: Segment, told: int, members: Sequence[tuple[Array, Jump]]) -> i
     return part.end
 
 
-def _words(kind: Kind, history: History, place: int, steps: Mapping[str, float]) -> str:
-    night = day(history.nights[place])
-    moved = ", ".join(
+def _moved_words(steps: Mapping[str, float]) -> str:
+    return ", ".join(
         f"{name_of(name)} {100 * np.expm1(step):+.0f} %" for name, step in steps.items()
     )
-    if kind == "exchange":
-        return (
-            f"every path changed in the one night of {night} ({moved}): a motor exchanged or "
-            "overhauled without a dated event is likely; date it in the motor's file"
-        )
+
+
+def _words_of_paths(
+    kind: Kind, history: History, place: int, steps: Mapping[str, float], n_paths: int
+) -> str:
+    every = "every path" if len(steps) == n_paths else "every path that the nights tell"
+    night = f"in the one night of {day(history.nights[place])} ({_moved_words(steps)})"
+    if kind == "circuit":
+        return f"{every} changed {night}, {AS_THE_OTHERS}"
     if kind == "alike":
         return (
-            f"every path changed alike in the one night of {night} ({moved}), as by another oil "
-            "or a sensor, not by wear; date an oil change in the motor's file"
+            f"{every} changed alike {night}, as by another oil or a sensor, not by wear; date an "
+            "oil change in the motor's file"
         )
-    if kind == "circuit":
-        return (
-            f"{moved} in the one night of {night}, as in the other motors of the oil circuit: oil, "
-            "temperature or charge pressure"
-        )
+    damage = ", or all were damaged at once" if min(steps.values()) > 0 else ""
     return (
-        f"{moved} in the one night of {night}, which no wear does: a motor exchanged or "
-        "overhauled, another oil or a sensor; without a dated event the baseline no longer holds"
+        f"{every} changed {night}: a motor exchanged or overhauled without a dated event is "
+        f"likely{damage}; date it in the motor's file"
+    )
+
+
+def _words_of_fall(kind: Kind, history: History, place: int, log_step: float) -> str:
+    fell = f"{_moved_words({DEVIATION: log_step})} in the one night of {day(history.nights[place])}"
+    if kind == "circuit":
+        return f"{fell}, {AS_THE_OTHERS}"
+    return (
+        f"{fell}, which no wear does: a motor exchanged or overhauled, another oil or a sensor; "
+        "without a dated event the baseline no longer holds"
     )

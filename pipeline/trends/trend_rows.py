@@ -69,17 +69,22 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     row = _figures(indicator, place)
     row |= {"state": state, "state_reason": None}
     if baseline is None:
-        row["state_reason"] = why_no_baseline(standing, name, place)
-        return row | _line(standing, name, place, None)
+        why = (
+            why_no_baseline(standing, name, place)
+            if state == "insufficient"
+            else why_state(standing, name, place, None)
+        )
+        return row | {"state_reason": why} | _line(standing, name, place, None)
     limit = cusum_limit(watched.settings.false_alarms_per_year, baseline)
+    (warning, alarm), limits = standing.levels(name, place), watched.settings.limits
     row |= {
         "baseline_start": standing.label(standing.history.place_of(baseline.first_night)),
         "baseline_mean": baseline.mean - indicator.shift,
         "deviation_percent": _finite(100.0 * found.own.deviation[inside]),
         "cusum": _finite(found.own.evidence[inside] * limit),
         "cusum_limit": limit,
-        "warning_limit": baseline.mean * (1.0 + watched.settings.levels.warning) - indicator.shift,
-        "alarm_limit": baseline.mean * (1.0 + watched.settings.levels.alarm) - indicator.shift,
+        "warning_limit": _limit(baseline.mean * (1.0 + warning), limits.warning) - indicator.shift,
+        "alarm_limit": _limit(baseline.mean * (1.0 + alarm), limits.alarm) - indicator.shift,
     }
     if state != "ok":
         path = path_behind(standing, name, place)
@@ -89,6 +94,11 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
             row["path_probability"] = path.probability if row["path"] else None
             row["path_reason"] = path.reason or None
     return row | _line(standing, name, place, baseline)
+
+
+def _limit(relative: float, absolute: float | None) -> float:
+    """The lower of the level over the baseline and the limit of the motor type, if it has one."""
+    return relative if absolute is None else min(relative, absolute)
 
 
 def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) -> Row:
@@ -117,7 +127,7 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
         return row
     limit = watched.settings.limits.alarm
     if limit is None:
-        limit = baseline.mean * (1.0 + watched.settings.levels.alarm)
+        limit = baseline.mean * (1.0 + standing.levels(name, place)[1])
     found = time_to_limit(
         line, limit, float(years[place]), trend.horizon_years, coverage=trend.confidence
     )

@@ -48,9 +48,7 @@ class Watched:
         """Segment and monitoring of a night, and the baseline that serves it."""
         for segment, found in zip(self.segments, self.monitoring, strict=True):
             if place < segment.end:
-                track, inside = found.own, place - segment.first
-                served = int(np.searchsorted(track.served_from, inside, side="right"))
-                return segment, found, track.baselines[served - 1] if served else None
+                return segment, found, found.own.baseline_at(place - segment.first)
         raise IndexError(place)
 
 

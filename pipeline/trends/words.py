@@ -75,6 +75,20 @@ def size_words(indicator: str, percent: float, size: ChangeSize | None, since: o
     )
 
 
+def limit_words(indicator: str, value: float, limit: float, unit: str) -> str:
+    """That an indicator lies beyond a limit of the motor type.
+
+    Examples
+    --------
+    >>> limit_words("reference_leakage", 1.523, 1.5, "l/min")
+    'reference leakage 1.52 l/min, and the limit of the motor type is 1.5 l/min'
+    """
+    return (
+        f"{name_of(indicator)} {value:.3g} {unit}, and the limit of the motor type is "
+        f"{limit:g} {unit}"
+    )
+
+
 def moved_words(indicator: str, percent: float) -> str:
     """How far another indicator moved with it.
 

@@ -49,8 +49,8 @@ class Zero:
         How far it has moved since, and the interval; nan before ten nights with halts.
     state
         insufficient, ok or warning.
-    reason
-        What the segment of each night begins with.
+    segments
+        Nights that one zero at first serves.
     """
 
     name: str

@@ -10,6 +10,7 @@ from leakage.alarms import (
     Limits,
     above_level,
     level_severity,
+    limit_severity,
     nights_since_good,
     state_changes,
 )
@@ -49,20 +50,19 @@ def test_other_counts_of_nights() -> None:
 
 def test_warning_and_alarm_over_the_baseline_and_over_absolute_limits() -> None:
     deviation = np.repeat([0.0, 0.2, 0.4, 0.27, 0.0], 6)
-    by_level, by_limit = level_severity(
-        deviation, 0.01, Levels(), 10 * (1 + deviation), Limits(warning=11.5, alarm=13.0)
-    )
+    by_level = level_severity(deviation, 0.01, Levels())
+    by_limit = limit_severity(10 * (1 + deviation), Limits(warning=11.5, alarm=13.0), Levels())
     nights = by_level.reshape(5, 6)[:, -1]
     assert nights.tolist() == [0, 1, 2, 2, 0]
     assert by_limit.reshape(5, 6)[:, -1].tolist() == [0, 1, 2, 1, 0]
-    _, nothing = level_severity(deviation, 0.01, Levels(), deviation, Limits())
+    nothing = limit_severity(deviation, Limits(), Levels())
     assert not nothing.any()
 
 
 def test_a_level_within_the_scatter_of_the_nights_counts_only_beyond_it() -> None:
     """15 % of nights that scatter by 12 % is nothing; 4.5 standard deviations are 54 %."""
     deviation = np.array([0.2] * 10 + [0.6] * 3)
-    by_level, _ = level_severity(deviation, 0.12, Levels(), deviation, Limits())
+    by_level = level_severity(deviation, 0.12, Levels())
     assert by_level.tolist() == [0] * 12 + [2]
 
 

@@ -224,6 +224,21 @@ def test_the_size_of_a_change_holds_the_truth() -> None:
     assert held / 200 > 0.89
 
 
+def test_the_size_of_a_wear_that_goes_on_is_that_of_tonight() -> None:
+    """0.5 % a night: a mean over the last ten nights lags by more than its interval."""
+    nights = np.arange(110)
+    truth = 0.005 * np.clip(nights - 69, 0, None)
+    held = []
+    for seed in range(200):
+        scatter = 0.006 * np.random.default_rng(seed).standard_normal(110)
+        values = 1.37 * (1.0 + truth + scatter)
+        followed = track(nights, values, MonitorSettings())
+        size = change_size(nights, values, followed, 109)
+        assert size is not None
+        held.append(size.lower <= truth[-1] <= size.upper)
+    assert 0.90 <= np.mean(held) <= 0.985
+
+
 def test_no_change_has_no_size() -> None:
     values = healthy(100, 45)
     assert change_size(np.arange(100), values, track(np.arange(100), values, K), 99) is None

@@ -133,6 +133,12 @@ def test_series_without_scatter_or_span_are_told_so() -> None:
     assert (still.status, still.slope) == ("no_span", None)
 
 
+def test_running_hours_that_stand_still_have_no_slope() -> None:
+    """0.1 h each night: their mean is not 0.1 to the last bit."""
+    values = 1.0 + 0.01 * np.random.default_rng(1).standard_normal(30)
+    assert fit_slope(np.arange(30), values, np.full(30, 0.1)).status == "no_span"
+
+
 def test_weeks_without_nights_let_the_memory_fade() -> None:
     """Two clusters of nights half a year apart: the slope rests on their two levels."""
     generator = np.random.default_rng(8)

@@ -1,0 +1,176 @@
+"""Why a state is what it is, in words with figures."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from pipeline.trends.alarm_rows import alarm_rows
+from pipeline.trends.attribution import path_behind
+from pipeline.trends.indicators import DEVIATION, REFERENCE
+from pipeline.trends.reasons import way_of, why_no_baseline, why_state
+from pipeline.trends.standing import RAISED, Standing
+from pipeline.trends.trend_rows import trend_rows
+from tests.pipeline.trends.nights import (
+    Nights,
+    event,
+    motor,
+    named,
+    night_of,
+    ramp,
+    reset,
+    standing,
+    step,
+)
+
+N, AT = 110, 80
+SLEEVE = {"balance_sleeve": step(N, AT, 0.4)}
+
+
+def words(found: Standing, name: str, place: int = N - 1) -> str:
+    return why_state(found, name, place, path_behind(found, name, place))
+
+
+def row(found: Standing, name: str, place: int) -> dict[str, object]:
+    return next(one for one in trend_rows(found, [place]) if one["indicator"] == name)
+
+
+def test_damage_is_told_with_size_interval_date_and_the_reference_leakage() -> None:
+    found = standing(Nights(motor(), N, SLEEVE))
+    said = re.fullmatch(
+        r"balance sleeve leakage \+(\d+) % \[(\d+), (\d+)\] since 23 March 2026; "
+        r"reference leakage \+(\d+) %",
+        words(found, "K_balance_sleeve"),
+    )
+    assert said
+    size, lower, upper, reference = map(float, said.groups())
+    assert lower <= 40.0 <= upper
+    assert size == pytest.approx(40.0, abs=4.0)
+    leakage = found.watched[REFERENCE].series
+    expected = 100 * (np.mean(leakage[AT:]) / np.mean(leakage[:AT]) - 1)
+    assert reference == pytest.approx(expected, abs=1.0)
+    assert words(found, REFERENCE).endswith("; mostly by the balance sleeve (over 99 % probable)")
+    assert row(found, "K_balance_sleeve", N - 1)["path"] == "balance_sleeve"
+
+
+def test_a_wear_of_the_ring_leaves_the_reference_leakage_unchanged() -> None:
+    found = standing(Nights(motor(), N, {"piston_ring": ramp(N, 60, 0.5)}))
+    said = words(found, "K_piston_ring")
+    assert re.search(r"; reference leakage (unchanged|[+-]1 %)$", said), said
+    assert found.states[REFERENCE][-1] == "ok"
+
+
+def test_a_new_baseline_says_what_it_begins_with() -> None:
+    spec = named(motor(), "M1", events=[event(60, "overhaul", note="sleeves")])
+    found = standing(Nights(spec, 70), reset(65, note="valve"))
+    assert (
+        why_no_baseline(found, REFERENCE, 20)
+        == "21 of 30 good nights for a baseline (first nights)"
+    )
+    assert why_no_baseline(found, REFERENCE, 64) == (
+        f"5 of 30 good nights for a baseline (overhaul on {night_of(60)}: sleeves)"
+    )
+    assert why_no_baseline(found, DEVIATION, 69) == (
+        f"5 of 30 good nights for a baseline (reset from {night_of(65)}: valve)"
+    )
+    changes = [one for one in alarm_rows(found, range(70)) if one["indicator"] == REFERENCE]
+    assert [one["to_state"] for one in changes] == ["ok", "insufficient"]
+    assert changes[1]["reason"] == f"a new baseline begins: overhaul on {night_of(60)}: sleeves"
+
+
+def test_a_silent_motor_is_stale_after_a_week_and_says_since_when() -> None:
+    nights = Nights(motor(), 60)
+    found = standing(nights, tonight=70)
+    assert found.states[REFERENCE][59:] == ("ok",) * 8 + ("stale",) * 4
+    assert words(found, REFERENCE, 70) == (
+        "no trusted figure for 11 nights: no new data: no log covers this night"
+    )
+
+
+def test_nights_that_are_not_to_be_trusted_hold_then_are_stale_with_their_reason() -> None:
+    refused = {
+        "reference_verdict": "outside_fitted_range",
+        "reference_reason": "pressure 200 bar lies outside the night's 10 to 150 bar",
+    }
+    changes = dict.fromkeys(range(50, 60), refused)
+    found = standing(Nights(motor(), 60, changes=changes))
+    assert found.states[REFERENCE][49:] == ("ok",) * 8 + ("stale",) * 3
+    assert "pressure 200 bar lies outside" in words(found, REFERENCE, 59)
+    told = row(found, REFERENCE, 59)
+    assert told["outside_fitted_range"]
+    assert told["value"] is None
+    assert "lies outside" in str(told["gated_reason"])
+    # Its loss factors are as good as before.
+    assert found.states["K_piston_ring"][59] == "ok"
+
+
+# Absolute limits
+
+LIMITS = "[limits]\nwarning_l_per_min = {}\nalarm_l_per_min = {}\n"
+
+
+def limited(warning: float, alarm: float, wear: dict[str, np.ndarray]) -> Standing:
+    return standing(Nights(motor(limits=LIMITS.format(warning, alarm)), N, wear))
+
+
+def test_a_limit_of_the_motor_type_that_the_motor_has_always_passed() -> None:
+    """It has not risen, so nothing is said of a rise, or of a night on which one began."""
+    found = limited(1.2, 3.0, {})
+    # Three nights of five tell it; a limit needs no baseline.
+    assert found.states[REFERENCE] == ("insufficient",) * 2 + ("warning",) * (N - 2)
+    assert str(row(found, REFERENCE, 10)["state_reason"]).endswith("the motor type is 1.2 l/min")
+    value = found.watched[REFERENCE].series[-1]
+    assert words(found, REFERENCE) == (
+        f"reference leakage {value:.3g} l/min, and the limit of the motor type is 1.2 l/min"
+    )
+    assert way_of(found, REFERENCE, N - 1) == "level"
+    told = row(found, REFERENCE, N - 1)
+    assert told["warning_limit"] == 1.2
+    assert told["alarm_limit"] == pytest.approx(1.3 * float(str(told["baseline_mean"])))
+    assert told["limit"] == 3.0
+    assert told["days_to_limit"] is None
+
+
+def test_a_rise_beyond_a_limit_has_both_told() -> None:
+    found = limited(1.45, 1.52, SLEEVE)
+    assert found.states[REFERENCE][-1] == "alarm"
+    said = words(found, REFERENCE)
+    assert "l/min, and the limit of the motor type is 1.52 l/min; reference leakage +1" in said
+    assert said.endswith("; mostly by the balance sleeve (over 99 % probable)")
+    assert row(found, REFERENCE, N - 1)["days_to_limit_status"] == "already_crossed"
+
+
+# Levels in effect
+
+
+def test_levels_of_a_widely_scattering_indicator_are_those_that_count() -> None:
+    """Below 4.5 standard deviations a level means nothing; the table must not show another one."""
+    found = standing(Nights(motor(), N, noise=3.0))
+    watched = found.watched["K_balance_piston"]
+    _, _monitoring, baseline = watched.at(N - 1)
+    assert baseline is not None
+    told = row(found, "K_balance_piston", N - 1)
+    level = float(str(told["warning_limit"])) / baseline.mean - 1.0
+    assert level == pytest.approx(4.5 * baseline.highest_sd() / baseline.mean)
+    assert level > 0.3
+    assert float(str(told["alarm_limit"])) >= float(str(told["warning_limit"]))
+    steady = row(standing(Nights(motor(), N)), "K_balance_piston", N - 1)
+    mean = float(str(steady["baseline_mean"]))
+    assert steady["warning_limit"] == pytest.approx(1.15 * mean)
+    assert steady["alarm_limit"] == pytest.approx(1.30 * mean)
+
+
+def test_a_step_that_only_the_levels_tell_keeps_its_night() -> None:
+    """The night on which it began does not move on while the alarm stands."""
+    spec = motor(fleet="[alarms]\nfalse_alarms_per_year = 0.002\n")
+    found = standing(Nights(spec, N, {"balance_sleeve": step(N, 100, 0.25)}))
+    first = found.states["K_balance_sleeve"].index("warning")
+    assert first <= 104
+    since = {
+        re.findall(r"since (.*?);", words(found, "K_balance_sleeve", place))[0]
+        for place in range(first, N)
+        if found.states["K_balance_sleeve"][place] in RAISED
+    }
+    assert since == {"12 April 2026"}
