@@ -111,6 +111,9 @@ class RunRequest:
         Whether to make nights anew from their logs that nothing has changed of.
     retry
         Whether to try nights and logs again that failed.
+    with_starts
+        Whether nights that are, or were, fitted anew without their log get the starts of their
+        search.
     """
 
     fleet: Fleet
@@ -119,6 +122,7 @@ class RunRequest:
     until: dt.date | None = None
     force: bool = False
     retry: bool = False
+    with_starts: bool = False
 
     @property
     def specs(self) -> tuple[MotorSpec, ...]:
@@ -222,6 +226,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         until=request.until,
         force=request.force,
         retry=request.retry,
+        with_starts=request.with_starts,
     )
 
 

@@ -48,7 +48,7 @@ from pipeline.motor_night import (
 from pipeline.night_rows import Row
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
-from pipeline.refit import REFITTED_TABLES, StoredNights
+from pipeline.refit import StoredNights, is_refit
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
 from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
 from pipeline.store import night_file, read_rows, stage
@@ -97,6 +97,9 @@ class MotorTask:
         Whether to make nights anew from their logs that nothing has changed of.
     retry
         Whether to try nights and logs again that failed.
+    with_starts
+        Whether nights that are, or were, fitted anew without their log get the starts of their
+        search.
     given_up
         Nights that this run's workers were lost in, each time.
     """
@@ -108,6 +111,7 @@ class MotorTask:
     until: dt.date | None = None
     force: bool = False
     retry: bool = False
+    with_starts: bool = False
     given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
 
     def wants(self, label: dt.date) -> bool:
@@ -263,7 +267,7 @@ class _Nights:
         with self._timed("read_s"):
             self.logs = LogShelf(self.spec, self.before.files)
         self.hashes = SettingsHashes(self.spec)
-        self.stored = StoredNights(task.output, self.spec)
+        self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
         self.kept: set[dt.date] = set()
@@ -325,6 +329,9 @@ class _Nights:
                     found[label] = Step(Work.READ, why)
             elif record.figures_hash != self.hashes.figures(label):
                 found[label] = Step(Work.REFIT if record.model else Work.READ, why)
+        if self.task.with_starts:
+            for label in self.stored.refitted() & self.before.nights.keys() - found.keys():
+                found[label] = Step(Work.REFIT, "its starts are asked for")
         return found
 
     def _plan(self) -> dict[dt.date, Step]:
@@ -514,7 +521,7 @@ class _Nights:
             counts=counts,
             nights=tuple(sorted(self.done)),
             reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
-            n_refitted=sum(one.tables == REFITTED_TABLES for one in self.done.values()),
+            n_refitted=sum(is_refit(one) for one in self.done.values()),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),

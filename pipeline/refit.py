@@ -33,6 +33,8 @@ from pipeline.night_rows import (
     leakage_columns,
     mark_modes,
     previous_model_columns,
+    search_columns,
+    start_rows,
 )
 from pipeline.parameter_rows import parameter_rows
 from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, Table
@@ -50,6 +52,7 @@ from pipeline.windows import TRAINING
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
+STARTS_TABLES = ("starts",)
 JUDGED_TABLES = ("fits",)
 # Columns of `parameters` that need samples, or the starts.
 KEPT_OF_PARAMETERS = ("systematic", "spread_over_starts")
@@ -65,11 +68,15 @@ class StoredNights:
         Output folder.
     spec
         The motor, with the settings that hold now.
+    with_starts
+        Whether to search from all starts, too; no estimate depends on it.
     """
 
-    def __init__(self, output: Path, spec: MotorSpec) -> None:
+    def __init__(self, output: Path, spec: MotorSpec, *, with_starts: bool = False) -> None:
         self._output = output
         self._spec = spec
+        self._with_starts = with_starts
+        self._tables = REFITTED_TABLES + STARTS_TABLES * with_starts
         self._month = ""
         self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
@@ -102,7 +109,7 @@ class StoredNights:
         parameters: dict[str, list[Row]] = {mode: [] for mode in fits}
         for row in self._rows(PARAMETERS, label):
             parameters[row["flushing_mode"]].append(row)
-        rows: Rows = {name: [] for name in REFITTED_TABLES}
+        rows: Rows = {name: [] for name in self._tables}
         model = {}
         try:
             for mode in spec.file.flushing.modes:
@@ -110,11 +117,23 @@ class StoredNights:
                 before = previous.get(mode)
                 rows["fits"].append(self._fits_row(fits[mode], found, blocks, before))
                 rows["parameters"] += _parameters(spec, found, label, parameters[mode])
+                if self._with_starts:
+                    key = {"motor_id": spec.motor_id, "night": label, "flushing_mode": mode}
+                    rows["starts"] += [key | row for row in start_rows(found.fit)]
                 model[mode] = tuple(found.fit.coefficients.tolist())
         except EstimationError:
             return None
         mark_modes(rows["fits"], spec.file.flushing.mode)
-        return NightOutcome(label, OK, None, None, rows, model, tables=REFITTED_TABLES)
+        return NightOutcome(label, OK, None, None, rows, model, tables=self._tables)
+
+    def refitted(self) -> set[dt.date]:
+        """Nights whose fits were made from their statistics."""
+        try:
+            columns = ("night", "is_refitted")
+            rows = read_rows(self._output, FITS, [self._spec.motor_id], columns)
+        except StoreError:
+            return set()
+        return set(rows.filter("is_refitted")["night"])
 
     def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
         """Judge another model before on a night that is fitted; as :meth:`refit`."""
@@ -176,7 +195,7 @@ class StoredNights:
                 ),
             ),
             row["weight_inflation"],
-            search=False,
+            search=self._with_starts,
         )
         return FittedMode.of(found, error=np.empty(0), budget=ErrorBudget(()))
 
@@ -200,6 +219,8 @@ class StoredNights:
             "reference_temperature_c": reference.temperature_c,
             "reference_speed_rpm": reference.speed_rpm,
         }
+        if self._with_starts:
+            row |= search_columns(found.fit)
         # Blocks under a robust loss are weighted: they cannot tell how the samples agree.
         if estimation.loss == "squared":
 
@@ -230,6 +251,11 @@ class _Blocks:
     @property
     def training(self) -> Array:
         return self.of_part(TRAINING)
+
+
+def is_refit(outcome: NightOutcome) -> bool:
+    """Whether a night was fitted from its statistics, and not only judged."""
+    return outcome.tables is not None and set(REFITTED_TABLES) <= set(outcome.tables)
 
 
 def _factor(upper: Sequence[float], size: int) -> Array:

@@ -52,6 +52,12 @@ def fit_fleet(
     force: Annotated[
         bool, typer.Option("--force", help="Make nights anew from their logs though unchanged.")
     ] = False,
+    with_starts: Annotated[
+        bool,
+        typer.Option(
+            "--with-starts", help="Search from all starts, too, in nights fitted without their log."
+        ),
+    ] = False,
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
@@ -69,6 +75,7 @@ def fit_fleet(
         since=night_label(since, "--since"),
         until=night_label(until, "--until"),
         force=force,
+        with_starts=with_starts,
     )
     in_order(request.since, request.until)
     if dry_run:

@@ -213,8 +213,9 @@ FITS = Table(
             pl.Boolean,
             "",
             "Fitted anew from its statistics after a change of settings, without its log: what "
-            "needs samples (`sensitivities`, `starts`, `predictions`, `residual_tests`, ± from "
-            "tolerances, correlation_time_s, n_effective, delays) is of the settings before",
+            "needs samples (`sensitivities`, `predictions`, `residual_tests`, ± from tolerances, "
+            "correlation_time_s, n_effective, delays) is of the settings before, and so are "
+            "`starts` unless the run had `--with-starts`",
         ),
         Column(
             "training_mean_error_l_per_min",
