@@ -180,7 +180,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     fleet = request.fleet
     output = fleet.output
     require_space(output, request.specs, fleet.execution.minimum_free_mib)
-    with locked(output), _staging(output) as staging:
+    with locked(output), staging_folder(output) as staging:
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         with Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat:
             return _run(request, staging, progress, heartbeat)
@@ -302,7 +302,7 @@ def locked(output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _staging(output: Path) -> Iterator[Path]:
+def staging_folder(output: Path) -> Iterator[Path]:
     """A folder for this run's staged rows; those of killed runs are removed."""
     root = output / "staging"
     shutil.rmtree(root, ignore_errors=True)

@@ -82,6 +82,14 @@ def _digest(files: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps(dict(files), sort_keys=True).encode()).hexdigest()
 
 
+def listed_files(output: Path) -> dict[str, str]:
+    """SHA-256 of all published files, by path relative to the folder of the tables."""
+    found: dict[str, str] = {}
+    for manifest in sorted((output / "manifest").glob("month=*/*.json")):
+        found |= _read(manifest) or {}
+    return found
+
+
 def verify_tables(output: Path) -> Iterator[TableFault]:
     """Compare every table file with its manifest.
 
