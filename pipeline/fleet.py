@@ -27,7 +27,7 @@ from pipeline.decisions import read_decisions
 from pipeline.disk_space import require_space
 from pipeline.errors import LockedError, StoreError
 from pipeline.heartbeat import Heartbeat
-from pipeline.ledger import forget_night, write_months, write_settings
+from pipeline.ledger import forget_night, read_settings, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
@@ -49,13 +49,20 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
-from pipeline.settings_hashes import settings_of
+from pipeline.settings_hashes import settings_of, why_anew
 from pipeline.status import last_good_run
 from pipeline.store import last_night, remove_leftovers
-from pipeline.trends.record import forget_records, note_touched, write_record
+from pipeline.trends.record import (
+    forget_records,
+    note_touched,
+    read_record,
+    trend_hash,
+    write_record,
+)
 from pipeline.trends.stage import (
     TrendOutcome,
     TrendTask,
+    circuits_of,
     run_trends,
     trend_tasks,
     with_q_values,
@@ -197,6 +204,32 @@ def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step
     output = request.fleet.output
     for spec in request.specs:
         yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
+
+
+def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
+    """Motors whose trends a run would make anew from their first night on, and why, in words.
+
+    Those of nights that are new or made anew follow in any case.
+    """
+    fleet = request.fleet
+    decisions = read_decisions(fleet.output)
+    asked_for = {spec.motor_id for spec in request.specs}
+    for circuit in circuits_of(fleet.motors):
+        for spec in circuit:
+            record = read_record(fleet.output, spec.motor_id)
+            if spec.motor_id not in asked_for or record is None:
+                continue
+            if record.trend_hash != trend_hash(circuit, spec, decisions):
+                yield spec.motor_id, _why_trends(fleet.output, circuit)
+
+
+def _why_trends(output: Path, circuit: Sequence[MotorSpec]) -> str:
+    reasons = []
+    for spec in circuit:
+        before, now = read_settings(output, spec.motor_id), settings_of(spec)
+        if before != now:
+            reasons.append(f"{spec.motor_id}: {why_anew(before, now, trends=True)}")
+    return "; ".join(reasons) or "a baseline was reset, its circuit changed, or a new version"
 
 
 def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
