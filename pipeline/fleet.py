@@ -28,7 +28,7 @@ from pipeline.disk_space import require_space
 from pipeline.errors import LockedError, StoreError
 from pipeline.heartbeat import Heartbeat
 from pipeline.landing import make_folders, remove_all, remove_leftovers
-from pipeline.ledger import Ledger, forget_night, write_months, write_settings
+from pipeline.ledger import Ledger, forget_night, read_settings, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import (
@@ -58,12 +58,19 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
-from pipeline.settings_hashes import settings_of
+from pipeline.settings_hashes import settings_of, why_anew
 from pipeline.status import last_good_run
 from pipeline.store import last_night
-from pipeline.trends.record import forget_records, note_touched, write_record
+from pipeline.trends.record import (
+    forget_records,
+    note_touched,
+    read_record,
+    trend_hash,
+    write_record,
+)
 from pipeline.trends.stage import (
     TrendOutcome,
+    circuits_of,
     lost_trends,
     run_trends,
     trend_tasks,
@@ -197,7 +204,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     fleet = request.fleet
     output = fleet.output
     require_space(output, request.specs, fleet.execution.minimum_free_mib)
-    with locked(output), _staging(output) as staging:
+    with locked(output), staging_folder(output) as staging:
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         with Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat:
@@ -215,6 +222,32 @@ def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step
     output = request.fleet.output
     for spec in request.specs:
         yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
+
+
+def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
+    """Motors whose trends a run would make anew from their first night on, and why, in words.
+
+    Those of nights that are new or made anew follow in any case.
+    """
+    fleet = request.fleet
+    decisions = read_decisions(fleet.output)
+    asked_for = {spec.motor_id for spec in request.specs}
+    for circuit in circuits_of(fleet.motors):
+        for spec in circuit:
+            record = read_record(fleet.output, spec.motor_id)
+            if spec.motor_id not in asked_for or record is None:
+                continue
+            if record.trend_hash != trend_hash(circuit, spec, decisions):
+                yield spec.motor_id, _why_trends(fleet.output, circuit)
+
+
+def _why_trends(output: Path, circuit: Sequence[MotorSpec]) -> str:
+    reasons = []
+    for spec in circuit:
+        before, now = read_settings(output, spec.motor_id), settings_of(spec)
+        if before != now:
+            reasons.append(f"{spec.motor_id}: {why_anew(before, now, trends=True)}")
+    return "; ".join(reasons) or "a baseline was reset, its circuit changed, or a new version"
 
 
 def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
@@ -339,7 +372,7 @@ def locked(output: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _staging(output: Path) -> Iterator[Path]:
+def staging_folder(output: Path) -> Iterator[Path]:
     """A folder for this run's staged rows; those of killed runs are removed."""
     root = output / "staging"
     remove_all(root)

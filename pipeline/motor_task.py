@@ -50,7 +50,7 @@ from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
 from pipeline.refit import StoredNights, is_refit
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
-from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
+from pipeline.settings_hashes import SettingsHashes, settings_of, why_anew
 from pipeline.store import night_file, read_rows, stage
 from pipeline.worker_process import Loss, loss_of, sign_of_life
 
@@ -317,9 +317,7 @@ class _Nights:
         if self.task.force:
             return dict.fromkeys(present, Step(Work.READ, "asked for"))
         before = read_settings(self.task.output, self.spec.motor_id)
-        changed = changed_settings(before, settings_of(self.spec)) if before else ()
-        why = f"changed setting {', '.join(changed[:4])}" if changed else "changed settings"
-        why += ", …" if len(changed) > 4 else ""
+        why = why_anew(before, settings_of(self.spec))
         for label, record in self.before.nights.items():
             if not record.statistics_hash:
                 continue

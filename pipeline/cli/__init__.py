@@ -7,7 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import checking, model, publishing, runs, state
+from pipeline.cli import checking, housekeeping, model, publishing, runs, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
@@ -37,6 +37,8 @@ app.command()(publishing.export)
 app.command("model")(model.draw_model)
 app.command()(state.status)
 app.command()(state.ack)
+app.command()(housekeeping.prune)
+app.command()(housekeeping.migrate)
 baseline.command("reset")(state.baseline_reset)
 app.add_typer(baseline, name="baseline")
 

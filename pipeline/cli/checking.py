@@ -51,7 +51,7 @@ def check(
     from pipeline.check import check_fleet
 
     if tables:
-        raise typer.Exit(_check_tables(config, output))
+        raise typer.Exit(_check_tables(config, output, as_json=as_json))
     if suggest is not None:
         from pipeline.ingest.suggest import suggest as suggested
 
@@ -69,7 +69,7 @@ def check(
     raise typer.Exit(EXIT_MOTORS_FAILED if any(one.faults for one in checks) else EXIT_OK)
 
 
-def _check_tables(config: Path | None, output: Path | None) -> int:
+def _check_tables(config: Path | None, output: Path | None, *, as_json: bool) -> int:
     """Compare the table files with their manifests; returns the exit code."""
     from pipeline.verification import verify_tables
 
@@ -79,9 +79,12 @@ def _check_tables(config: Path | None, output: Path | None) -> int:
     faults = 0
     for fault in verify_tables(folder):
         faults += 1
-        say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
+        line = {"event": "table_fault", **asdict(fault)}
+        words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
+        say(json.dumps(line) if as_json else words, err=True)
     n_files = sum(1 for _ in (folder / "tables").glob("**/*.parquet"))
-    say(f"{n_files} table files, {faults} faults")
+    total = {"event": "tables", "n_files": n_files, "n_faults": faults}
+    say(json.dumps(total) if as_json else f"{n_files} table files, {faults} faults")
     return EXIT_MOTORS_FAILED if faults else EXIT_OK
 
 

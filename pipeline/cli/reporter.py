@@ -21,7 +21,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     """What a run would do: nights by motor, and why."""
     from collections import Counter
 
-    from pipeline.fleet import plan_fleet
+    from pipeline.fleet import plan_fleet, plan_trends
 
     total = 0
     for motor_id, plan in plan_fleet(request):
@@ -39,6 +39,11 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
             say(f"  {count} to {work}: {reason}")
         if len(reasons) > PLAN_REASONS:
             say(f"  and {len(reasons) - PLAN_REASONS} other reasons; all of them with --json")
+    for motor_id, reason in plan_trends(request):
+        if as_json:
+            say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
+        else:
+            say(f"{motor_id}: all trends anew: {reason}")
     if not as_json:
         say(f"{total} nights would be done")
 

@@ -418,6 +418,15 @@ class Execution(Section):
     )
 
 
+class Retention(Section):
+    """Newest nights whose rows `prune` keeps, by table; without a number all are kept."""
+
+    predictions: int | None = Field(None, ge=1, description="Nights kept of `predictions`")
+    starts: int | None = Field(None, ge=1, description="Nights kept of `starts`")
+    residual_tests: int | None = Field(None, ge=1, description="Nights kept of `residual_tests`")
+    sensitivities: int | None = Field(None, ge=1, description="Nights kept of `sensitivities`")
+
+
 class Settings(Section):
     """All that a motor's file may override."""
 
@@ -450,3 +459,4 @@ class FleetFile(Settings):
     name: str = Field(min_length=1, description="The fleet's name, as reports show it")
     folders: Folders = Field(default_factory=lambda: Folders())
     execution: Execution = Field(default_factory=lambda: Execution())
+    retention: Retention = Field(default_factory=lambda: Retention())

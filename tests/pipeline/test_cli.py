@@ -298,6 +298,11 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert (run["n_motors"], run["n_failed"], run["n_nights"]) == (2, 1, 6)
     assert run["files"] == {"read": 5, "unchanged": 0, "growing": 0, "failed": 1, "left": 0}
     assert re.fullmatch(r"[0-9a-f]{16}", run["run_id"])
+    assert (run["errors"], run["alarms"]) == ({"log_not_parquet": 1}, [])
+    stages = run["seconds_by_stage"]
+    assert all(stages[name] > 0 for name in ("read_s", "clean_s", "fit_s", "residuals_s"))
+    whole = sum(stages[name] for name in ("motors_s", "publish_s", "trends_s"))
+    assert whole == pytest.approx(run["seconds"], abs=0.01)
     assert run["interrupted"] is False
 
 
@@ -417,6 +422,16 @@ def test_version(call: Call) -> None:
 def test_help_imports_nothing_heavy() -> None:
     heavy = "polars", "scipy", "pyarrow", "numpy", "pipeline.fleet"
     code = f"import sys, pipeline.cli; print([name for name in {heavy} if name in sys.modules])"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_a_run_begins_without_what_it_does_not_need() -> None:
+    """Each of these takes as long to import as a third of the program."""
+    late = "pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset", "duckdb"
+    code = f"import sys, pipeline.fleet; print([name for name in {late} if name in sys.modules])"
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import os
+import platform
 import re
 import shutil
 import signal
@@ -13,6 +14,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -139,6 +141,22 @@ def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) 
         assert row["rows"] > 10_000
 
 
+def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) -> None:
+    (run,) = rows(fitted_output, "runs").to_dicts()
+    for name in ("polars", "pyarrow", "numpy", "scipy"):
+        assert run[f"{name}_version"] == version(name)
+    assert run["python_version"] == platform.python_version()
+    assert run["version"] == version("motor-leakage")
+    assert (run["seed"], len(run["config_hash"]) > 0) == (1, True)
+    assert min(run["motors_s"], run["publish_s"], run["trends_s"]) > 0
+    assert run["motors_s"] + run["publish_s"] + run["trends_s"] == pytest.approx(run["seconds"])
+    outcomes = rows(fitted_output, "motor_outcomes")
+    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "residuals_s", "store_s")
+    assert (outcomes.select(stages).to_numpy() > 0).all()
+    # Motors are done one after another here, so theirs is no more than the run's.
+    assert outcomes.select(stages).to_numpy().sum() <= run["motors_s"]
+
+
 # Nothing is raised, frozen or said in three nights.
 WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions"}
 
@@ -165,7 +183,8 @@ def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> 
 
 
 def test_nothing_but_tables_ledger_and_lock_is_left(fitted_output: Path) -> None:
-    assert {path.name for path in fitted_output.iterdir()} >= {"tables", "ledger", "lock"}
+    left = {"tables", "ledger", "manifest", "lock", "heartbeat.json"}
+    assert {path.name for path in fitted_output.iterdir()} == left
     assert not (fitted_output / "staging").exists()
     assert not list(fitted_output.rglob(".writing-*"))
 

@@ -14,7 +14,8 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.heartbeat import Beat, Heartbeat, heartbeat_file, read_heartbeat
-from pipeline.status import fleet_status
+from pipeline.status import FleetStatus, fleet_status
+from pipeline.status_lines import print_status
 from tests.pipeline.workshop import DAY, Workshop
 
 NIGHT = dt.date(2026, 3, 2)
@@ -143,3 +144,27 @@ def test_status_tells_of_the_run_that_is_under_way(workshop: Workshop) -> None:
         beat = fleet_status(workshop.output, ["M1"]).beat
         assert beat is not None
         assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 1, 4)
+
+
+@pytest.mark.parametrize(
+    ("state", "age_s", "words"),
+    [
+        ("running", 1, "a run is under way since "),
+        ("running", 61, "died or hangs: its last sign of life is of "),
+        ("failed", 999, "failed (store_write), 2 of 3 motors done"),
+        ("finished", 999, None),
+    ],
+)
+def test_what_status_says_of_a_run(
+    state: str, age_s: int, words: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = dt.datetime.now(dt.UTC) - dt.timedelta(seconds=age_s)
+    code = "store_write" if state == "failed" else None
+    beat = Beat(state, "trends", at, at, 12, "host", 3, 2, error_code=code)
+    found = FleetStatus((), None, 0, 0, beat)
+    print_status("Tests", found, too_old=False, as_json=False)
+    first, *more = capsys.readouterr().out.splitlines()
+    assert first == "last good run: never"
+    assert [words in line for line in more] == [True] if words else more == []
+    print_status("Tests", found, too_old=False, as_json=True)
+    assert json.loads(capsys.readouterr().out)["run"]["state"] == state
