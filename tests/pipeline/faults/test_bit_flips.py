@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import json
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,8 @@ from pipeline.manifest import manifest_file, read_manifest
 from pipeline.schema import QUALITY, frame
 from pipeline.store import night_file, prepare_night
 from pipeline.verification import verify_tables
-from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables
+from tests.pipeline.faults.disk import Disk, Killed, on
+from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables, remembered_fits
 from tests.pipeline.simulated import NIGHT
 
 
@@ -153,6 +155,33 @@ def test_a_run_puts_a_damaged_file_aside_and_the_next_one_makes_all_of_it_anew(
     tiny_fleet.run(output)
     check_tables(output, tiny_fleet)
     assert list(verify_tables(output)) == []
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(
+    "step", [pytest.param(250, id="some"), pytest.param(7, marks=pytest.mark.full, id="many")]
+)
+def test_rows_of_a_damaged_file_are_made_anew_though_the_run_is_killed(
+    tiny_fleet: TinyFleet, tmp_path: Path, step: int
+) -> None:
+    """One motor's night is published over a damaged file: the other's rows are not forgotten."""
+    output = tmp_path / "out"
+    point, disk = 120, Disk("killed", 0)
+    with remembered_fits():
+        while point == 120 or disk.struck:
+            tiny_fleet.copy(output)
+            path = night_file(output, QUALITY, NIGHT)
+            whole = path.read_bytes()
+            flip(path, whole, 8 * (len(whole) - 100))
+            disk = Disk("killed", point)
+            with on(disk), suppress(Killed):
+                tiny_fleet.run(output)
+            for _ in range(2):
+                tiny_fleet.run(output)
+            path.with_suffix(".damaged").unlink()
+            check_tables(output, tiny_fleet)
+            assert list(verify_tables(output)) == []
+            point += step
 
 
 def test_bits_of_what_people_said(output: Path) -> None:
