@@ -26,8 +26,10 @@ from typing import Any, TypeVar
 from pipeline.config import Execution, Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.errors import LockedError, StoreError
+from pipeline.interrupts import interrupts_held
 from pipeline.ledger import forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
+from pipeline.logs import legible
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import (
     MotorOutcome,
@@ -220,18 +222,26 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
     publisher = Publisher(fleet.output, staging, run_id)
-    n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    with interrupts_held() as came:
+        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    interrupted = interrupted or bool(came)
+    failures: dict[str, Loss] = {}
     alarms: list[Mapping[str, Any]] = []
-    if not interrupted:
-        finished, alarms = _publish_trends(request, publisher, finished)
+    try:
+        if not interrupted:
+            for failed, raised in _published_trends(request, publisher, finished):
+                failures |= failed
+                alarms += raised
+    except KeyboardInterrupt:
+        interrupted = True
+    finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
     seconds = time.perf_counter() - begin
-    result = RunResult(
-        run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
-    )
-    _publish_run(publisher, request, result, started, config_hash)
+    result = RunResult(run_id, tuple(finished), n_nights, interrupted, seconds, tuple(alarms))
+    with interrupts_held() as came:
+        _publish_run(publisher, request, result, started, config_hash)
     for fault in notify(fleet.settings.alarms, fleet.name, alarms):
         log.warning("%s", fault)
-    return result
+    return replace(result, interrupted=interrupted or bool(came))
 
 
 def _results(
@@ -323,10 +333,10 @@ def _publish(
     return sum(len(outcome.nights) for outcome in fresh)
 
 
-def _publish_trends(
+def _published_trends(
     request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
-) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
-    """Make and publish the trends of the run's motors; one whose trends failed has failed."""
+) -> Iterator[tuple[Mapping[str, Loss], list[Mapping[str, Any]]]]:
+    """Make and publish the trends of the run's motors; yields failures by motor and new alarms."""
     fleet = request.fleet
     decisions = read_decisions(fleet.output)
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
@@ -334,7 +344,7 @@ def _publish_trends(
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
     tonight = last_night(fleet.output, FITS)
     if tonight is None:
-        return list(outcomes), []
+        return
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -344,19 +354,21 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
-    failures: dict[str, Loss] = {}
-    alarms: list[Mapping[str, Any]] = []
     results = _results(run_trends, tasks, lost_trends, without_lost_motor, fleet.execution)
     for outcome in results:
-        alarms += _publish_trend_rows(publisher, outcome)
-        failures |= outcome.failures
-    judged = [
-        replace(one, status=FAILED, error_code=loss.code, message=f"trends: {loss.how}")
-        if (loss := failures.get(one.motor_id)) and one.status != FAILED
-        else one
-        for one in outcomes
-    ]
-    return judged, alarms
+        with interrupts_held() as came:
+            alarms = _publish_trend_rows(publisher, outcome)
+        yield outcome.failures, alarms
+        if came:
+            raise KeyboardInterrupt
+
+
+def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
+    """A motor's outcome; one whose trends failed has failed."""
+    if loss is None or outcome.status == FAILED:
+        return outcome
+    how = f"trends: {legible(loss.how)}"
+    return replace(outcome, status=FAILED, error_code=loss.code, message=how)
 
 
 def _publish_trend_rows(publisher: Publisher, outcome: TrendOutcome) -> list[Mapping[str, Any]]:
