@@ -351,6 +351,7 @@ def report(
     Then open demo/out/report/index.html. A further run makes only what has changed. Exit code 1: a
     table file could not be read; the rest is there.
     """
+    from pipeline.config import Execution
     from pipeline.report import ReportRequest, build_report
 
     fleet = None if config is None else _loaded(config)
@@ -367,7 +368,9 @@ def report(
             known=_known_to_report(fleet) if fleet else {},
             motors=tuple(motors.split()),
             nights=nights,
-            workers=jobs,
+            execution=(fleet.execution if fleet else Execution()).model_copy(
+                update={"workers": jobs}
+            ),
         )
     )
     typer.echo(
