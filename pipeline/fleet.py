@@ -27,9 +27,11 @@ from pipeline.decisions import read_decisions
 from pipeline.disk_space import require_space
 from pipeline.errors import LockedError, StoreError
 from pipeline.heartbeat import Heartbeat
+from pipeline.interrupts import interrupts_held
 from pipeline.landing import make_folders, remove_all, remove_leftovers
 from pipeline.ledger import Ledger, forget_night, read_settings, write_months, write_settings
 from pipeline.log_shelf import FATES
+from pipeline.logs import legible
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import (
     MotorOutcome,
@@ -290,12 +292,19 @@ def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Hear
     run_id = _run_id(finished, config_hash)
     heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id)
-    n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    with interrupts_held() as came:
+        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")
-    alarms: list[Mapping[str, Any]] = []
+    failures: Mapping[str, Loss] = {}
+    alarms: Sequence[Mapping[str, Any]] = ()
     if not interrupted:
-        finished, alarms = _publish_trends(request, publisher, finished)
+        try:
+            failures, alarms, interrupted = _publish_trends(request, publisher, finished)
+        except KeyboardInterrupt:
+            interrupted = True
+    finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
     ends.append(time.perf_counter())
     stages = zip(STAGES, [begin, *ends], ends, strict=False)
     result = RunResult(
@@ -308,11 +317,13 @@ def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Hear
         seconds_by_stage={name: end - start for name, start, end in stages},
     )
     heartbeat.say(stage="recording")
-    _publish_run(publisher, request, result, started, config_hash)
+    with interrupts_held() as came:
+        _publish_run(publisher, request, result, started, config_hash)
+    interrupted = interrupted or bool(came)
     heartbeat.finished(run_id, good=not interrupted)
     for fault in notify(fleet.settings.alarms, fleet.name, alarms):
         log.warning("%s", fault)
-    return result
+    return replace(result, interrupted=interrupted)
 
 
 def _results(
@@ -419,8 +430,11 @@ def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Led
 
 def _publish_trends(
     request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
-) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
-    """Make and publish the trends of the run's motors; one whose trends failed has failed."""
+) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
+    """Make and publish the trends of the run's motors.
+
+    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
+    """
     fleet = request.fleet
     decisions = read_decisions(fleet.output)
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
@@ -428,7 +442,7 @@ def _publish_trends(
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
     tonight = last_night(fleet.output, FITS)
     if tonight is None:
-        return list(outcomes), []
+        return {}, [], False
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -439,16 +453,19 @@ def _publish_trends(
         MOTORS_A_TREND_TASK,
     )
     made = list(_results(run_trends, tasks, lost_trends, without_lost_motor, fleet.execution))
-    # All tasks first: a night's q-values are over the slopes of the whole fleet.
-    alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
     failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
-    judged = [
-        replace(one, status=FAILED, error_code=loss.code, message=f"trends: {loss.how}")
-        if (loss := failures.get(one.motor_id)) and one.status != FAILED
-        else one
-        for one in outcomes
-    ]
-    return judged, alarms
+    # All tasks first: a night's q-values are over the slopes of the whole fleet.
+    with interrupts_held() as came:
+        alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+    return failures, alarms, bool(came)
+
+
+def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
+    """A motor's outcome; one whose trends failed has failed."""
+    if loss is None or outcome.status == FAILED:
+        return outcome
+    how = f"trends: {legible(loss.how)}"
+    return replace(outcome, status=FAILED, error_code=loss.code, message=how)
 
 
 def _publish_trend_rows(

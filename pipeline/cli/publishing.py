@@ -88,7 +88,9 @@ def report(
             known=_known_to_report(fleet) if fleet else {},
             motors=tuple(motors.split()),
             nights=nights,
-            workers=jobs,
+            execution=(fleet.execution if fleet else Execution()).model_copy(
+                update={"workers": jobs}
+            ),
         )
     )
     typer.echo(

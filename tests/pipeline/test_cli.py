@@ -23,6 +23,7 @@ import pipeline.fleet
 import pipeline.publishing
 from pipeline.cli import app, main
 from pipeline.errors import StoreError
+from pipeline.store import Published, publish_night
 from tests.conftest import OwnFleet
 
 CSV, PARQUET = "CB400-01", "CB400-02"
@@ -213,14 +214,26 @@ def test_130_and_143_while_publishing(
     number: signal.Signals,
     code: int,
 ) -> None:
-    def interrupted(*_: Any) -> None:
-        os.kill(os.getpid(), number)
+    came: list[int] = []
+
+    def interrupted(*arguments: Any) -> Published:
+        if not came:
+            came.append(number)
+            os.kill(os.getpid(), number)
+        return publish_night(*arguments)
 
     fleet = own_fleet(PARQUET)
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.publishing, "prepare_night", interrupted)
-        assert call("fit-fleet", fleet)[0] == code
+        ended, out, _ = call("fit-fleet", fleet)
+    # What was begun is published whole, and nothing after it is begun.
+    assert (ended, out.splitlines()[-1].split(" in ")[0]) == (
+        code,
+        "interrupted; 3 nights of 1 motors",
+    )
+    assert not (fleet.parent.parent / "out" / "tables" / "trends").exists()
     assert call("fit-fleet", fleet)[0] == 0
+    assert (fleet.parent.parent / "out" / "tables" / "trends").exists()
     fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")
     assert fits["status"].to_list() == ["ok"] * 3
 

@@ -336,3 +336,50 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     assert fits(output_of(fleet), BAD)["status"].to_list() == ["ok"] * 3
     trends = pl.read_parquet(output_of(fleet) / "tables/trends/**/*.parquet")
     assert set(trends["motor_id"]) == {GOOD, OTHER}
+
+
+# Signals while trends are made; those during fits and publishing are in the tests of fleet and cli
+
+TRENDS_THAT_WAIT = """
+import signal, sys
+from pathlib import Path
+import pipeline.fleet
+from pipeline.cli import main
+
+marker = sys.argv.pop()
+
+def wait(task):
+    Path(marker).touch()
+    while True:
+        signal.pause()
+
+pipeline.fleet.run_trends = wait
+main()
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_trends_are_made_keeps_the_fits(
+    own_fleet: OwnFleet, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    fleet, marker = own_fleet(GOOD, fitted=True), tmp_path / "waits"
+    process = subprocess.Popen(
+        [sys.executable, "-c", TRENDS_THAT_WAIT, "fit-fleet", str(fleet), str(marker)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        wait_until(marker.exists)
+        os.killpg(process.pid, number)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.communicate()
+    assert (process.returncode, err) == (code, "")
+    assert "interrupted; 0 nights of 1 motors" in out
+    runs = pl.read_parquet(output_of(fleet) / "tables/runs/**/*.parquet").sort("started_at")
+    assert runs["status"][-1] == "interrupted"
+    again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
+    assert run_fleet(RunRequest(again)).failed == ()
