@@ -72,6 +72,7 @@ def report(
     Then open demo/out/report/index.html. A further run makes only what has changed. Exit code 1: a
     table file could not be read; the rest is there.
     """
+    from pipeline.config import Execution
     from pipeline.report import ReportRequest, build_report
 
     fleet = None if config is None else loaded(config)
