@@ -89,8 +89,10 @@ def settled_halts(
         begin, end = int(grid_us[first]) + settle, int(grid_us[last])
         if end - begin < needed:
             continue
-        flow = _readings(channels["leakage_flow"], begin, end)
-        ports = [(sign, _readings(channels[name], begin, end)) for name, sign in sides.items()]
+        flow = _readings(channels["leakage_flow"], begin, end, needed)
+        ports = [
+            (sign, _readings(channels[name], begin, end, needed)) for name, sign in sides.items()
+        ]
         if not len(flow) or not all(len(port) for _, port in ports):
             continue
         bar = sum(sign * float(np.median(port)) for sign, port in ports)
@@ -111,12 +113,16 @@ def _stretches(mask: Mask) -> NDArray[np.int64]:
     return places
 
 
-def _readings(channel: CleanChannel, begin_us: int, end_us: int) -> Values:
-    """What a sensor read in a stretch of time, below its maximum."""
+def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:
+    """What a sensor read in a stretch of time, below its maximum; nothing where that is too short.
+
+    The share of credible samples is taken for the share of the time, however they are sampled.
+    """
     first, last = np.searchsorted(channel.time_us, [begin_us, end_us])
     value, saturated = channel.value[first:last], channel.at_maximum[first:last]
     readings: Values = value[np.isfinite(value) & ~saturated]
-    return readings
+    enough = len(readings) * (end_us - begin_us) >= needed_us * len(value)
+    return readings if enough else readings[:0]
 
 
 def _zero(halts: Values) -> Zero:

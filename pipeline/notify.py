@@ -62,8 +62,8 @@ def _run(command: Sequence[str], content: bytes) -> str:
 
 def _post(url: str, content: bytes) -> str:
     headers = {"Content-Type": "application/json"}
-    request = urllib.request.Request(url, content, headers, method="POST")  # noqa: S310 - by config
     try:
+        request = urllib.request.Request(url, content, headers, method="POST")  # noqa: S310
         with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - http or https
             return ""
     except (OSError, ValueError, http.client.HTTPException) as error:

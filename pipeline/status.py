@@ -18,6 +18,7 @@ from pipeline.store import read_rows, read_table, table_folder
 # From what needs attention most to what needs none.
 ORDER = ("alarm", "warning", "common_cause", "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage")
+SENSORS = ("pressure_zero", "flow_zero")
 GOOD_RUNS = ("ok", "motors_failed")
 
 
@@ -30,7 +31,7 @@ class MotorState:
     state
         The worst of its indicators.
     indicator, reason
-        Of that one: which, and why in words.
+        Of that one: which, and why in words; of a motor that is ok, that a sensor drifts.
     leakage_l_per_min, deviation_percent
         Reference leakage of the last night that has one, and how far from its baseline; of the
         motor's own conditions where it never sees the fleet's.
@@ -97,7 +98,7 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
         )
         for motor_id in motor_ids
     ]
-    findings = [one.finding for one in decisions if one.finding is not None]
+    findings = last_findings(decisions)
     return FleetStatus(
         tuple(sorted(motors, key=_urgency)),
         last_good_run(output),
@@ -105,6 +106,16 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
         len(findings),
         read_heartbeat(output),
     )
+
+
+def last_findings(decisions: Sequence[Decision]) -> list[str]:
+    """What was found of each alarm that was inspected; said again, the last word counts."""
+    found = {
+        (one.motor_id, one.indicator, one.night): one.finding
+        for one in decisions
+        if one.finding is not None
+    }
+    return list(found.values())
 
 
 def _urgency(motor: MotorState) -> tuple[int, float, str]:
@@ -130,20 +141,21 @@ def motor_state(
             acknowledged="",
         )
     tonight = trends.filter(pl.col("night") == pl.col("night").max())
+    watched = tonight.filter(pl.col("n_slope").is_not_null())
     worst = min(
-        tonight.filter(pl.col("n_slope").is_not_null()).iter_rows(named=True),
+        watched.iter_rows(named=True),
         key=lambda row: (ORDER.index(row["state"]), -(row["deviation_percent"] or 0.0)),
     )
-    # A motor that never sees the fleet's conditions is judged by its others.
-    states = set(tonight["state"])
-    if worst["state"] == "insufficient" or (worst["state"] == "stale" and "ok" in states):
-        worst = worst | {"state": next(one for one in ORDER if one in states)}
+    # A motor that never sees the fleet's conditions is judged by its other indicators.
+    if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
+        worst = worst | {"state": "ok"}
+    drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     shown = _latest(trends)
     return MotorState(
         motor_id=motor_id,
         state=worst["state"],
         indicator=worst["indicator"] if worst["state"] != "ok" else None,
-        reason=worst["state_reason"] if worst["state"] != "ok" else None,
+        reason=worst["state_reason"] if worst["state"] != "ok" else next(iter(drifts), None),
         leakage_l_per_min=shown.get("value"),
         deviation_percent=shown.get("deviation_percent"),
         sensor_health=worst["sensor_health"],
@@ -216,6 +228,14 @@ def alarmed_night(output: Path, motor_id: str, indicator: str) -> dt.date:
             "no_alarm", f"{motor_id} has had no alarm of {indicator!r}; there were of: {known}"
         )
     return own
+
+
+def known_indicators(output: Path, motor_id: str) -> list[str]:
+    """Indicators of a motor that have a baseline of their own, by its trends; none before those."""
+    rows = read_rows(output, TRENDS, [motor_id], ("motor_id", "indicator", "n_slope", "state"))
+    # What follows from another one (a path's leakage, its gap) begins anew with that.
+    own = rows.filter(pl.col("n_slope").is_not_null() | pl.col("indicator").is_in(SENSORS))
+    return sorted(own["indicator"].unique())
 
 
 def age_in_hours(text: str) -> float:

@@ -101,11 +101,15 @@ def baseline_reset(
     Example: motor-leakage baseline reset demo/configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
     from pipeline.decisions import Decision, record_decision
+    from pipeline.status import known_indicators
 
     label = night_label(night, "NIGHT")
     assert label is not None
     fleet = load(config, output, None, logs=False)
     known_motors([motor], fleet)
+    known = known_indicators(fleet.output, motor)
+    if indicator and known and indicator not in known:
+        raise UsageError("indicator", f"{motor} has no {indicator!r}; it has {', '.join(known)}")
     record_decision(
         fleet.output,
         Decision(motor, indicator, dt.datetime.now(dt.UTC), "baseline_reset", label, None, note),

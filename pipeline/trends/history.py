@@ -119,8 +119,8 @@ def read_histories(
     specs
         Which motors; one without rows is left out.
     tonight
-        Nights up to this one are part of the history though they have no row yet, so that a motor
-        that went silent can be stale.
+        Nights up to this one are part of the history though they have no row, so that a motor that
+        went silent can be stale.
 
     Returns
     -------
@@ -163,23 +163,25 @@ def histories_of(
             by_motor[1].get(spec.motor_id, parameters.clear()),
             by_motor[2].get(spec.motor_id, operation.clear()),
         )
-        found[spec.motor_id] = continued(
+        found[spec.motor_id] = without_gaps(
             History(spec, layout, records, dict(enumerate(words))), tonight
         )
     return found
 
 
-def continued(history: History, tonight: dt.date | None) -> History:
-    """A history with those nights up to tonight that have no row."""
-    last = history.nights[-1]
-    missing = [] if tonight is None or tonight <= last else nights_between(last, tonight)[1:]
-    if not missing:
+def without_gaps(history: History, tonight: dt.date | None) -> History:
+    """A history with every night up to tonight, those without a row as well.
+
+    A night that no log covers is a night: what a run said of it then is said of it later, too.
+    """
+    last = max(history.nights[-1], tonight or history.nights[-1])
+    labels = nights_between(history.nights[0], last)
+    if len(labels) == len(history):
         return history
+    records = blank_records(history.layout, labels)
+    places = np.searchsorted(records["night"], history.records["night"])
+    records[places] = history.records
     nothing = NightWords(NO_LOG, NO_LOG, (NO_LOG,) * len(history.layout.coefficients))
-    n = len(history)
-    return History(
-        history.spec,
-        history.layout,
-        np.concatenate([history.records, blank_records(history.layout, missing)]),
-        {**history.words, **{n + place: nothing for place in range(len(missing))}},
-    )
+    words = dict.fromkeys(range(len(labels)), nothing)
+    words |= {int(places[place]): one for place, one in history.words.items()}
+    return History(history.spec, history.layout, records, words)

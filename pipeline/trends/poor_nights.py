@@ -69,10 +69,10 @@ def with_poor_nights(
     ]
     if most < 2 or not rows:
         return history
-    blocks = _Blocks(history, read_blocks)
+    blocks = _Blocks(history, [place for row in rows for place in row], read_blocks)
     records, words = history.records.copy(), dict(history.words)
     for place in unknown:
-        _describe(history, records, place, blocks.of(place, unknown))
+        _describe(history, records, place, blocks.of(place))
     for row in rows:
         for group in groups_of(row, records["minutes"], records["kind"], most):
             records["used"][list(group)] = True
@@ -152,30 +152,28 @@ def _rows_of_poor(history: History, borders: set[int]) -> list[list[int]]:
 
 @dataclass(slots=True)
 class _Blocks:
-    """Blocks of a motor's nights, read when they are needed."""
+    """Blocks of a motor's poor nights, read once and only if one of them is needed."""
 
     history: History
+    places: Sequence[int]
     read: ReadBlocks
-    _nights: dict[dt.date, pl.DataFrame] | None = None
+    _nights: dict[object, pl.DataFrame] | None = None
 
-    def of(self, place: int, wanted: Sequence[int]) -> pl.DataFrame | None:
-        """Blocks of a night; the first time, of all nights that are wanted."""
-        label = self.history.nights[place]
-        if self._nights is None or label not in self._nights:
-            labels = [self.history.nights[one] for one in {place, *wanted}]
+    def of(self, place: int) -> pl.DataFrame:
+        """Blocks of a night in order of time."""
+        labels = [self.history.nights[one] for one in self.places]
+        if self._nights is None:
             rows = self.read(labels).sort("block_start")
             by_night = rows.partition_by("night", as_dict=True, maintain_order=True)
-            found = {label: rows.clear() for label in labels}
-            found |= {key[0]: part for key, part in by_night.items()}
-            self._nights = {**(self._nights or {}), **found}
-        return self._nights[label]
+            self._nights = dict.fromkeys(labels, rows.clear())
+            self._nights |= {key[0]: part for key, part in by_night.items()}
+        return self._nights[self.history.nights[place]]
 
 
-def _describe(history: History, records: Records, place: int, blocks: pl.DataFrame | None) -> None:
+def _describe(history: History, records: Records, place: int, blocks: pl.DataFrame) -> None:
     """Minutes and kind of a night that has no fit of its own."""
-    columns = history.layout.columns
-    hashes = set() if blocks is None else set(blocks["model_hash"].to_list())
-    if blocks is None or len(hashes) != 1 or not have_columns(blocks, columns):
+    hashes = set(blocks["model_hash"].to_list())
+    if len(hashes) != 1 or not have_columns(blocks, history.layout.columns):
         records["minutes"][place] = 0.0
         return
     period = _period_s(records, place, int(blocks["n"].sum()))
@@ -197,8 +195,7 @@ def _fit(
     history: History, records: Records, group: Sequence[int], blocks: _Blocks
 ) -> tuple[Any, NightWords] | str:
     """Record and words of the last night of a group, fitted together; a text where it cannot be."""
-    parts = [blocks.of(place, group) for place in group]
-    whole = pl.concat([part for part in parts if part is not None])
+    whole = pl.concat([blocks.of(place) for place in group])
     training = training_of(whole)
     spec, label = history.spec, history.nights[group[-1]]
     factors = triangular_factors(training, len(history.layout.columns))

@@ -41,9 +41,8 @@ def running_hours(history: History) -> RunningHours:
     before = np.cumsum(logged) - logged
     first = np.maximum(before - NIGHTS_BEFORE, 0)
     usual = (sums[before] - sums[first]) / np.maximum(before - first, 1)
-    absent = np.diff(history.numbers, prepend=-1) - 1
-    total = np.cumsum(np.where(logged, np.nan_to_num(hours), usual) + absent * usual)
-    return RunningHours(total, np.logical_or.accumulate(~logged | (absent > 0)))
+    total = np.cumsum(np.where(logged, hours, usual))
+    return RunningHours(total, np.logical_or.accumulate(~logged))
 
 
 def coverage(history: History, place: int, first: int, last: int) -> float | None:
