@@ -16,10 +16,11 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, locked, plan_fleet
 from pipeline.ledger import content_hash
-from pipeline.manifest import update_manifest, verify_tables
+from pipeline.manifest import update_manifest
 from pipeline.migration import migrate, old_table_files, version_of
 from pipeline.schema import FITS, SCHEMA_VERSION
 from pipeline.store import VERSION_KEY, night_file
+from pipeline.verification import verify_tables
 from tests.pipeline.workshop import DAY, Workshop
 
 NIGHT = dt.date(2026, 2, 28)

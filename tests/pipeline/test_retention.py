@@ -13,10 +13,10 @@ import pytest
 from pipeline.config import Retention, load_fleet
 from pipeline.errors import LockedError, UsageError
 from pipeline.fleet import RunRequest, locked, plan_fleet
-from pipeline.manifest import verify_tables
 from pipeline.retention import LOSSES, NEEDED, nights_kept, old_files, prune
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
 from pipeline.trends.record import read_record
+from pipeline.verification import verify_tables
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 # The nights lie on both sides of a month's end.

@@ -26,6 +26,7 @@ from pipeline.trends.stage import (
     with_q_values,
 )
 from pipeline.verification import verify_tables
+from pipeline.worker_process import Loss
 from tests.pipeline.trends.nights import (
     Nights,
     configure,
@@ -304,6 +305,6 @@ def test_a_broken_motor_takes_no_other_down(
     found = stage.run_trends(
         TrendTask(tuple(SPECS[:2]), tmp_path, tmp_path / "staging", asked, night_of(4))
     )
-    assert found.failures == {"A": "ZeroDivisionError: in one motor"}
+    assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert found.nights == {"B": 5}
     assert list(found.records) == ["B"]
