@@ -16,7 +16,7 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, locked, plan_fleet
 from pipeline.ledger import content_hash
-from pipeline.manifest import update_manifest
+from pipeline.manifest import announce, update_manifest
 from pipeline.migration import migrate, old_table_files, version_of
 from pipeline.schema import FITS, SCHEMA_VERSION
 from pipeline.store import VERSION_KEY, night_file
@@ -143,7 +143,7 @@ def test_a_crash_between_manifest_and_file_is_mended_by_migrating_again(
 
 def _and_then(crash: object) -> object:
     def update(*arguments: object) -> None:
-        update_manifest(*arguments)  # type: ignore[arg-type]
+        announce(*arguments)  # type: ignore[arg-type]
         assert callable(crash)
         crash()
 
