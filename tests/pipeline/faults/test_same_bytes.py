@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.pipeline.faults.fleet import OF_RUNS, TinyFleet
 
 RUN = """
@@ -29,6 +31,7 @@ def hashes(output: Path) -> dict[str, str]:
     }
 
 
+@pytest.mark.full
 def test_two_runs_from_scratch_on_one_and_on_two_workers(
     tiny_fleet: TinyFleet, tmp_path: Path
 ) -> None:
