@@ -9,6 +9,7 @@ BENCHMARKS = (
     "alarms",
     "coverage",
     "cusum_limits",
+    "demo_alarms",
     "demo_dialects",
     "demo_run",
     "demo_truth",

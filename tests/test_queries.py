@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import statistics
+from dataclasses import asdict, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +14,35 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, QUALITY, SENSITIVITIES, Table
+from pipeline.decisions import Decision
+from pipeline.schema import (
+    BLOCK_STATISTICS,
+    DECISIONS,
+    FITS,
+    PARAMETERS,
+    QUALITY,
+    SENSITIVITIES,
+    TREND_TABLES,
+    TRENDS,
+    Table,
+    frame,
+)
 from pipeline.store import night_file, read_table, table_folder, write_table
+from pipeline.trends.alarm_rows import alarm_rows
+from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.stage import with_q_values
+from pipeline.trends.standing import Standing
+from pipeline.trends.trend_rows import trend_rows
+from tests.pipeline.trends.nights import (
+    Nights,
+    motor,
+    named,
+    night_of,
+    ramp,
+    reset,
+    standing,
+    step,
+)
 from tests.query_page import ENGINES, MOST_ROWS, PAGE, Question, answer, questions
 
 QUESTIONS = {int(question.title.partition(".")[0]): question for question in questions()}
@@ -26,9 +55,14 @@ Rows = list[dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def demo(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the demo's tables in `out/`."""
+    """A folder with the demo's tables in `demo/out/`, and trends of motors of the same names."""
     folder = tmp_path_factory.mktemp("demo")
-    (folder / "out").symlink_to(fitted_output)
+    tables = folder / "demo" / "out" / "tables"
+    tables.mkdir(parents=True)
+    for table in (fitted_output / "tables").iterdir():
+        if table.name not in {one.name for one in (*TREND_TABLES, DECISIONS)}:
+            (tables / table.name).symlink_to(table)
+    write_trends(folder / "demo" / "out")
     return folder
 
 
@@ -47,10 +81,74 @@ def history(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
             night = dt.date.fromisoformat(path.stem)
             before = rows.with_columns(pl.col("night") - EARLIER, **_less_worn(table))
             added = [name for name in list(table.schema)[-2:] if name not in table.key]
-            write_table(night_file(folder / "out", table, night - EARLIER), before.drop(added))
+            write_table(
+                night_file(folder / "demo" / "out", table, night - EARLIER), before.drop(added)
+            )
             now = _with_faults(rows) if table is FITS and night == NEWEST else rows
-            write_table(night_file(folder / "out", table, night), now)
+            write_table(night_file(folder / "demo" / "out", table, night), now)
+    write_trends(folder / "demo" / "out")
     return folder
+
+
+WORN_AT, NIGHTS_OF_TRENDS = 70, 110
+WORN, SLOW, HEALTHY = "CB560-01", "CB400-02", "CB400-01"
+
+
+@lru_cache(maxsize=1)
+def standing_motors() -> dict[str, Standing]:
+    """Sleeves damaged within a day, rings that wear since the first night, and none."""
+    n = NIGHTS_OF_TRENDS
+    wear = {
+        WORN: {"balance_sleeve": step(n, WORN_AT, 0.4)},
+        SLOW: {"piston_ring": ramp(n, 0, 0.25)},
+        HEALTHY: {},
+    }
+    nights = [
+        Nights(named(motor(), name), n, own, seed=number)
+        for number, (name, own) in enumerate(wear.items())
+    ]
+    return {
+        one.spec.motor_id: standing(one, *([RESET] if one.spec.motor_id == WORN else []))
+        for one in nights
+    }
+
+
+RESET = reset(WORN_AT + 3, "own_reference_leakage", "sleeves seen", motor_id=WORN)
+
+
+def write_trends(output: Path) -> None:
+    """The trend tables of those motors, and what people said of the first."""
+    rows: dict[str, Rows] = {table.name: [] for table in TREND_TABLES}
+    places = range(NIGHTS_OF_TRENDS)
+    for found in standing_motors().values():
+        rows["trends"] += trend_rows(found, places[-2:])
+        rows["alarms"] += alarm_rows(found, places)
+        rows["baselines"] += baseline_rows(found, places)
+        rows["change_points"] += change_point_rows(found, places)
+    for table in TREND_TABLES:
+        whole = frame(table, [{"run_id": "made", **row} for row in rows[table.name]])
+        for (night,), part in whole.partition_by("night", as_dict=True).items():
+            if table is TRENDS:
+                part = with_q_values(part, list(standing_motors()), 0.1)
+            write_table(night_file(output, table, night), part.sort(table.key))
+    said = [{"run_id": "made", **asdict(one)} for one in decisions()]
+    whole_file = table_folder(output, DECISIONS) / "decisions.parquet"
+    write_table(whole_file, frame(DECISIONS, said).sort(DECISIONS.key))
+
+
+def decisions() -> list[Decision]:
+    """The sleeves' alarm was inspected twice, the deviation's once and in vain."""
+    (raised,) = (
+        row["night"]
+        for row in alarm_rows(standing_motors()[WORN], range(NIGHTS_OF_TRENDS))
+        if row["indicator"] == "K_balance_sleeve" and row["to_state"] == "alarm"
+    )
+    when = dt.datetime(2026, 4, 1, tzinfo=dt.UTC)
+    first = Decision(WORN, "K_balance_sleeve", when, "finding", raised, "not_confirmed", "nothing")
+    second = replace(first, time=when + EARLIER, finding="confirmed", note="a sleeve is scored")
+    vain = replace(first, indicator="baseline_deviation")
+    seen = replace(first, kind="acknowledged", finding=None, indicator="reference_leakage")
+    return [first, second, vain, seen, RESET]
 
 
 def _known(rows: pl.DataFrame, table: Table) -> pl.DataFrame:
@@ -91,7 +189,10 @@ def _with_faults(rows: pl.DataFrame) -> pl.DataFrame:
 
 def fits(history: Path, **values: object) -> Rows:
     """Primary rows of `fits` with the given values, of the newer nights."""
-    files = [night_file(history / "out", FITS, NEWEST - dt.timedelta(days=day)) for day in range(3)]
+    files = [
+        night_file(history / "demo" / "out", FITS, NEWEST - dt.timedelta(days=day))
+        for day in range(3)
+    ]
     rows = pl.concat([read_table(path, FITS) for path in files]).filter("is_primary").to_dicts()
     return [row for row in rows if all(row[name] == value for name, value in values.items())]
 
@@ -218,7 +319,8 @@ def test_5_fit_on_new_data(ask: Any, history: Path) -> None:
 def test_6_refused_data(ask: Any, history: Path) -> None:
     rows = ask(6)
     files = [
-        night_file(history / "out", QUALITY, NEWEST - dt.timedelta(days=day)) for day in range(3)
+        night_file(history / "demo" / "out", QUALITY, NEWEST - dt.timedelta(days=day))
+        for day in range(3)
     ]
     nights = [row for path in files for row in read_table(path, QUALITY).to_dicts()]
     found = {(row["motor_id"], row["channel"], row["reason"]): row for row in rows}
@@ -250,7 +352,7 @@ def test_8_error_budget(ask: Any, history: Path) -> None:
     effects = {
         row["source"]: row["effect"]
         for row in read_table(
-            night_file(history / "out", SENSITIVITIES, NEWEST), SENSITIVITIES
+            night_file(history / "demo" / "out", SENSITIVITIES, NEWEST), SENSITIVITIES
         ).to_dicts()
         if row["motor_id"] == STEADY and row["indicator"] == "reference_leakage"
     }
@@ -308,8 +410,8 @@ def test_11_shares(ask: Any) -> None:
 
 def test_12_pressures(ask: Any) -> None:
     rows = ask(12)
-    for motor in {row["motor_id"] for row in rows}:
-        own = {row["from_bar"]: row["share_percent"] for row in rows if row["motor_id"] == motor}
+    for name in {row["motor_id"] for row in rows}:
+        own = {row["from_bar"]: row["share_percent"] for row in rows if row["motor_id"] == name}
         assert sum(own.values()) == pytest.approx(100.0)
         assert all(bar % 20 == 0 for bar in own)
     # Its 180 bar fall into the bins below and above.
@@ -322,7 +424,7 @@ def test_plain_reading_of_old_and_new_files_sees_all_columns(
 ) -> None:
     """What `union_by_name` and `diagonal` are for: the first file has fewer columns."""
     monkeypatch.chdir(history)
-    first, *_, last = sorted(Path("out/tables/fits").rglob("*.parquet"))
+    first, *_, last = sorted(Path("demo/out/tables/fits").rglob("*.parquet"))
     assert len(pl.read_parquet_schema(first)) < len(pl.read_parquet_schema(last))
     with duckdb.connect() as connection:
         relation = connection.sql(
@@ -330,3 +432,75 @@ def test_plain_reading_of_old_and_new_files_sees_all_columns(
             " hive_partitioning = false)"
         )
         assert relation.columns == list(FITS.schema)
+
+
+def test_13_alarms_that_stand(ask: Any) -> None:
+    rows = {(row["motor_id"], row["indicator"]): row for row in ask(13)}
+    found = standing_motors()
+    expected = {
+        (name, indicator)
+        for name, one in found.items()
+        for indicator in one.watched
+        if one.states[indicator][-1] in ("alarm", "warning", "common_cause")
+    }
+    assert set(rows) == expected
+    sleeve = rows[WORN, "K_balance_sleeve"]
+    assert sleeve["state"] == "alarm"
+    assert night_of(WORN_AT) <= sleeve["since"] <= night_of(WORN_AT + 4)
+    assert sleeve["path"] == "balance_sleeve"
+    assert sleeve["state_reason"].startswith("balance sleeve leakage +")
+    assert sleeve["deviation_percent"] == pytest.approx(40.0, abs=6.0)
+    assert (HEALTHY, "K_piston_ring") not in rows
+
+
+def test_14_what_wears(ask: Any) -> None:
+    rows = {(row["motor_id"], row["indicator"]): row for row in ask(14)}
+    ring = rows[SLOW, "K_piston_ring"]
+    per_year = 100 * 0.25 * 365.25 / (NIGHTS_OF_TRENDS - 1)
+    # Relative to a baseline that has risen with it.
+    assert ring["percent_per_year"] == pytest.approx(per_year, rel=0.12)
+    assert ring["percent_per_1000_h"] == pytest.approx(
+        ring["percent_per_year"] * 1000 / (12.0 * 365.25), rel=0.01
+    )
+    assert ring["q_value"] < 0.001
+    assert next(iter(rows)) == (SLOW, "K_piston_ring")
+    # A step is no slope.
+    assert (WORN, "K_balance_sleeve") not in rows
+
+
+def test_15_days_to_limits(ask: Any) -> None:
+    rows = ask(15)
+    assert [row["earliest"] for row in rows] == sorted(row["earliest"] for row in rows)
+    by_key = {(row["motor_id"], row["indicator"]): row for row in rows}
+    sleeve = by_key[WORN, "K_balance_sleeve"]
+    assert (sleeve["status"], sleeve["days"], sleeve["earliest"]) == ("already_crossed", None, 0.0)
+    ring = by_key[SLOW, "K_piston_ring"]
+    assert ring["status"] == "finite"
+    assert ring["earliest"] < ring["days"] < ring["latest"]
+
+
+def test_16_changes_and_what_begins_with_them(ask: Any) -> None:
+    rows = {(row["motor_id"], row["change_night"]): row for row in ask(16)}
+    damage = rows[WORN, night_of(WORN_AT)]
+    assert damage["n_indicators"] >= 2
+    assert damage["largest_percent"] == pytest.approx(40.0, abs=6.0)
+    assert ": sleeves seen" in damage["dated"]
+    assert not [key for key in rows if key[0] == HEALTHY]
+
+
+def test_17_findings(ask: Any) -> None:
+    rows = {row["indicator"]: row for row in ask(17)}
+    sleeve, vain = rows["K_balance_sleeve"], rows["baseline_deviation"]
+    assert (sleeve["inspected"], sleeve["confirmed"], sleeve["confirmed_percent"]) == (1, 1, 100.0)
+    assert (vain["inspected"], vain["confirmed"], vain["confirmed_percent"]) == (1, 0, 0.0)
+    nobody = rows["reference_leakage"]
+    assert (nobody["inspected"], nobody["confirmed_percent"]) == (0, None)
+    raised = [
+        row["indicator"]
+        for one in standing_motors().values()
+        for row in alarm_rows(one, range(NIGHTS_OF_TRENDS))
+        if row["to_state"] in ("warning", "alarm")
+    ]
+    assert {name: row["raised"] for name, row in rows.items()} == {
+        name: raised.count(name) for name in raised
+    }

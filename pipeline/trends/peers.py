@@ -149,8 +149,7 @@ def peers_of_circuit(
     changes
         Log changes of those that have the indicator.
     apart
-        Nights on which a motor's indicator had risen by more than its paths have in common: it
-        wears, and what it does then says nothing of the oil.
+        Nights on which a motor's indicator says nothing of the oil, as the motor wears.
 
     Returns
     -------

@@ -122,12 +122,10 @@ def _beyond_limit(standing: Standing, name: str, place: int) -> str:
 
 def _circuit(standing: Standing, name: str, place: int) -> str:
     """How far the other motors of the oil circuit have moved as well; empty where they have not."""
-    segment, found, _ = standing.watched[name].at(place)
-    inside = place - segment.first
-    if found.circuit is None or not found.circuit.severity[inside]:
+    moved = standing.circuit_moved(name, place)
+    if moved is None:
         return ""
-    percent = 100.0 * _latest(found.circuit.deviation[: inside + 1])
-    return f"the other motors of the oil circuit {percent:+.0f} %, which is taken off"
+    return f"the other motors of the oil circuit {100 * moved:+.0f} %, which is taken off"
 
 
 def _latest(values: Array) -> float:

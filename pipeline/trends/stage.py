@@ -276,6 +276,8 @@ class Part:
     apart
         By indicator, nights on which it had risen by more than the motor's paths have in common,
         shape (n,).
+    wears
+        Nights on which one of its paths had, shape (n,).
     """
 
     history: History
@@ -284,6 +286,7 @@ class Part:
     indicators: Mapping[str, Indicator]
     changes: Mapping[str, LogChange]
     apart: Mapping[str, NDArray[np.bool_]]
+    wears: NDArray[np.bool_]
 
     @classmethod
     def of(cls, history: History, decisions: tuple[Decision, ...]) -> Part:
@@ -293,12 +296,20 @@ class Part:
             name: log_change(history, one, segments(history, decisions, name))
             for name, one in indicators.items()
         }
+        paths = [name for name, one in indicators.items() if one.path]
         apart = moved_apart(
             {name: one.told for name, one in changes.items()},
-            [name for name, one in indicators.items() if one.path],
+            paths,
             history.spec.settings.alarms.common_cause_percent,
         )
-        return cls(history, decisions, eras, indicators, changes, apart)
+        wears = np.zeros(len(history), dtype=np.bool_)
+        for name in paths:
+            wears |= apart[name]
+        return cls(history, decisions, eras, indicators, changes, apart, wears)
+
+    def its_own(self, name: str) -> NDArray[np.bool_]:
+        """Nights on which an indicator says nothing of the oil, as the motor wears."""
+        return self.apart[name] if self.indicators[name].path else self.wears
 
 
 def circuit_peers(parts: Mapping[str, Part]) -> dict[str, dict[str, Peers]]:
@@ -309,7 +320,7 @@ def circuit_peers(parts: Mapping[str, Part]) -> dict[str, dict[str, Peers]]:
             motor_id: part.changes[name] for motor_id, part in parts.items() if name in part.changes
         }
         histories = {motor_id: parts[motor_id].history for motor_id in own}
-        apart = {motor_id: parts[motor_id].apart[name] for motor_id in own}
+        apart = {motor_id: parts[motor_id].its_own(name) for motor_id in own}
         for motor_id, one in peers_of_circuit(histories, own, apart).items():
             found[motor_id][name] = one
     return found

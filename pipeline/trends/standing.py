@@ -120,13 +120,25 @@ class Standing:
         """
         watched = self.watched[name]
         segment, found, baseline = watched.at(place)
-        inside = place - segment.first
-        if found.circuit is None or found.corrected is None or not found.circuit.severity[inside]:
-            return watched.series, baseline
-        corrected = found.corrected.baseline_at(inside)
+        corrected = None
+        if self.circuit_moved(name, place) is not None and found.corrected is not None:
+            corrected = found.corrected.baseline_at(place - segment.first)
         if corrected is None:
             return watched.series, baseline
         return watched.series / np.exp(self.peers[name].others), corrected
+
+    def circuit_moved(self, name: str, place: int) -> float | None:
+        """How far all of the oil circuit has risen, relative; None where it has not, or is silent.
+
+        What the other motors did before they wore, or fell silent, says nothing of now.
+        """
+        segment, found, _ = self.watched[name].at(place)
+        inside, circuit = place - segment.first, found.circuit
+        if circuit is None or not circuit.severity[inside]:
+            return None
+        known = circuit.deviation[: inside + 1][-self.watched[name].settings.stale_nights :]
+        known = known[np.isfinite(known)]
+        return float(known[-1]) if len(known) else None
 
     def era(self, place: int) -> Era:
         """The era of a night."""

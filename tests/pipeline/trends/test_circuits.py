@@ -11,7 +11,16 @@ from pipeline.trends.indicators import DEVIATION
 from pipeline.trends.reasons import why_state
 from pipeline.trends.standing import RAISED, Standing
 from pipeline.trends.trend_rows import trend_rows
-from tests.pipeline.trends.nights import PATHS, Nights, histories, motor, named, standings, step
+from tests.pipeline.trends.nights import (
+    PATHS,
+    Nights,
+    histories,
+    motor,
+    named,
+    ramp,
+    standings,
+    step,
+)
 
 N, AT = 110, 80
 OIL = {path: step(N, AT, 0.25) for path in PATHS}
@@ -150,3 +159,26 @@ def test_the_circuit_coming_back_ends_a_common_cause() -> None:
     rows = [row for row in alarm_rows(first, range(N)) if row["indicator"] == "reference_leakage"]
     assert [row["to_state"] for row in rows] == ["ok", "common_cause", "ok"]
     assert rows[-1]["reason"] == "the oil circuit is back where it was"
+
+
+def test_another_motors_wear_is_not_taken_for_the_oils() -> None:
+    """Two of three wear, one a little more slowly and by another path: none excuses the other."""
+    slow = {"balance_piston": ramp(N, 40, 0.6)}
+    quick = {"balance_sleeve": step(N, AT, 0.4)}
+    found = tank(quick, slow, {})
+    why = why_state(found["M1"], DEVIATION, N - 1, path_behind(found["M1"], DEVIATION, N - 1))
+    assert "the other motors" not in why
+    assert "mostly by the balance sleeve" in why
+    for name, path in (("M1", "balance_sleeve"), ("M2", "balance_piston")):
+        by_itself = standings(
+            histories(
+                Nights(
+                    named(motor(), name), N, *{"M1": [quick], "M2": [slow]}[name], seed=int(name[1])
+                )
+            )
+        )[name]
+        together = found[name].states[f"K_{path}"]
+        alone = by_itself.states[f"K_{path}"]
+        first = next(place for place, state in enumerate(alone) if state in RAISED)
+        # Within a few nights of what it would be told by itself.
+        assert set(together[first + 4 :]) <= set(RAISED)
