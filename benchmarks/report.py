@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 
 from benchmarks.results_file import write_results
-from pipeline.config import load_fleet
+from pipeline.config import Execution, load_fleet
 from pipeline.demo import write_demo
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.report import ReportRequest, build_report
@@ -42,7 +42,7 @@ def main() -> None:
         templates = _fitted_night(Path(folder))
         for number in range(NIGHTS):
             _write_night(output, templates, FIRST + dt.timedelta(days=number), number)
-        request = ReportRequest(output, output / "report", workers=2)
+        request = ReportRequest(output, output / "report", execution=Execution(workers=2))
         rows = [_timed("all of it", request), _timed("again, with nothing new", request)]
         _write_night(output, templates, FIRST + dt.timedelta(days=NIGHTS), NIGHTS)
         rows.append(_timed("again, with one new night of all motors", request))

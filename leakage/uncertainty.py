@@ -311,8 +311,9 @@ def block_bootstrap(
     drawn = generator.multinomial(
         len(filled), np.full(len(filled), 1 / len(filled)), size=resamples
     )
-    normal = np.einsum("rb,bjk->rjk", drawn, gram)
-    right = np.einsum("rb,bj->rj", drawn, score)
+    weights = drawn.astype(np.float64)
+    normal = (weights @ gram.reshape(len(filled), -1)).reshape(resamples, *gram.shape[1:])
+    right = weights @ score
     step = np.linalg.pinv(normal, hermitian=True) @ right[:, :, None]
     shifted = coefficients[active] + (step[:, :, 0] @ to_basis)
     tail = 50 * (1 - level)

@@ -11,25 +11,37 @@ import fcntl
 import hashlib
 import logging
 import os
-import shutil
-import tempfile
+import secrets
+import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pipeline.config import Fleet, MotorSpec
+from pipeline.config import Execution, Fleet, MotorSpec
 from pipeline.decisions import read_decisions
+from pipeline.disk_space import require_space
 from pipeline.errors import LockedError, StoreError
-from pipeline.ledger import forget_night, write_months, write_settings
+from pipeline.heartbeat import Heartbeat
+from pipeline.interrupts import interrupts_held
+from pipeline.landing import make_folders, remove_all, remove_leftovers
+from pipeline.ledger import Ledger, forget_night, read_settings, write_months, write_settings
 from pipeline.log_shelf import FATES
+from pipeline.logs import legible
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
+from pipeline.motor_task import (
+    MotorOutcome,
+    MotorTask,
+    Step,
+    lost,
+    plan_motor,
+    run_motor,
+    without_lost_night,
+)
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
 from pipeline.publishing import Publisher
@@ -48,22 +60,46 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
-from pipeline.settings_hashes import settings_of
-from pipeline.store import last_night, remove_leftovers
-from pipeline.trends.record import forget_records, note_touched, write_record
+from pipeline.settings_hashes import settings_of, why_anew
+from pipeline.status import last_good_run
+from pipeline.store import last_night
+from pipeline.trends.record import (
+    forget_records,
+    note_touched,
+    read_record,
+    trend_hash,
+    write_record,
+)
 from pipeline.trends.stage import (
     TrendOutcome,
-    TrendTask,
+    circuits_of,
+    lost_trends,
     run_trends,
     trend_tasks,
     with_q_values,
+    without_lost_motor,
 )
+from pipeline.versions import own_version, versions
+from pipeline.worker_process import Loss
 from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
+Task = TypeVar("Task")
+Result = TypeVar("Result")
 Progress = Callable[[MotorOutcome], None]
 
+# Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
+MOTOR_STAGES = (
+    "read_s",
+    "clean_s",
+    "statistics_s",
+    "fit_s",
+    "residuals_s",
+    "refit_s",
+    "store_s",
+)
+STAGES = ("motors_s", "publish_s", "trends_s")
 # A task of trends reads the tables of all its motors at once.
 MOTORS_A_TREND_TASK = 32
 
@@ -84,6 +120,9 @@ class RunRequest:
         Whether to make nights anew from their logs that nothing has changed of.
     retry
         Whether to try nights and logs again that failed.
+    with_starts
+        Whether nights that are, or were, fitted anew without their log get the starts of their
+        search.
     """
 
     fleet: Fleet
@@ -92,6 +131,7 @@ class RunRequest:
     until: dt.date | None = None
     force: bool = False
     retry: bool = False
+    with_starts: bool = False
 
     @property
     def specs(self) -> tuple[MotorSpec, ...]:
@@ -119,6 +159,8 @@ class RunResult:
         Wall-clock time.
     alarms
         New rows of `alarms`.
+    seconds_by_stage
+        Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
     """
 
     run_id: str
@@ -127,6 +169,7 @@ class RunResult:
     interrupted: bool
     seconds: float
     alarms: tuple[Mapping[str, Any], ...] = ()
+    seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def files(self) -> Counter[str]:
@@ -158,12 +201,16 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     LockedError
         If another run writes to the same output.
     StoreError
-        If nothing can be published.
+        If nothing can be published, or there is too little room for it.
     """
-    output = request.fleet.output
-    with _locked(output), _staging(output) as staging:
+    fleet = request.fleet
+    output = fleet.output
+    require_space(output, request.specs, fleet.execution.minimum_free_mib)
+    with locked(output), staging_folder(output) as staging:
+        remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
-        return _run(request, staging, progress)
+        with Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat:
+            return _run(request, staging, progress, heartbeat)
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
@@ -179,6 +226,32 @@ def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step
         yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
 
 
+def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
+    """Motors whose trends a run would make anew from their first night on, and why, in words.
+
+    Those of nights that are new or made anew follow in any case.
+    """
+    fleet = request.fleet
+    decisions = read_decisions(fleet.output)
+    asked_for = {spec.motor_id for spec in request.specs}
+    for circuit in circuits_of(fleet.motors):
+        for spec in circuit:
+            record = read_record(fleet.output, spec.motor_id)
+            if spec.motor_id not in asked_for or record is None:
+                continue
+            if record.trend_hash != trend_hash(circuit, spec, decisions):
+                yield spec.motor_id, _why_trends(fleet.output, circuit)
+
+
+def _why_trends(output: Path, circuit: Sequence[MotorSpec]) -> str:
+    reasons = []
+    for spec in circuit:
+        before, now = read_settings(output, spec.motor_id), settings_of(spec)
+        if before != now:
+            reasons.append(f"{spec.motor_id}: {why_anew(before, now, trends=True)}")
+    return "; ".join(reasons) or "a baseline was reset, its circuit changed, or a new version"
+
+
 def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
     return MotorTask(
         spec=spec,
@@ -188,53 +261,104 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         until=request.until,
         force=request.force,
         retry=request.retry,
+        with_starts=request.with_starts,
     )
 
 
-def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
+def _last_good_run(output: Path) -> dt.datetime | None:
+    try:
+        return last_good_run(output)
+    except StoreError as error:
+        log.warning("%s", error)
+        return None
+
+
+def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Heartbeat) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
     tasks = [_task(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
+        for outcome in _results(run_motor, tasks, lost, without_lost_night, fleet.execution):
             outcomes[outcome.motor_id] = outcome
+            heartbeat.motor_done()
             progress(outcome)
     except KeyboardInterrupt:
         interrupted = True
+    ends = [time.perf_counter()]
     finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
     config_hash = _config_hash(tasks)
     run_id = _run_id(finished, config_hash)
+    heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id)
-    n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
-    alarms: list[Mapping[str, Any]] = []
+    with interrupts_held() as came:
+        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    interrupted = interrupted or bool(came)
+    ends.append(time.perf_counter())
+    heartbeat.say(stage="trends")
+    failures: Mapping[str, Loss] = {}
+    alarms: Sequence[Mapping[str, Any]] = ()
     if not interrupted:
-        finished, alarms = _publish_trends(request, publisher, finished)
-    seconds = time.perf_counter() - begin
+        try:
+            failures, alarms, interrupted = _publish_trends(request, publisher, finished)
+        except KeyboardInterrupt:
+            interrupted = True
+    finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
+    ends.append(time.perf_counter())
+    stages = zip(STAGES, [begin, *ends], ends, strict=False)
     result = RunResult(
-        run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
+        run_id,
+        tuple(finished),
+        n_nights,
+        interrupted,
+        seconds=ends[-1] - begin,
+        alarms=tuple(alarms),
+        seconds_by_stage={name: end - start for name, start, end in stages},
     )
-    _publish_run(publisher, request, result, started, config_hash)
+    heartbeat.say(stage="recording")
+    with interrupts_held() as came:
+        _publish_run(publisher, request, result, started, config_hash)
+    interrupted = interrupted or bool(came)
+    heartbeat.finished(run_id, good=not interrupted)
     for fault in notify(fleet.settings.alarms, fleet.name, alarms):
         log.warning("%s", fault)
-    return result
+    return replace(result, interrupted=interrupted)
 
 
-def _lost(task: MotorTask, how: str) -> MotorOutcome:
-    return lost(task, "worker_died", f"its worker died twice: {how}")
+def _results(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: Callable[[Task, Loss], Result],
+    without: Callable[[Task, Loss], Task | None],
+    execution: Execution,
+) -> Iterator[Result]:
+    """Results of tasks; one that was lost in a known part of its work is done without that part."""
+    rest: list[Task] = []
 
+    def lose(task: Task, loss: Loss) -> Result | None:
+        smaller = without(task, loss)
+        if smaller is None:
+            return lost(task, loss)
+        rest.append(smaller)
+        return None
 
-def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
-    words = f"the worker of its trends died twice: {how}"
-    return TrendOutcome(failures={spec.motor_id: words for spec in task.specs})
+    for result in run_tasks(function, tasks, lose, execution):
+        if result is not None:
+            yield result
+    if rest:
+        yield from _results(function, rest, lost, without, execution)
 
 
 @contextmanager
-def _locked(output: Path) -> Iterator[None]:
+def locked(output: Path) -> Iterator[None]:
     """Hold the output for one run; the lock ends with the process, however that ends."""
+    holder = (
+        f"process {os.getpid()} on {socket.gethostname()} "
+        f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
+    )
     try:
-        output.mkdir(parents=True, exist_ok=True)
+        make_folders(output)
         stream = (output / "lock").open("a+", encoding="utf-8")
     except OSError as error:
         raise StoreError(
@@ -251,30 +375,31 @@ def _locked(output: Path) -> Iterator[None]:
             raise StoreError(
                 "store_write", f"{output} cannot be locked: {error.strerror}; choose a local folder"
             ) from error
-        stream.truncate(0)
-        stream.write(
-            f"process {os.getpid()} since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
-        )
-        stream.flush()
+        # On a full disk nobody can be told who holds the lock; it is held all the same.
+        with suppress(OSError):
+            os.truncate(stream.fileno(), 0)
+            os.write(stream.fileno(), holder.encode())
         yield
 
 
 @contextmanager
-def _staging(output: Path) -> Iterator[Path]:
+def staging_folder(output: Path) -> Iterator[Path]:
     """A folder for this run's staged rows; those of killed runs are removed."""
     root = output / "staging"
-    shutil.rmtree(root, ignore_errors=True)
+    remove_all(root)
+    # A name of its own: a worker of a killed run may still write into the folder of that one.
+    folder = root / secrets.token_hex(8)
     try:
-        root.mkdir(parents=True)
-        folder = Path(tempfile.mkdtemp(dir=root))
+        make_folders(folder)
     except OSError as error:
+        remove_all(root)
         raise StoreError(
             "store_write", f"{root} cannot be written: {error.strerror}; look what is there"
         ) from error
     try:
         yield folder
     finally:
-        shutil.rmtree(root, ignore_errors=True)
+        remove_all(root)
 
 
 def _publish(
@@ -284,22 +409,32 @@ def _publish(
     fresh = [outcome for outcome in outcomes if outcome.nights]
     for outcome in fresh:
         note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
-    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh])
+    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh], forget_night)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
-        write_months(publisher.output, outcome.motor_id, outcome.ledger)
+        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
         if outcome.finished:
             spec = specs[outcome.motor_id]
             write_settings(publisher.output, outcome.motor_id, settings_of(spec))
-    for night, kept in sorted(publisher.lost.items()):
-        forget_night(publisher.output, night, kept)
     return sum(len(outcome.nights) for outcome in fresh)
+
+
+def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
+    """What is to be remembered of a motor, but for nights whose published rows were lost."""
+    months = dict(outcome.ledger)
+    for night, kept in publisher.lost.items():
+        if outcome.motor_id not in kept:
+            months = {month: ledger.without(night) for month, ledger in months.items()}
+    return months
 
 
 def _publish_trends(
     request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
-) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
-    """Make and publish the trends of the run's motors; one whose trends failed has failed."""
+) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
+    """Make and publish the trends of the run's motors.
+
+    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
+    """
     fleet = request.fleet
     decisions = read_decisions(fleet.output)
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
@@ -307,7 +442,7 @@ def _publish_trends(
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
     tonight = last_night(fleet.output, FITS)
     if tonight is None:
-        return list(outcomes), []
+        return {}, [], False
     tasks = trend_tasks(
         fleet.motors,
         fleet.output,
@@ -317,17 +452,20 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
-    made = list(run_tasks(run_trends, tasks, _lost_trends, fleet.execution))
+    made = list(_results(run_trends, tasks, lost_trends, without_lost_motor, fleet.execution))
+    failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
     # All tasks first: a night's q-values are over the slopes of the whole fleet.
-    alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
-    failures = {motor_id: why for one in made for motor_id, why in one.failures.items()}
-    judged = [
-        replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
-        if one.motor_id in failures and one.status != FAILED
-        else one
-        for one in outcomes
-    ]
-    return judged, alarms
+    with interrupts_held() as came:
+        alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+    return failures, alarms, bool(came)
+
+
+def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
+    """A motor's outcome; one whose trends failed has failed."""
+    if loss is None or outcome.status == FAILED:
+        return outcome
+    how = f"trends: {legible(loss.how)}"
+    return replace(outcome, status=FAILED, error_code=loss.code, message=how)
 
 
 def _publish_trend_rows(
@@ -335,14 +473,17 @@ def _publish_trend_rows(
 ) -> list[Mapping[str, Any]]:
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
     fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
-    lost_before = set(publisher.lost)
+    lost: list[Collection[str]] = []
+
+    def forget(output: Path, _: dt.date, keep: Collection[str]) -> None:
+        lost.append(keep)
+        forget_records(output, keep)
+
     finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
-    publisher.nights(TREND_TABLES, fresh, {TRENDS.name: finish})
-    for one in made:
-        for motor_id, record in one.records.items():
+    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
+    for motor_id, record in [item for one in made for item in one.records.items()]:
+        if all(motor_id in keep for keep in lost):
             write_record(publisher.output, motor_id, record)
-    for night in sorted(set(publisher.lost) - lost_before):
-        forget_records(publisher.output, publisher.lost[night])
     new = [row for one in made for row in one.alarms]
     return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
 
@@ -353,7 +494,7 @@ def _config_hash(tasks: Sequence[MotorTask]) -> str:
 
 def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
     inputs = [one for outcome in outcomes for one in (outcome.motor_id, *outcome.inputs)]
-    text = "|".join((version("motor-leakage"), str(SCHEMA_VERSION), config_hash, *inputs))
+    text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
@@ -376,7 +517,7 @@ def _publish_run(
         if result.failed
         else "ok",
         "fleet": fleet.name,
-        "version": version("motor-leakage"),
+        **versions(),
         "schema_version": SCHEMA_VERSION,
         "config_hash": config_hash,
         "seed": min(seeds),
@@ -385,13 +526,13 @@ def _publish_run(
         "n_motors_failed": len(result.failed),
         "n_nights": result.n_nights,
         "seconds": result.seconds,
+        **result.seconds_by_stage,
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
-    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "refit_s", "store_s")
     statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
     return {
         "run_id": run_id,
@@ -402,7 +543,7 @@ def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Ma
         "message": outcome.message,
         "peak_memory_mib": outcome.peak_memory_mib,
         "n_refitted": outcome.n_refitted,
-        **{stage: outcome.seconds.get(stage, 0.0) for stage in stages},
+        **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
         **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
         **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
         "growing": list(outcome.growing),

@@ -20,7 +20,7 @@ from pipeline.channel_rules import ChannelRules
 from pipeline.clean import CleanChannel, clean_channel
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
-from pipeline.night_fit import fit_modes
+from pipeline.night_fit import fit_modes, with_residuals
 from pipeline.night_rows import (
     Rows,
     fit_rows,
@@ -128,6 +128,9 @@ def fit_night(
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
             modes = fit_modes(spec, night.date, statistics)
+        with _timed(seconds, "residuals_s"):
+            modes = with_residuals(spec, statistics, modes)
+        with _timed(seconds, "fit_s"):
             rows |= fit_rows(spec, night.date, statistics, modes, previous)
             rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
     except Insufficient as outcome:
@@ -172,7 +175,7 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
     try:
         yield
     finally:
-        seconds[stage] = time.perf_counter() - begin
+        seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - begin
 
 
 def _clean(

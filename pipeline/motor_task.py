@@ -11,14 +11,16 @@ import logging
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
+import polars as pl
+from polars.exceptions import PanicException
 from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
@@ -32,6 +34,7 @@ from pipeline.ledger import (
 )
 from pipeline.log_shelf import LogShelf
 from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
+from pipeline.messages import speak_as_told
 from pipeline.motor_night import (
     FAILED,
     INSUFFICIENT_DATA,
@@ -45,16 +48,19 @@ from pipeline.motor_night import (
 from pipeline.night_rows import Row
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
-from pipeline.refit import REFITTED_TABLES, StoredNights
-from pipeline.schema import FITS, NIGHT_TABLES
-from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
-from pipeline.store import night_file, stage
+from pipeline.refit import StoredNights, is_refit
+from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
+from pipeline.settings_hashes import SettingsHashes, settings_of, why_anew
+from pipeline.store import night_file, read_rows, stage
+from pipeline.worker_process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
+# A motor of which more nights than this take their worker with them is given up as a whole.
+MOST_GIVEN_UP = 3
 
 
 class Work(Enum):
@@ -91,6 +97,11 @@ class MotorTask:
         Whether to make nights anew from their logs that nothing has changed of.
     retry
         Whether to try nights and logs again that failed.
+    with_starts
+        Whether nights that are, or were, fitted anew without their log get the starts of their
+        search.
+    given_up
+        Nights that this run's workers were lost in, each time.
     """
 
     spec: MotorSpec
@@ -100,6 +111,8 @@ class MotorTask:
     until: dt.date | None = None
     force: bool = False
     retry: bool = False
+    with_starts: bool = False
+    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -179,20 +192,35 @@ def run_motor(task: MotorTask) -> MotorOutcome:
     -------
     MotorOutcome
         Also where the task failed as a whole: with status ``failed`` and no nights.
+
+    Raises
+    ------
+    MemoryError
+        If there is not enough memory for what all its nights need.
     """
+    speak_as_told()
     with threadpool_limits(1):
         try:
             return _Nights(task).run()
         except StoreError as error:
-            return lost(task, error.code, error.message)
-        except Exception as error:  # the edge of a motor's task: it must not take others down
+            return lost(task, Loss(error.code, error.message))
+        except MemoryError:  # a fresh worker may have what it takes
+            raise
+        except (Exception, PanicException) as error:  # the edge of a motor's task
             log.exception("motor %s failed", task.spec.motor_id)
-            return lost(task, "internal", legible(f"{type(error).__name__}: {error}"))
+            return lost(task, loss_of(error))
 
 
-def lost(task: MotorTask, code: str, message: str) -> MotorOutcome:
+def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
     """The outcome of a motor whose task was lost as a whole."""
-    return MotorOutcome(task.spec.motor_id, FAILED, code, message)
+    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
+
+
+def without_lost_night(task: MotorTask, loss: Loss) -> MotorTask | None:
+    """The task that gives up the night in which it was lost; None where that is not to be had."""
+    if not loss.part or len(task.given_up) == MOST_GIVEN_UP:
+        return None
+    return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
 
 
 def _hash_of_model(model: PreviousModel) -> str:
@@ -239,7 +267,7 @@ class _Nights:
         with self._timed("read_s"):
             self.logs = LogShelf(self.spec, self.before.files)
         self.hashes = SettingsHashes(self.spec)
-        self.stored = StoredNights(task.output, self.spec)
+        self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
         self.kept: set[dt.date] = set()
@@ -266,6 +294,7 @@ class _Nights:
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
             self.records[label] = NightRecord(NO_NEW_DATA)
+        sign_of_life("")
         with self._timed("store_s"):
             self._stage()
         return self._outcome()
@@ -288,9 +317,7 @@ class _Nights:
         if self.task.force:
             return dict.fromkeys(present, Step(Work.READ, "asked for"))
         before = read_settings(self.task.output, self.spec.motor_id)
-        changed = changed_settings(before, settings_of(self.spec)) if before else ()
-        why = f"changed setting {', '.join(changed[:4])}" if changed else "changed settings"
-        why += ", …" if len(changed) > 4 else ""
+        why = why_anew(before, settings_of(self.spec))
         for label, record in self.before.nights.items():
             if not record.statistics_hash:
                 continue
@@ -300,6 +327,9 @@ class _Nights:
                     found[label] = Step(Work.READ, why)
             elif record.figures_hash != self.hashes.figures(label):
                 found[label] = Step(Work.REFIT if record.model else Work.READ, why)
+        if self.task.with_starts:
+            for label in self.stored.refitted() & self.before.nights.keys() - found.keys():
+                found[label] = Step(Work.REFIT, "its starts are asked for")
         return found
 
     def _plan(self) -> dict[dt.date, Step]:
@@ -374,6 +404,9 @@ class _Nights:
 
     def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
         """What comes of a night; None where it stays as published, for want of its log."""
+        if given_up := self.task.given_up.get(label):
+            return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
+        sign_of_life(label.isoformat())
         try:
             if work is not Work.READ:
                 make = self.stored.refit if work is Work.REFIT else self.stored.judge
@@ -384,10 +417,10 @@ class _Nights:
             return self._read_and_fit(label, before)
         except StoreError:
             raise
-        except Exception as error:  # a fault of ours in one night must not cost the motor's others
+        except (Exception, PanicException) as error:  # one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
-            reason = legible(f"{type(error).__name__}: {error}")
-            return unfitted(self.spec, label, FAILED, reason, code="internal")
+            loss = loss_of(error)
+            return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
@@ -418,9 +451,30 @@ class _Nights:
         for row in self.logs.rows():
             if row["night"] in by_table["input_files"]:
                 by_table["input_files"][row["night"]].append(row)
+        by_table["input_files"] |= self._places_left(by_table["input_files"])
         for table in NIGHT_TABLES:
             if nights := by_table[table.name]:
                 stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
+
+    def _places_left(self, staged: Mapping[dt.date, Sequence[Row]]) -> dict[dt.date, list[Row]]:
+        """Rows of `input_files` that stay where a file's row was before it had another first night.
+
+        Of nights that are not done: those that are lose the row as they are.
+        """
+        moved: defaultdict[dt.date, set[str]] = defaultdict(set)
+        for label, rows in staged.items():
+            for row in rows:
+                before = self.remembered.files.get(row["path"])
+                left = min(labels_of(before), default=label) if before else label
+                if left not in staged:
+                    moved[left].add(row["path"])
+        return {
+            label: read_rows(self.task.output, INPUT_FILES, [self.spec.motor_id], nights=[label])
+            .drop("run_id")
+            .filter(~pl.col("path").is_in(list(names)))
+            .to_dicts()
+            for label, names in sorted(moved.items())
+        }
 
     def _why_nothing(self, status: str) -> str | None:
         """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
@@ -465,7 +519,7 @@ class _Nights:
             counts=counts,
             nights=tuple(sorted(self.done)),
             reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
-            n_refitted=sum(one.tables == REFITTED_TABLES for one in self.done.values()),
+            n_refitted=sum(is_refit(one) for one in self.done.values()),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),

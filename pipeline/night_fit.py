@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,25 +43,18 @@ class FittedMode(BlockFit):
         Effects of the stated tolerances on θ, the reference leakage and the own leakage; empty
         where none is stated, or one leads where the model does not hold.
     residuals
-        Residual analyses of training and validation samples.
+        Residual analyses of training and validation samples; empty until :func:`with_residuals`.
     """
 
     error: Array
     budget: ErrorBudget
-    residuals: tuple[PartResiduals, ...]
+    residuals: tuple[PartResiduals, ...] = ()
 
     @classmethod
-    def of(
-        cls,
-        found: BlockFit,
-        *,
-        error: Array,
-        budget: ErrorBudget,
-        residuals: tuple[PartResiduals, ...],
-    ) -> FittedMode:
+    def of(cls, found: BlockFit, *, error: Array, budget: ErrorBudget) -> FittedMode:
         """A fit from blocks with what samples add to it."""
         shared = {field.name: getattr(found, field.name) for field in fields(found)}
-        return cls(**shared, error=error, budget=budget, residuals=residuals)
+        return cls(**shared, error=error, budget=budget)
 
 
 def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
@@ -113,12 +106,25 @@ def _fit_mode(
         found,
         error=_error(statistics, rows, found.fit),
         budget=_budget(spec, statistics, found.fit, rows, night, at),
-        residuals=night_residuals(
-            statistics,
-            found.fit.coefficients,
-            found.excitation.correlation_time_s,
-            spec.settings.smoothing,
-        ),
+    )
+
+
+def with_residuals(
+    spec: MotorSpec, statistics: NightStatistics, modes: tuple[FittedMode, ...]
+) -> tuple[FittedMode, ...]:
+    """Fits with the analyses of what they leave unexplained."""
+    smoothing = spec.settings.smoothing
+    return tuple(
+        replace(
+            mode,
+            residuals=night_residuals(
+                statistics,
+                mode.fit.coefficients,
+                mode.excitation.correlation_time_s,
+                smoothing,
+            ),
+        )
+        for mode in modes
     )
 
 

@@ -227,9 +227,7 @@ def _mode_columns(
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
-        "n_starts": len(mode.fit.starts),
-        "n_starts_at_minimum": len(mode.fit.starts_at_minimum),
-        "certificate_gap": mode.fit.certificate_gap,
+        **search_columns(mode.fit),
         "correlation_time_s": mode.excitation.correlation_time_s,
         "n_effective": effective_sample_count(len(mode.error), phi),
         "lag_one_autocorrelation": phi,
@@ -238,6 +236,15 @@ def _mode_columns(
         **block_fit_columns(mode),
         **residual_columns(mode.residuals),
         **leakage_columns(mode),
+    }
+
+
+def search_columns(fit: Fit) -> Row:
+    """How the search from several starts went."""
+    return {
+        "n_starts": len(fit.starts),
+        "n_starts_at_minimum": len(fit.starts_at_minimum),
+        "certificate_gap": fit.certificate_gap,
     }
 
 

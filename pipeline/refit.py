@@ -7,11 +7,12 @@ what the samples would give. What needs samples keeps its rows, and `fits` marks
 from __future__ import annotations
 
 import datetime as dt
-from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import polars as pl
 from numpy.typing import NDArray
 
 from leakage import EstimationError, Fit, OperatingConditions
@@ -32,18 +33,27 @@ from pipeline.night_rows import (
     leakage_columns,
     mark_modes,
     previous_model_columns,
+    search_columns,
+    start_rows,
 )
 from pipeline.parameter_rows import parameter_rows
 from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, Table
 from pipeline.store import read_rows
+from pipeline.stored_blocks import (
+    BLOCK_COLUMNS,
+    block_length_s,
+    have_columns,
+    span,
+    training_of,
+    triangular_factors,
+)
 from pipeline.windows import TRAINING
 
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
+STARTS_TABLES = ("starts",)
 JUDGED_TABLES = ("fits",)
-READ_TABLES = (FITS, PARAMETERS, BLOCK_STATISTICS)
-NOT_READ = {"run_id", "pressure_histogram", "temperature_histogram", "speed_histogram"}
 # Columns of `parameters` that need samples, or the starts.
 KEPT_OF_PARAMETERS = ("systematic", "spread_over_starts")
 KEPT_OF_FITS = ("reference_leakage_systematic", "own_conditions_leakage_systematic")
@@ -58,13 +68,17 @@ class StoredNights:
         Output folder.
     spec
         The motor, with the settings that hold now.
+    with_starts
+        Whether to search from all starts, too; no estimate depends on it.
     """
 
-    def __init__(self, output: Path, spec: MotorSpec) -> None:
+    def __init__(self, output: Path, spec: MotorSpec, *, with_starts: bool = False) -> None:
         self._output = output
         self._spec = spec
+        self._with_starts = with_starts
+        self._tables = REFITTED_TABLES + STARTS_TABLES * with_starts
         self._month = ""
-        self._nights: dict[str, dict[dt.date, list[Row]]] = {}
+        self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
 
     def refit(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
         """Fit a night anew.
@@ -83,18 +97,19 @@ class StoredNights:
         """
         spec = self._spec
         fits = {row["flushing_mode"]: row for row in self._rows(FITS, label)}
-        blocks = self._rows(BLOCK_STATISTICS, label)
-        if set(fits) != set(spec.file.flushing.modes) or not blocks:
+        stored = self._of_night(BLOCK_STATISTICS, label)
+        if set(fits) != set(spec.file.flushing.modes) or stored is None:
             return None
         if any(row["status"] != OK or row["sample_period_s"] is None for row in fits.values()):
             return None
-        columns = {tuple(block["columns"]) for block in blocks}
-        if columns != {spec.motor(label, spec.file.flushing.mode).columns}:
+        columns = spec.motor(label, spec.file.flushing.mode).columns
+        if not have_columns(stored, columns):
             return None
+        blocks = _Blocks.of(stored, len(columns))
         parameters: dict[str, list[Row]] = {mode: [] for mode in fits}
         for row in self._rows(PARAMETERS, label):
             parameters[row["flushing_mode"]].append(row)
-        rows: Rows = {name: [] for name in REFITTED_TABLES}
+        rows: Rows = {name: [] for name in self._tables}
         model = {}
         try:
             for mode in spec.file.flushing.modes:
@@ -102,11 +117,23 @@ class StoredNights:
                 before = previous.get(mode)
                 rows["fits"].append(self._fits_row(fits[mode], found, blocks, before))
                 rows["parameters"] += _parameters(spec, found, label, parameters[mode])
+                if self._with_starts:
+                    key = {"motor_id": spec.motor_id, "night": label, "flushing_mode": mode}
+                    rows["starts"] += [key | row for row in start_rows(found.fit)]
                 model[mode] = tuple(found.fit.coefficients.tolist())
         except EstimationError:
             return None
         mark_modes(rows["fits"], spec.file.flushing.mode)
-        return NightOutcome(label, OK, None, None, rows, model, tables=REFITTED_TABLES)
+        return NightOutcome(label, OK, None, None, rows, model, tables=self._tables)
+
+    def refitted(self) -> set[dt.date]:
+        """Nights whose fits were made from their statistics."""
+        try:
+            columns = ("night", "is_refitted")
+            rows = read_rows(self._output, FITS, [self._spec.motor_id], columns)
+        except StoreError:
+            return set()
+        return set(rows.filter("is_refitted")["night"])
 
     def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
         """Judge another model before on a night that is fitted; as :meth:`refit`."""
@@ -124,24 +151,29 @@ class StoredNights:
 
     def _rows(self, table: Table, label: dt.date) -> list[Row]:
         """Rows of the motor in a night; none where its month's files are absent or damaged."""
+        rows = self._of_night(table, label)
+        return [] if rows is None else rows.to_dicts()
+
+    def _of_night(self, table: Table, label: dt.date) -> pl.DataFrame | None:
         month = f"{label:%Y-%m}"
         if month != self._month:
-            self._nights = {one.name: self._read(one, month) for one in READ_TABLES}
-            self._month = month
-        return self._nights[table.name].get(label, [])
+            self._nights, self._month = {}, month
+        if table.name not in self._nights:
+            self._nights[table.name] = self._read(table, month)
+        return self._nights[table.name].get(label)
 
-    def _read(self, table: Table, month: str) -> dict[dt.date, list[Row]]:
-        columns = [name for name in table.schema if name not in NOT_READ]
+    def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
+        columns = BLOCK_COLUMNS
+        if table is not BLOCK_STATISTICS:
+            columns = tuple(name for name in table.schema if name != "run_id")
         try:
             rows = read_rows(self._output, table, [self._spec.motor_id], columns, month)
         except StoreError:
             return {}
-        nights: defaultdict[dt.date, list[Row]] = defaultdict(list)
-        for row in rows.sort(table.key).to_dicts():
-            nights[row["night"]].append(row)
-        return nights
+        nights = rows.sort(table.key).partition_by("night", as_dict=True, maintain_order=True)
+        return {key[0]: part for key, part in nights.items()}
 
-    def _fit(self, label: dt.date, mode: str, row: Row, blocks: Sequence[Row]) -> FittedMode:
+    def _fit(self, label: dt.date, mode: str, row: Row, blocks: _Blocks) -> FittedMode:
         reference = self._spec.settings.reference
         charge = row["mean_charge_over_case_bar"]
 
@@ -152,7 +184,7 @@ class StoredNights:
             self._spec,
             label,
             mode,
-            _factors(blocks, TRAINING),
+            blocks.training,
             excite,
             (
                 OperatingConditions.from_bar(
@@ -163,15 +195,15 @@ class StoredNights:
                 ),
             ),
             row["weight_inflation"],
-            search=False,
+            search=self._with_starts,
         )
-        return FittedMode.of(found, error=np.empty(0), budget=ErrorBudget(()), residuals=())
+        return FittedMode.of(found, error=np.empty(0), budget=ErrorBudget(()))
 
     def _fits_row(
         self,
         before: Row,
         found: FittedMode,
-        blocks: Sequence[Row],
+        blocks: _Blocks,
         previous: tuple[float, ...] | None,
     ) -> Row:
         reference, estimation = self._spec.settings.reference, self._spec.settings.estimation
@@ -187,11 +219,13 @@ class StoredNights:
             "reference_temperature_c": reference.temperature_c,
             "reference_speed_rpm": reference.speed_rpm,
         }
+        if self._with_starts:
+            row |= search_columns(found.fit)
         # Blocks under a robust loss are weighted: they cannot tell how the samples agree.
         if estimation.loss == "squared":
 
             def judged_on(part: str) -> Array:
-                return merge(_factors(blocks, part))
+                return merge(blocks.of_part(part))
 
             row |= agreement_columns(self._spec, judged_on, found)
         factor = _factor(before["night_factor"], len(before["columns"]))
@@ -199,11 +233,29 @@ class StoredNights:
         return row | criteria_columns(row)
 
 
-def _factors(blocks: Sequence[Row], part: str) -> Array:
-    """Factors of the blocks of a part in time order; shape (b, c, c)."""
-    size = len(blocks[0]["columns"])
-    chosen = [_factor(block["statistics"], size) for block in blocks if block["part"] == part]
-    return np.array(chosen).reshape(-1, size, size)
+@dataclass(frozen=True, slots=True)
+class _Blocks:
+    """The blocks of a night: rows, and their triangular factors of shape (b, c, c)."""
+
+    rows: pl.DataFrame
+    factors: Array
+
+    @classmethod
+    def of(cls, rows: pl.DataFrame, size: int) -> _Blocks:
+        return cls(rows, triangular_factors(rows, size))
+
+    def of_part(self, part: str) -> Array:
+        chosen: Array = self.factors[(self.rows["part"] == part).to_numpy()]
+        return chosen
+
+    @property
+    def training(self) -> Array:
+        return self.of_part(TRAINING)
+
+
+def is_refit(outcome: NightOutcome) -> bool:
+    """Whether a night was fitted from its statistics, and not only judged."""
+    return outcome.tables is not None and set(REFITTED_TABLES) <= set(outcome.tables)
 
 
 def _factor(upper: Sequence[float], size: int) -> Array:
@@ -213,25 +265,16 @@ def _factor(upper: Sequence[float], size: int) -> Array:
     return factor
 
 
-def _excitation(row: Row, blocks: Sequence[Row]) -> Excitation:
+def _excitation(row: Row, blocks: _Blocks) -> Excitation:
     """What the training samples saw, from their blocks."""
-    training = [block for block in blocks if block["part"] == TRAINING]
-
-    def limits(name: str) -> tuple[float, float]:
-        return (
-            min(block[f"minimum_{name}"] for block in training),
-            max(block[f"maximum_{name}"] for block in training),
-        )
-
-    memory = row["correlation_time_s"]
-    lengths = [(block["block_end"] - block["block_start"]).total_seconds() for block in training]
+    training, memory = training_of(blocks.rows), row["correlation_time_s"]
     return Excitation(
         minutes=row["n_training"] * row["sample_period_s"] / 60.0,
-        pressure_bar=limits("pressure_bar"),
-        temperature_c=limits("temperature_c"),
-        speed_rpm=limits("speed_rpm"),
+        pressure_bar=span(training, "pressure_bar"),
+        temperature_c=span(training, "temperature_c"),
+        speed_rpm=span(training, "speed_rpm"),
         correlation_time_s=np.inf if memory is None else memory,
-        block_s=float(np.median(lengths)),
+        block_s=block_length_s(training),
     )
 
 

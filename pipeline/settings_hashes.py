@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pipeline.config import MotorSpec
-from pipeline.night_statistics import hash_of, model_hash
+from pipeline.night_statistics import STATISTICS_VERSION, hash_of, model_hash
 from pipeline.nights import night as night_labelled
 from pipeline.windows import HandSet
 
@@ -24,6 +24,12 @@ FIGURES_VERSION = 1
 READING_VERSION = 2
 
 WORDS = {"source", "note"}
+# Of changed settings, so many are named.
+SETTINGS_NAMED = 4
+# Sections that shape trends and alarms alone: no night is made anew for them.
+OF_TRENDS = ("trend.", "alarms.")
+# Settings that shape no figure: how people are told.
+UNSHAPING = {"alarms": {"command", "webhook_url"}}
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
 
 
@@ -35,13 +41,43 @@ def settings_of(spec: MotorSpec) -> dict[str, str]:
     >>> changed_settings({"reference.speed_rpm": "30.0"}, {"reference.speed_rpm": "31.0"})
     ('reference.speed_rpm',)
     """
-    return dict(_flat("", _document(spec)))
+    versions = {"reading": READING_VERSION, "statistics": STATISTICS_VERSION}
+    versions |= {"figures": FIGURES_VERSION}
+    return dict(_flat("", _document(spec) | {"versions": versions}))
 
 
 def changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
     """Dotted keys of the settings that differ, sorted."""
     keys = before.keys() | now.keys()
     return tuple(sorted(key for key in keys if before.get(key) != now.get(key)))
+
+
+def why_anew(before: Mapping[str, str], now: Mapping[str, str], *, trends: bool = False) -> str:
+    """Why nights, or trends, are to be made anew, in words: the settings that changed.
+
+    Examples
+    --------
+    >>> why_anew({"versions.figures": "1"}, {"versions.figures": "2", "trend.x": "3"})
+    'another version of the program (figures 1 to 2)'
+    >>> why_anew({"trend.x": "2"}, {"trend.x": "3"}, trends=True)
+    'changed setting trend.x'
+    """
+    if not before:
+        return "changed settings"
+    changed = [
+        key for key in changed_settings(before, now) if trends or not key.startswith(OF_TRENDS)
+    ]
+    versions = [key for key in changed if key.startswith("versions.")]
+    settings = [key for key in changed if key not in versions]
+    steps = [
+        f"{key.removeprefix('versions.')} {before.get(key, '?')} to {now.get(key, '?')}"
+        for key in versions
+    ]
+    parts = [f"another version of the program ({', '.join(steps)})"] if steps else []
+    if settings:
+        more = ", …" if len(settings) > SETTINGS_NAMED else ""
+        parts.append(f"changed setting {', '.join(settings[:SETTINGS_NAMED])}{more}")
+    return "; ".join(parts) or "changed settings"
 
 
 def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:
@@ -73,7 +109,7 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
         ),
         "type": spec.motor_type.model_dump(mode="json"),
         "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
-        "settings": spec.settings.model_dump(mode="json"),
+        "settings": spec.settings.model_dump(mode="json", exclude=UNSHAPING),
     }
 
 

@@ -11,6 +11,7 @@ import polars as pl
 
 from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import UsageError
+from pipeline.heartbeat import Beat, read_heartbeat
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
 from pipeline.store import read_rows, read_table, table_folder
 
@@ -66,12 +67,15 @@ class FleetStatus:
         When the last run ended that went through all motors; None where none did.
     findings_confirmed, findings
         Alarms whose inspection found wear, and all that were inspected.
+    beat
+        What the run that is under way, or the last one, says of itself; None before the first.
     """
 
     motors: tuple[MotorState, ...]
     last_good_run: dt.datetime | None
     findings_confirmed: int
     findings: int
+    beat: Beat | None = None
 
 
 def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
@@ -100,6 +104,7 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
         last_good_run(output),
         findings.count("confirmed"),
         len(findings),
+        read_heartbeat(output),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 import json
 from dataclasses import asdict
 
@@ -9,6 +10,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
+from pipeline.heartbeat import FINISHED, RUNNING
 from pipeline.status import FleetStatus, MotorState
 
 # Words beside colours: a state is never told by colour alone.
@@ -39,6 +41,7 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
             "too_old": too_old,
             "findings": found.findings,
             "findings_confirmed": found.findings_confirmed,
+            "run": None if found.beat is None else asdict(found.beat),
         }
         typer.echo(json.dumps(fleet, default=str))
         return
@@ -53,12 +56,31 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
             typer.echo("; ".join(_cells(motor)))
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     typer.echo(f"last good run: {ended}{', which is too old' if too_old else ''}")
+    if (line := _run_line(found)) is not None:
+        typer.echo(line)
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
         typer.echo(
             f"inspections that confirmed an alarm: {found.findings_confirmed} of "
             f"{found.findings} ({share:.0f} %)"
         )
+
+
+def _run_line(found: FleetStatus) -> str | None:
+    """What there is to say of a run that is under way, or did not come to its end."""
+    beat = found.beat
+    if beat is None or beat.state == FINISHED:
+        return None
+    done = f"{beat.n_motors_done} of {beat.n_motors} motors done"
+    since = f"{beat.started_at:%Y-%m-%d %H:%M} UTC"
+    if beat.state != RUNNING:
+        return f"the run of {since} {beat.state} ({beat.error_code or beat.stage}), {done}"
+    if beat.is_missing(dt.datetime.now(dt.UTC)):
+        return (
+            f"the run of {since} (process {beat.pid} on {beat.host}) died or hangs: its last sign "
+            f"of life is of {beat.beaten_at:%Y-%m-%d %H:%M} UTC, in the stage {beat.stage}, {done}"
+        )
+    return f"a run is under way since {since} (process {beat.pid}): {beat.stage}, {done}"
 
 
 def _cells(motor: MotorState) -> tuple[str, ...]:

@@ -1,31 +1,63 @@
-"""Independent tasks over worker processes: a task that kills its worker costs itself alone."""
+"""Independent tasks over worker processes: what a task does to its worker costs itself alone.
+
+A worker has one task at a time and a connection of its own, so it is known which task it was that a
+worker died of, hung in, or wanted too much memory for. A lost task is tried once more when all
+others are done, with nothing beside it.
+"""
 
 from __future__ import annotations
 
 import logging
 import os
-import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+import re
+import signal
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait
+from pathlib import PurePath
+from typing import Generic, TypeVar
 
-from joblib import Parallel, delayed, parallel_config
-from joblib.externals.loky.process_executor import TerminatedWorkerError
+from joblib.externals.loky.backend import get_context
 
 from pipeline.config import Execution
+from pipeline.worker_process import Done, Loss, SignOfLife, attempt, serve
 
 log = logging.getLogger(__name__)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
-# Tasks handed out ahead, for each worker; of these one can have killed its worker.
-SUSPECTS_A_WORKER = 2
+# Read by the libraries as a worker loads them. With all threads each, workers would fight for the
+# cores; Arrow's own allocator reserves a gibibyte at once, which would count as used.
+ENVIRONMENT: Mapping[str, str] = {
+    "POLARS_MAX_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+}
+# A worker takes a task up within this time, [s], loading of the program included.
+START_S = 120.0
+# A worker that is told to die is killed if it has not done so by then, [s].
+GRACE_S = 5.0
+# Of what a worker writes to stderr, the end may tell what it died of, [bytes].
+LAST_WORDS = 1 << 16
+# What allocators in C, C++ and Rust say before they abort.
+NO_MEMORY = re.compile(
+    r"^.*(memory allocation|bad_alloc|out of memory|cannot allocate|MemoryError).*$",
+    re.IGNORECASE | re.MULTILINE,
+)
+# A line of `faulthandler`; the first is the innermost.
+FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
 
 
 def run_tasks(
     function: Callable[[Task], Result],
     tasks: Sequence[Task],
-    lost: Callable[[Task, str], Result],
+    lost: Callable[[Task, Loss], Result],
     execution: Execution,
 ) -> Iterator[Result]:
     """Results as the tasks finish, in any order.
@@ -37,49 +69,172 @@ def run_tasks(
     tasks
         Plain data, small enough to send.
     lost
-        The result of a task whose worker died twice, and how it died.
+        The result of a task that was lost.
     execution
-        How many workers; with one the tasks are done here.
+        How many workers, and their limits. With backend ``sequential`` the tasks are done here and
+        once; one that hangs or dies takes the run with it.
     """
-    if execution.backend == "sequential" or execution.workers == 1 or len(tasks) < 2:
-        yield from map(function, tasks)
-        return
-    # Workers read this when they start: with all threads each they would fight for the cores.
-    os.environ.setdefault("POLARS_MAX_THREADS", "1")
-    waiting = dict(enumerate(tasks))
-    while waiting:
-        try:
-            for number, result in _parallel(function, waiting.items(), execution.workers):
-                del waiting[number]
-                yield result
-        except TerminatedWorkerError:
-            # Tasks start in order: whichever killed its worker is among the first that wait.
-            suspects = list(waiting)[: SUSPECTS_A_WORKER * execution.workers]
-            log.warning("a worker died; %d tasks are tried again, each alone", len(suspects))
-            for number in suspects:
-                yield _alone(function, waiting.pop(number), lost)
+    is_here = execution.backend == "sequential"
+    tried = _here(function, tasks) if is_here else _tried_twice(function, tasks, execution)
+    for task, outcome in tried:
+        yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
 
 
-def _parallel(
-    function: Callable[[Task], Result], tasks: Iterable[tuple[int, Task]], workers: int
-) -> Iterator[tuple[int, Result]]:
-    with parallel_config(backend="loky", inner_max_num_threads=1), warnings.catch_warnings():
-        # An interrupted run cancels what is under way, and says so itself.
-        warnings.filterwarnings("ignore", ".*still being processed by the workers", UserWarning)
-        pool = Parallel(n_jobs=workers, return_as="generator_unordered", batch_size=1)
-        yield from pool(delayed(_numbered)(function, number, task) for number, task in list(tasks))
+def _here(
+    function: Callable[[Task], Result], tasks: Sequence[Task]
+) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+    for task in tasks:
+        yield task, attempt(function, task)
 
 
-def _numbered(function: Callable[[Task], Result], number: int, task: Task) -> tuple[int, Result]:
-    return number, function(task)
+def _tried_twice(
+    function: Callable[[Task], Result], tasks: Sequence[Task], execution: Execution
+) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+    again: list[Task] = []
+    for task, outcome in _over_workers(function, tasks, execution.workers, execution):
+        if isinstance(outcome, Done):
+            yield task, outcome
+        else:
+            log.warning("a task is lost and will be tried again, alone: %s", outcome.how)
+            again.append(task)
+    yield from _over_workers(function, again, 1, execution)
 
 
-def _alone(
-    function: Callable[[Task], Result], task: Task, lost: Callable[[Task, str], Result]
-) -> Result:
-    """A task in a worker of its own, so that its death costs nobody else."""
+def _over_workers(
+    function: Callable[[Task], Result], tasks: Sequence[Task], n_workers: int, execution: Execution
+) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+    """Each task with what came of it, as they finish."""
+    waiting = deque(tasks)
+    with _crew(function, min(n_workers, len(tasks)), execution) as crew:
+        for worker in crew:
+            worker.begin(waiting.popleft())
+        at_work = list(crew)
+        while at_work:
+            _wait_for_news(at_work)
+            for worker in tuple(at_work):
+                outcome = worker.outcome()
+                if outcome is None:
+                    continue
+                yield worker.task, outcome
+                if waiting:
+                    worker.begin(waiting.popleft())
+                else:
+                    at_work.remove(worker)
+
+
+@contextmanager
+def _crew(
+    function: Callable[[Task], Result], n_workers: int, execution: Execution
+) -> Iterator[list[_Worker[Task, Result]]]:
+    crew: list[_Worker[Task, Result]] = []
     try:
-        # Two workers, one task: a single one would run it in this very process.
-        return next(result for _, result in _parallel(function, [(0, task)], 2))
-    except TerminatedWorkerError as error:
-        return lost(task, error.args[0].splitlines()[0])
+        crew += (_Worker(function, execution) for _ in range(n_workers))
+        yield crew
+    finally:
+        # A task under way is dropped; it has published nothing.
+        for worker in crew:
+            worker.kill()
+
+
+def _wait_for_news(at_work: Sequence[_Worker[Task, Result]]) -> None:
+    """Wait until a worker says something, dies, or has used up its time."""
+    due = min(worker.due for worker in at_work)
+    ends = [end for worker in at_work for end in (worker.connection, worker.stderr)]
+    wait(ends, max(0.0, due - time.monotonic()))
+
+
+class _Worker(Generic[Task, Result]):
+    """A process that does one task at a time; if it dies of one, another does the next."""
+
+    task: Task
+
+    def __init__(self, function: Callable[[Task], Result], execution: Execution) -> None:
+        self.function = function
+        self.execution = execution
+        self._start()
+
+    def _start(self) -> None:
+        context = get_context("loky")
+        self.connection, theirs = context.Pipe()
+        self.stderr, their_stderr = context.Pipe(duplex=False)
+        os.set_blocking(self.stderr.fileno(), False)
+        limit = self.execution.memory_limit_mib
+        # A daemon is ended when the run ends, however that comes.
+        self.process = context.Process(
+            target=serve,
+            args=(self.function, theirs, their_stderr, limit),
+            env=ENVIRONMENT,
+            daemon=True,
+        )
+        self.process.start()
+        # Once it is the only one to hold them, they close with it.
+        theirs.close()
+        their_stderr.close()
+
+    def begin(self, task: Task) -> None:
+        """Give it a task."""
+        if self.process.exitcode is not None:
+            self._start()
+        self.task, self.part, self.last_words, self.is_late = task, "", b"", False
+        self.due = time.monotonic() + START_S
+        with suppress(ConnectionError):  # dead already: heard of in a moment
+            self.connection.send(task)
+
+    def outcome(self) -> Done[Result] | Loss | None:
+        """What came of its task; None while it is at work."""
+        self._pass_on_stderr()
+        if not self.connection.poll():
+            if time.monotonic() < self.due:
+                return None
+            self.is_late = True
+            os.kill(self.process.pid, signal.SIGALRM)
+            return self._loss()
+        try:
+            message: SignOfLife | Done[Result] | Loss = self.connection.recv()
+        except (EOFError, OSError):
+            return self._loss()
+        if isinstance(message, SignOfLife):
+            self.part = message.part
+            self.due = time.monotonic() + self.execution.timeout_s
+            return None
+        return message
+
+    def _loss(self) -> Loss:
+        """What the worker has died of."""
+        self.process.join(GRACE_S)
+        self.kill()
+        self._pass_on_stderr()
+        words = self.last_words.decode("utf-8", "replace")
+        no_memory = NO_MEMORY.search(words)
+        how = f"its worker process ended with {_died(self.process.exitcode)}"
+        how += f": {no_memory.group().strip()}" if no_memory else ""
+        if self.is_late:
+            how = f"not done within {self.execution.timeout_s:g} s"
+        how += f", at {self.part}" if self.part else ""
+        if frame := FRAME.search(words):
+            file, line, function = frame.groups()
+            how += f", in {function} ({PurePath(file).name}, line {line})"
+        code = "task_timeout" if self.is_late else "task_memory" if no_memory else "worker_died"
+        return Loss(code, how, self.part)
+
+    def _pass_on_stderr(self) -> None:
+        with suppress(BlockingIOError):
+            while text := os.read(self.stderr.fileno(), LAST_WORDS):
+                self.last_words = (self.last_words + text)[-LAST_WORDS:]
+                sys.stderr.write(text.decode("utf-8", "replace"))
+        sys.stderr.flush()
+
+    def kill(self) -> None:
+        """End the process, whatever it does, and wait for its end."""
+        if self.process.exitcode is None:
+            os.kill(self.process.pid, signal.SIGKILL)
+            self.process.join()
+
+
+def _died(exit_code: int) -> str:
+    """How a process has ended, in words."""
+    if exit_code >= 0:
+        return f"exit code {exit_code}"
+    name = signal.Signals(-exit_code).name
+    hint = ", as the system does for want of memory" if name == "SIGKILL" else ""
+    return f"{name}{hint}"

@@ -16,7 +16,7 @@ from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leak
 from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
-from pipeline.config.settings import Execution, FleetFile, Folders, Settings
+from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
 
 Model = TypeVar("Model", bound=BaseModel)
 Document = Mapping[str, Any]
@@ -80,6 +80,7 @@ class Fleet:
     motor_types: Mapping[str, MotorTypeFile]
     oils: Mapping[str, OilFile]
     settings: Settings
+    retention: Retention
 
 
 def load_fleet(path: Path) -> Fleet:
@@ -128,6 +129,7 @@ def load_fleet(path: Path) -> Fleet:
         name=fleet.name,
         motors=tuple(specs),
         execution=fleet.execution,
+        retention=fleet.retention,
         log_root=log_root,
         output=output.resolve(),
         motor_types=types.parsed,

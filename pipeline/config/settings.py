@@ -390,8 +390,41 @@ class Execution(Section):
 
     workers: int = Field(2, ge=1, le=256, description="Motors fitted at the same time")
     backend: Literal["loky", "sequential"] = Field(
-        "loky", description="`loky`: worker processes; `sequential`: one after the other, here"
+        "loky",
+        description="`loky`: worker processes, one with `workers` = 1 too; `sequential`: one after "
+        "the other in the run's own process, without limits: a motor that hangs or dies takes the "
+        "run with it",
     )
+    timeout_s: float = Field(
+        1800.0,
+        gt=0.0,
+        le=604_800.0,
+        allow_inf_nan=False,
+        description="Longest time for one night of a motor, or for the trends of a group of "
+        "motors; then the worker is ended [s]",
+    )
+    memory_limit_mib: int = Field(
+        4096,
+        ge=512,
+        le=1_048_576,
+        description="Most memory that a worker may ask for, 400 of it for the program itself "
+        "(RLIMIT_DATA; enforced on Linux) [MiB]",
+    )
+    minimum_free_mib: float = Field(
+        100.0,
+        ge=0,
+        description="Disk space that a run leaves free beyond its own tables, or else does not "
+        "begin [MiB]; 0: not looked at",
+    )
+
+
+class Retention(Section):
+    """Newest nights whose rows `prune` keeps, by table; without a number all are kept."""
+
+    predictions: int | None = Field(None, ge=1, description="Nights kept of `predictions`")
+    starts: int | None = Field(None, ge=1, description="Nights kept of `starts`")
+    residual_tests: int | None = Field(None, ge=1, description="Nights kept of `residual_tests`")
+    sensitivities: int | None = Field(None, ge=1, description="Nights kept of `sensitivities`")
 
 
 class Settings(Section):
@@ -426,3 +459,4 @@ class FleetFile(Settings):
     name: str = Field(min_length=1, description="The fleet's name, as reports show it")
     folders: Folders = Field(default_factory=lambda: Folders())
     execution: Execution = Field(default_factory=lambda: Execution())
+    retention: Retention = Field(default_factory=lambda: Retention())

@@ -170,8 +170,9 @@ def _inflated(path: Path, file: BinaryIO, packing: str, piece: int) -> Iterator[
     # Not the zstandard package's reader: it takes a cut file for a whole one.
     try:
         with pa.CompressedInputStream(pa.PythonFile(file, "r"), packing) as stream:
-            while data := stream.read(piece):
-                yield data
+            # Not `read`: in PyArrow 26 a stream that fails keeps what that has set aside for good.
+            while (data := stream.read_buffer(piece)).size:
+                yield data.to_pybytes()
     except (OSError, pa.ArrowException) as error:
         reason = " ".join(str(error).split())
         if "runcated" in reason or "end of" in reason:

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
-import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import polars as pl
-from joblib import Parallel, delayed, parallel_config
 
+from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
+from pipeline.landing import remove_leftovers
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
@@ -34,7 +34,9 @@ from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
 from pipeline.report.tables import SHOWN_TABLES, History, night_paths, read_history, read_night
 from pipeline.report.trends import standings
 from pipeline.schema import FITS, SCHEMA_VERSION
-from pipeline.store import remove_leftovers, table_folder
+from pipeline.store import table_folder
+from pipeline.worker_process import Loss
+from pipeline.workers import run_tasks
 
 INDEX = "index.html"
 CHART_LIBRARY = "assets/plotly.min.js"
@@ -83,8 +85,8 @@ class ReportRequest:
         Ids of the motors to show; empty for all.
     nights
         Newest nights that get a file of their own; None for all.
-    workers
-        Nights made at the same time.
+    execution
+        How many nights are made at the same time, and within which limits.
     """
 
     output: Path
@@ -93,7 +95,7 @@ class ReportRequest:
     known: Mapping[str, KnownMotor] = field(default_factory=dict)
     motors: tuple[str, ...] = ()
     nights: int | None = None
-    workers: int = 1
+    execution: Execution = field(default_factory=lambda: Execution(backend="sequential"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -243,7 +245,10 @@ def _make_nights(
         else:
             tasks.append(NightTask(request.output, request.folder, night, names, kept))
     faults = []
-    for night, entries, found in _made(tasks, request.workers):
+    execution = (
+        request.execution if len(tasks) >= WORTH_WORKERS else Execution(backend="sequential")
+    )
+    for night, entries, found in run_tasks(make_night, tasks, _lost_night, execution):
         now.files |= entries
         faults += found
         if not found:
@@ -263,14 +268,9 @@ def _table_states(output: Path, nights: Mapping[dt.date, object]) -> dict[dt.dat
     return {night: state.hexdigest()[:16] for night, state in states.items()}
 
 
-def _made(tasks: Sequence[NightTask], workers: int) -> Iterator[tuple[dt.date, Entries, list[str]]]:
-    if workers == 1 or len(tasks) < WORTH_WORKERS:
-        yield from map(make_night, tasks)
-        return
-    os.environ.setdefault("POLARS_MAX_THREADS", "1")
-    with parallel_config(backend="loky", inner_max_num_threads=1):
-        pool = Parallel(n_jobs=workers, return_as="generator_unordered")
-        yield from pool(delayed(make_night)(task) for task in tasks)
+def _lost_night(task: NightTask, loss: Loss) -> tuple[dt.date, Entries, list[str]]:
+    """Its files stay as they were, until the next report makes them."""
+    return task.night, dict(task.before), [f"night {task.night}: {loss.code}: {loss.how}"]
 
 
 def make_night(task: NightTask) -> tuple[dt.date, Entries, list[str]]:

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-# In a string of JSON their escapes mean the same, and end neither a script element nor a line.
 LARGEST = float(np.finfo(np.float32).max)
-HARMFUL = "<>&\u2028\u2029"
+# In a string of JSON their escapes mean the same, and end no script element; what lies beyond
+# ASCII, and could end a line, is escaped by JSON itself.
+HARMFUL = "<>&"
 
 
 def numbers(values: ArrayLike) -> dict[str, str]:
@@ -62,7 +63,7 @@ def script_json(document: Mapping[str, Any]) -> str:
     >>> print(script_json({"motor": "</script>"}))
     {"motor":"\u003c/script\u003e"}
     """
-    text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    text = json.dumps(document, separators=(",", ":"), allow_nan=False)
     for character in HARMFUL:  # one after the other: `translate` takes a hundred times as long
         text = text.replace(character, f"\\u{ord(character):04x}")
     return text

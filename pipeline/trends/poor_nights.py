@@ -25,28 +25,18 @@ from leakage.identifiability import (
 from pipeline.block_fit import BlockFit, fit_blocks
 from pipeline.decisions import Decision
 from pipeline.night_rows import upper_triangle
+from pipeline.stored_blocks import (
+    CHANNELS,
+    block_length_s,
+    have_columns,
+    span,
+    training_of,
+    triangular_factors,
+)
 from pipeline.trends.history import History
 from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
 from pipeline.trends.segments import segments
-from pipeline.windows import TRAINING
 
-BLOCK_COLUMNS = (
-    "motor_id",
-    "night",
-    "block_start",
-    "block_end",
-    "part",
-    "n",
-    "columns",
-    "statistics",
-    "model_hash",
-    *(
-        f"{end}_{name}"
-        for name in ("pressure_bar", "temperature_c", "speed_rpm")
-        for end in ("mean", "minimum", "maximum")
-    ),
-)
-CHANNELS = ("pressure_bar", "temperature_c", "speed_rpm")
 # Reads the blocks of a motor's nights, in order of time.
 ReadBlocks = Callable[[Sequence[dt.date]], pl.DataFrame]
 
@@ -182,13 +172,12 @@ class _Blocks:
 
 def _describe(history: History, records: Records, place: int, blocks: pl.DataFrame) -> None:
     """Minutes and kind of a night that has no fit of its own."""
-    columns = list(history.layout.columns)
     hashes = set(blocks["model_hash"].to_list())
-    if len(hashes) != 1 or blocks["columns"].to_list() != [columns] * len(blocks):
+    if len(hashes) != 1 or not have_columns(blocks, history.layout.columns):
         records["minutes"][place] = 0.0
         return
     period = _period_s(records, place, int(blocks["n"].sum()))
-    training = int(blocks.filter(pl.col("part") == TRAINING)["n"].sum())
+    training = int(training_of(blocks)["n"].sum())
     records["minutes"][place] = training * period / 60.0
     records["kind"][place] = hashes.pop()
 
@@ -207,9 +196,9 @@ def _fit(
 ) -> tuple[Any, NightWords] | str:
     """Record and words of the last night of a group, fitted together; a text where it cannot be."""
     whole = pl.concat([blocks.of(place) for place in group])
-    training = whole.filter(pl.col("part") == TRAINING)
+    training = training_of(whole)
     spec, label = history.spec, history.nights[group[-1]]
-    factors = _factors(training, len(history.layout.columns))
+    factors = triangular_factors(training, len(history.layout.columns))
     own = _own_conditions(training)
     charge = _last_known(records["charge"][: group[-1] + 1])
     reference = spec.settings.reference
@@ -240,7 +229,7 @@ def _fit(
     _fill(record, found, own, charge, minutes)
     record["n_nights"], record["mode"] = len(group), spec.file.flushing.mode
     record["model"] = records["kind"][group[-1]]
-    record["factor"] = upper_triangle(merge(_factors(whole, len(history.layout.columns))))
+    record["factor"] = upper_triangle(merge(triangular_factors(whole, len(history.layout.columns))))
     for name in HISTOGRAMS:
         record[name] = records[name][list(group)].sum(axis=0)
     return record, _words(found)
@@ -304,15 +293,6 @@ def _together(words: NightWords, more: str) -> NightWords:
     )
 
 
-def _factors(blocks: pl.DataFrame, size: int) -> Array:
-    """Triangular factors of blocks, shape (b, c, c)."""
-    factors = np.zeros((blocks.height, size, size))
-    if blocks.height:
-        upper = blocks["statistics"].explode().to_numpy().reshape(blocks.height, -1)
-        factors[(slice(None), *np.triu_indices(size))] = upper
-    return factors
-
-
 def _own_conditions(training: pl.DataFrame) -> tuple[float, float, float]:
     """Mean pressure, temperature and speed of the training samples."""
     weights = training["n"].cast(pl.Float64).to_numpy()
@@ -332,20 +312,15 @@ def _excitation(
 ) -> Excitation:
     """What the training samples of several nights saw."""
 
-    def limits(name: str) -> tuple[float, float]:
-        low, high = training[f"minimum_{name}"].to_numpy(), training[f"maximum_{name}"].to_numpy()
-        return float(low.min()), float(high.max())
-
-    lengths = (training["block_end"] - training["block_start"]).dt.total_milliseconds().to_numpy()
-    block_s = float(np.median(lengths)) / 1e3
+    block_s = block_length_s(training)
     known = memory_s[np.isfinite(memory_s)]
     if len(known) < len(memory_s):
         known = np.append(known, memory_of_blocks(factors, fit.coefficients, block_s))
     return Excitation(
         minutes=minutes,
-        pressure_bar=limits("pressure_bar"),
-        temperature_c=limits("temperature_c"),
-        speed_rpm=limits("speed_rpm"),
+        pressure_bar=span(training, "pressure_bar"),
+        temperature_c=span(training, "temperature_c"),
+        speed_rpm=span(training, "speed_rpm"),
         correlation_time_s=float(known.max()),
         block_s=block_s,
     )

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
+from pipeline.landing import put, read, remove
 from pipeline.night_statistics import hash_of
+from pipeline.sealed import seal, unseal
 from pipeline.settings_hashes import config_hash
-from pipeline.store import replace_whole
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
 TRENDS_VERSION = 3
@@ -62,7 +62,9 @@ def record_file(output: Path, motor_id: str) -> Path:
 def read_record(output: Path, motor_id: str) -> Record | None:
     """What is remembered of a motor's trends; None where nothing is, or it is damaged."""
     try:
-        document = json.loads(record_file(output, motor_id).read_text("utf-8"))
+        document = unseal(read(record_file(output, motor_id)))
+        if document is None:
+            return None
         last, redo = (document[name] for name in ("last_night", "redo_from"))
         return Record(
             str(document["trend_hash"]),
@@ -81,12 +83,13 @@ def write_record(output: Path, motor_id: str, record: Record) -> None:
     StoreError
         If it cannot be written.
     """
-
-    def write(name: str) -> None:
-        Path(name).write_text(json.dumps(asdict(record), sort_keys=True, default=str), "utf-8")
-
     if read_record(output, motor_id) != record:
-        replace_whole(record_file(output, motor_id), write)
+        nights = {name: _text(getattr(record, name)) for name in ("last_night", "redo_from")}
+        put(record_file(output, motor_id), seal({"trend_hash": record.trend_hash, **nights}))
+
+
+def _text(night: dt.date | None) -> str | None:
+    return None if night is None else night.isoformat()
 
 
 def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
@@ -106,7 +109,13 @@ def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
 
 
 def forget_records(output: Path, keep: Collection[str]) -> None:
-    """Let the next run make the trends of all motors but some anew."""
+    """Let the next run make the trends of all motors but some anew.
+
+    Raises
+    ------
+    StoreError
+        If a record cannot be removed.
+    """
     for folder in (output / "ledger").glob("*"):
         if folder.name not in keep:
-            record_file(output, folder.name).unlink(missing_ok=True)
+            remove(record_file(output, folder.name))

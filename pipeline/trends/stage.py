@@ -10,7 +10,7 @@ import datetime as dt
 import logging
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -26,13 +26,14 @@ from pipeline.decisions import Decision
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, TREND_TABLES
 from pipeline.store import read_rows, stage
+from pipeline.stored_blocks import BLOCK_COLUMNS
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.history import History, read_histories
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.peers import LogChange, Peers, log_change, moved_apart, peers_of_circuit
-from pipeline.trends.poor_nights import BLOCK_COLUMNS, with_poor_nights
+from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.record import Record, read_record, trend_hash
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
@@ -40,6 +41,7 @@ from pipeline.trends.sudden import sudden_changes
 from pipeline.trends.trend_rows import trend_rows
 from pipeline.trends.watch import watch
 from pipeline.trends.zeros import sensor_zeros
+from pipeline.worker_process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +65,8 @@ class TrendTask:
         Last night of the fleet.
     decisions
         What people said.
+    given_up
+        By motor: how this run's workers were lost in its trends, each time.
     """
 
     specs: tuple[MotorSpec, ...]
@@ -71,6 +75,7 @@ class TrendTask:
     changed_from: Mapping[str, dt.date | None]
     tonight: dt.date
     decisions: tuple[Decision, ...] = ()
+    given_up: Mapping[str, Loss] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +89,14 @@ class TrendOutcome:
     records
         By motor: what is to be remembered once they are published.
     failures
-        By motor: what went wrong, in words.
+        By motor: what went wrong.
     alarms
         Staged rows of `alarms` that were not published before.
     """
 
     nights: Mapping[str, int] = field(default_factory=dict)
     records: Mapping[str, Record] = field(default_factory=dict)
-    failures: Mapping[str, str] = field(default_factory=dict)
+    failures: Mapping[str, Loss] = field(default_factory=dict)
     alarms: tuple[Row, ...] = ()
 
 
@@ -135,8 +140,8 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         try:
             histories = read_histories(task.output, task.specs, task.tonight)
         except StoreError as error:
-            return TrendOutcome(failures=dict.fromkeys(ids, error.message))
-        done = _Done()
+            return TrendOutcome(failures=dict.fromkeys(ids, _failure(error)))
+        done = _Done(dict(task.given_up))
         for group in circuits_of(task.specs):
             _run_circuit(task, group, histories, done)
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
@@ -146,20 +151,22 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 class _Done:
     """What a task has done so far."""
 
+    failures: dict[str, Loss]
     nights: dict[str, int] = field(default_factory=dict)
     records: dict[str, Record] = field(default_factory=dict)
-    failures: dict[str, str] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
 
     def guarded(self, motor_id: str, make: Callable[[], Made]) -> Made | None:
         """Do something of a motor: it must not take others down."""
+        sign_of_life(motor_id)
         try:
             return make()
-        except StoreError as error:
-            self.failures[motor_id] = error.message
         except Exception as error:  # the edge of a motor's trends
-            log.exception("trends of motor %s failed", motor_id)
-            self.failures[motor_id] = f"{type(error).__name__}: {error}"
+            if not isinstance(error, StoreError):
+                log.exception("trends of motor %s failed", motor_id)
+            self.failures[motor_id] = _failure(error)
+        finally:
+            sign_of_life("")
         return None
 
 
@@ -171,7 +178,7 @@ def _run_circuit(
     parts: dict[str, Part] = {}
     for spec in group if spans else ():
         motor_id = spec.motor_id
-        if motor_id in histories:
+        if motor_id in histories and motor_id not in done.failures:
             said = decisions_of(task.decisions, motor_id)
             part = done.guarded(motor_id, partial(_part, task.output, histories[motor_id], said))
             if part is not None:
@@ -187,6 +194,25 @@ def _run_circuit(
             done.nights[motor_id], new = made
             done.alarms += new
             done.records[motor_id] = Record(hashes[motor_id], span[1])
+
+
+def _failure(error: Exception) -> Loss:
+    if isinstance(error, StoreError):
+        return Loss(error.code, error.message)
+    return loss_of(error)
+
+
+def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
+    """The outcome of a task that was lost as a whole."""
+    ids = (spec.motor_id for spec in task.specs)
+    return TrendOutcome(failures={one: task.given_up.get(one, loss) for one in ids})
+
+
+def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
+    """The task that gives up the motor in which it was lost; None where it is not known."""
+    if not loss.part:
+        return None
+    return replace(task, given_up={**task.given_up, loss.part: loss})
 
 
 def nights_to_do(

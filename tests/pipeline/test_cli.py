@@ -23,6 +23,7 @@ import pipeline.fleet
 import pipeline.publishing
 from pipeline.cli import app, main
 from pipeline.errors import StoreError
+from pipeline.store import NightFile, prepare_night
 from tests.conftest import OwnFleet
 
 CSV, PARQUET = "CB400-01", "CB400-02"
@@ -171,11 +172,11 @@ def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
 
 
 def test_3_while_another_run_holds_the_output(call: Call, fleet: Path) -> None:
-    with pipeline.fleet._locked(fleet.parent.parent / "out"):
+    with pipeline.fleet.locked(fleet.parent.parent / "out"):
         code, out, err = call("fit-fleet", fleet)
     assert (code, out) == (3, "")
     assert re.search(
-        rf"another run writes to this output: process {os.getpid()} since 20\d\d-", err
+        rf"another run writes to this output: process {os.getpid()} on \S+ since 20\d\d-", err
     )
     assert call("fit-fleet", fleet)[0] == 0
 
@@ -197,7 +198,7 @@ def test_4_where_the_disk_is_full(
         raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
 
     fleet = own_fleet(PARQUET)
-    monkeypatch.setattr(pipeline.publishing, "publish_night", full)
+    monkeypatch.setattr(pipeline.publishing, "prepare_night", full)
     code, _, err = call("fit-fleet", fleet)
     assert code == 4
     assert "No space left on device" in err
@@ -213,14 +214,24 @@ def test_130_and_143_while_publishing(
     number: signal.Signals,
     code: int,
 ) -> None:
-    def interrupted(*_: Any) -> None:
-        os.kill(os.getpid(), number)
+    came: list[int] = []
+
+    def interrupted(*arguments: Any) -> NightFile:
+        if not came:
+            came.append(number)
+            os.kill(os.getpid(), number)
+        return prepare_night(*arguments)
 
     fleet = own_fleet(PARQUET)
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.publishing, "publish_night", interrupted)
-        assert call("fit-fleet", fleet)[0] == code
+        patched.setattr(pipeline.publishing, "prepare_night", interrupted)
+        ended, out, _ = call("fit-fleet", fleet)
+    # What was begun is published whole, and nothing after it is begun.
+    assert ended == code
+    assert any(line.startswith("interrupted; 3 nights of 1 motors") for line in out.splitlines())
+    assert not (fleet.parent.parent / "out" / "tables" / "trends").exists()
     assert call("fit-fleet", fleet)[0] == 0
+    assert (fleet.parent.parent / "out" / "tables" / "trends").exists()
     fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")
     assert fits["status"].to_list() == ["ok"] * 3
 
@@ -298,6 +309,11 @@ def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
     assert (run["n_motors"], run["n_failed"], run["n_nights"]) == (2, 1, 6)
     assert run["files"] == {"read": 5, "unchanged": 0, "growing": 0, "failed": 1, "left": 0}
     assert re.fullmatch(r"[0-9a-f]{16}", run["run_id"])
+    assert (run["errors"], run["alarms"]) == ({"log_not_parquet": 1}, [])
+    stages = run["seconds_by_stage"]
+    assert all(stages[name] > 0 for name in ("read_s", "clean_s", "fit_s", "residuals_s"))
+    whole = sum(stages[name] for name in ("motors_s", "publish_s", "trends_s"))
+    assert whole == pytest.approx(run["seconds"], abs=0.01)
     assert run["interrupted"] is False
 
 
@@ -417,6 +433,16 @@ def test_version(call: Call) -> None:
 def test_help_imports_nothing_heavy() -> None:
     heavy = "polars", "scipy", "pyarrow", "numpy", "pipeline.fleet"
     code = f"import sys, pipeline.cli; print([name for name in {heavy} if name in sys.modules])"
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_a_run_begins_without_what_it_does_not_need() -> None:
+    """Each of these takes as long to import as a third of the program."""
+    late = "pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset", "duckdb"
+    code = f"import sys, pipeline.fleet; print([name for name in {late} if name in sys.modules])"
     result = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )

@@ -5,13 +5,16 @@ from __future__ import annotations
 import datetime as dt
 import json
 import os
+import platform
 import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +32,7 @@ from pipeline.errors import LockedError, StoreError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
-from pipeline.store import Published, night_file, publish_night, read_table
+from pipeline.store import NightFile, night_file, prepare_night, read_table
 from tests.conftest import OwnFleet
 
 FIRST = dt.date(2026, 1, 2)
@@ -138,6 +141,22 @@ def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) 
         assert row["rows"] > 10_000
 
 
+def test_a_run_records_what_made_it_and_how_long_it_took(fitted_output: Path) -> None:
+    (run,) = rows(fitted_output, "runs").to_dicts()
+    for name in ("polars", "pyarrow", "numpy", "scipy"):
+        assert run[f"{name}_version"] == version(name)
+    assert run["python_version"] == platform.python_version()
+    assert run["version"] == version("motor-leakage")
+    assert (run["seed"], len(run["config_hash"]) > 0) == (1, True)
+    assert min(run["motors_s"], run["publish_s"], run["trends_s"]) > 0
+    assert run["motors_s"] + run["publish_s"] + run["trends_s"] == pytest.approx(run["seconds"])
+    outcomes = rows(fitted_output, "motor_outcomes")
+    stages = ("read_s", "clean_s", "statistics_s", "fit_s", "residuals_s", "store_s")
+    assert (outcomes.select(stages).to_numpy() > 0).all()
+    # Motors are done one after another here, so theirs is no more than the run's.
+    assert outcomes.select(stages).to_numpy().sum() <= run["motors_s"]
+
+
 # Nothing is raised, frozen or said in three nights.
 WITHOUT_ROWS = {"alarms", "baselines", "change_points", "decisions"}
 
@@ -164,7 +183,8 @@ def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> 
 
 
 def test_nothing_but_tables_ledger_and_lock_is_left(fitted_output: Path) -> None:
-    assert {path.name for path in fitted_output.iterdir()} >= {"tables", "ledger", "lock"}
+    left = {"tables", "ledger", "manifest", "lock", "heartbeat.json"}
+    assert {path.name for path in fitted_output.iterdir()} == left
     assert not (fitted_output / "staging").exists()
     assert not list(fitted_output.rglob(".writing-*"))
 
@@ -516,7 +536,7 @@ def test_two_runs_never_write_at_once(own_fleet: OwnFleet) -> None:
     loaded = load_fleet(fleet)
     run_fleet(RunRequest(loaded), second)
     (message,) = seen
-    assert f"process {os.getpid()} since 20" in message
+    assert f"process {os.getpid()} on {socket.gethostname()} since 20" in message
     # It is free again, and the first run's tables are whole.
     assert run(fleet).n_nights == 0
     assert rows(output_of(fleet), "fits").height == 3
@@ -606,7 +626,7 @@ def test_a_signal_keeps_what_is_done(
 ) -> None:
     fleet, process = waiting_run(jobs)
     # A second run is turned away at once, and told by whom.
-    with pytest.raises(LockedError, match=f"process {process.pid} since"):
+    with pytest.raises(LockedError, match=rf"process {process.pid} on \S+ since"):
         run(fleet)
     (os.killpg if to_all else os.kill)(process.pid, number)
     out, err = process.communicate(timeout=60)
@@ -642,14 +662,14 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     fleet = own_fleet(PARQUET)
     calls = 0
 
-    def interrupted(*arguments: Any) -> Published:
+    def interrupted(*arguments: Any) -> NightFile:
         nonlocal calls
         calls += 1
         if calls > after:
             raise KeyboardInterrupt
-        return publish_night(*arguments)
+        return prepare_night(*arguments)
 
-    monkeypatch.setattr(pipeline.publishing, "publish_night", interrupted)
+    monkeypatch.setattr(pipeline.publishing, "prepare_night", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(fleet)
     monkeypatch.undo()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 import json
 from pathlib import Path
 
@@ -14,10 +15,11 @@ import pipeline.store
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, plan_fleet, run_fleet
-from pipeline.manifest import verify_tables
+from pipeline.manifest import announce, update_manifest
 from pipeline.motor_task import Step, Work
 from pipeline.schema import QUALITY
 from pipeline.store import night_file, write_table
+from pipeline.verification import verify_tables
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -101,6 +103,39 @@ def test_what_reads_back_otherwise_is_not_published(
         write_table(path, pl.DataFrame({"a": [1.0, 2.0, 3.0]}))
     assert path.read_bytes() == before
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_is_announced_may_be_there_and_nothing_else(own: Workshop) -> None:
+    """Between the announcement and its end a file is the old one or the new one."""
+    path = night_file(own.output, QUALITY, NIGHT)
+    name, old = path.relative_to(own.output / "tables").as_posix(), path.read_bytes()
+    before, after = (hashlib.sha256(content).hexdigest() for content in (old, b"new"))
+    month = f"{NIGHT:%Y-%m}"
+    announce(own.output, month, NIGHT.isoformat(), {name: (before, after)})
+    assert codes(own.output) == []
+    path.write_bytes(b"new")
+    assert codes(own.output) == []
+    path.write_bytes(b"neW")
+    assert codes(own.output) == ["table_altered"]
+    path.unlink()
+    assert codes(own.output) == ["table_missing"]
+    path.write_bytes(b"new")
+    update_manifest(own.output, month, NIGHT.isoformat(), {name: after})
+    assert codes(own.output) == []
+    path.write_bytes(old)
+    assert codes(own.output) == ["table_altered"]
+
+
+def test_a_new_file_that_is_announced_may_be_absent(own: Workshop) -> None:
+    path = night_file(own.output, QUALITY, NIGHT + 5 * DAY)
+    name = path.relative_to(own.output / "tables").as_posix()
+    digest = hashlib.sha256(b"new").hexdigest()
+    announce(own.output, f"{NIGHT:%Y-%m}", f"{NIGHT + 5 * DAY}", {name: (None, digest)})
+    assert codes(own.output) == []
+    path.write_bytes(b"new")
+    assert codes(own.output) == []
+    path.write_bytes(b"neW")
+    assert codes(own.output) == ["table_altered"]
 
 
 # The plan

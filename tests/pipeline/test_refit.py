@@ -55,6 +55,30 @@ def figures(workshop: Workshop, table: str) -> pl.DataFrame:
     return workshop.rows(table).drop("is_refitted", strict=False)
 
 
+def test_starts_are_made_without_a_log_where_asked_for(tmp_path: Path) -> None:
+    workshop = Workshop.at(tmp_path)
+    workshop.log(NIGHT)
+    workshop.configure(fleet=QUICK.replace("starting_points = 0", "starting_points = 4"))
+    workshop.run()
+    first = workshop.rows("starts")
+    workshop.configure(fleet=OTHER_REFERENCE.replace("starting_points = 0", "starting_points = 6"))
+    assert workshop.run().n_refitted == 1
+    assert_frame_equal(workshop.rows("starts"), first, check_exact=True)
+    assert workshop.run(with_starts=True).n_refitted == 1
+    fresh = from_scratch(workshop)
+    for name, columns in (
+        ("starts", ["start", "status", "at_minimum", "cost", "initial_values"]),
+        ("fits", ["n_starts", "n_starts_at_minimum", "reference_leakage_l_per_min"]),
+    ):
+        assert_frame_equal(
+            workshop.rows(name).select(columns),
+            fresh.rows(name).select(columns),
+            check_exact=False,
+            rel_tol=1e-9,
+        )
+    assert workshop.rows("starts").height == 6
+
+
 @pytest.mark.usefixtures("unread")
 @pytest.mark.parametrize(
     "change",

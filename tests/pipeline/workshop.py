@@ -78,14 +78,22 @@ class Workshop:
         text = motor_toml("M1", "MINI", files=files, more=more)
         write_configs(self.folder, {"M1": text}, {"MINI": MINI}, fleet)
 
-    def run(self, since: dt.date | None = None, until: dt.date | None = None) -> MotorOutcome:
-        fleet = load_fleet(self.fleet)
-        (outcome,) = run_fleet(RunRequest(fleet, (), since, until)).outcomes
+    def run(
+        self,
+        since: dt.date | None = None,
+        until: dt.date | None = None,
+        *,
+        with_starts: bool = False,
+    ) -> MotorOutcome:
+        request = RunRequest(load_fleet(self.fleet), (), since, until, with_starts=with_starts)
+        (outcome,) = run_fleet(request).outcomes
         return outcome
 
     def task(self) -> MotorTask:
         (spec,) = load_fleet(self.folder / "configs" / "fleet.toml").motors
-        return MotorTask(spec, self.output, self.folder / "staging")
+        staging = self.folder / "staging"
+        staging.mkdir(exist_ok=True)
+        return MotorTask(spec, self.output, staging)
 
     def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
         """A night with a little noise, the same for the same seed."""

@@ -15,10 +15,9 @@ import pytest
 from pipeline.errors import LogError, UsageError
 from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log, time_span
 
-from .writers import CHANNELS, FORMATS, T0_US, Format, Row
+from .writers import CHANNELS, FORMATS, STEP_US, T0_US, Format, Row, many_rows
 
 NAMES = ["dp", "T", "q"]
-STEP_US = 100_000
 
 
 def formats(chosen: Sequence[Format]) -> pytest.MarkDecorator:
@@ -28,18 +27,6 @@ def formats(chosen: Sequence[Format]) -> pytest.MarkDecorator:
 every_format = formats(FORMATS)
 formats_of_text = formats([form for form in FORMATS if form.holds_text])
 formats_that_name_channels = formats([form for form in FORMATS if form.names_channels])
-
-
-def many_rows(count: int = 200) -> list[Row]:
-    """Pressure and flow at 10 Hz, temperature every second."""
-    rng = random.Random(7)  # noqa: S311
-    rows = []
-    for i in range(count):
-        cells = {"dp": rng.gauss(200.0, 30.0), "q": rng.gauss(1.3, 0.1)}
-        if i % 10 == 0:
-            cells["T"] = round(rng.gauss(50.0, 1.0), 1)
-        rows.append(Row(T0_US + i * STEP_US, cells))
-    return rows
 
 
 def written(form: Format, folder: Path, rows: Sequence[Row], names: Sequence[str] = NAMES) -> Path:

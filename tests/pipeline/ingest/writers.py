@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import json
+import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -27,6 +28,9 @@ CHANNELS = (
     ChannelSource("oil_temperature", "T", "degC"),
     ChannelSource("leakage_flow", "q", "l/min"),
 )
+
+STEP_US = 100_000
+"""Between rows."""
 
 Cell = float | str | None
 """A number, text that is none, or nothing; a channel not logged at a time has no cell then."""
@@ -63,6 +67,18 @@ class Format:
     holds_text: bool = True
     is_checked: bool = False
     names_channels: bool = True
+
+
+def many_rows(count: int = 200) -> list[Row]:
+    """Pressure and flow at 10 Hz, temperature every second."""
+    rng = random.Random(7)  # noqa: S311
+    rows = []
+    for i in range(count):
+        cells = {"dp": rng.gauss(200.0, 30.0), "q": rng.gauss(1.3, 0.1)}
+        if i % 10 == 0:
+            cells["T"] = round(rng.gauss(50.0, 1.0), 1)
+        rows.append(Row(T0_US + i * STEP_US, cells))
+    return rows
 
 
 def iso(time_us: int, digits: int = 6) -> str:

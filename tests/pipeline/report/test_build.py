@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import os
 import re
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -15,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import pipeline.report.build as build_module
+from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
@@ -109,11 +112,37 @@ def test_workers_and_the_time_of_making_change_no_byte(
     output: Path, report: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(build_module, "WORTH_WORKERS", 1)
-    build(output, workers=2)
+    build(output, execution=Execution(workers=2))
     made, before = contents(output / "report"), contents(report)
     for folder in (made, before):
         document = json.loads(folder.pop("manifest.json"))
         assert document["files"].keys() == folder.keys()
+    assert made == before
+
+
+def test_a_night_that_takes_its_worker_along_keeps_its_files_and_is_made_next_time(
+    output: Path, report: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build(output)
+    make_night = build_module.make_night
+
+    def make_or_die(task: build_module.NightTask) -> object:
+        if str(task.night) == "2026-01-03":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return make_night(task)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(build_module, "WORTH_WORKERS", 1)
+        patched.setattr(build_module, "_program_hash", lambda: "another program")
+        patched.setattr(build_module, "make_night", make_or_die)
+        (fault,) = build(output, execution=Execution(workers=2)).faults
+    assert fault.startswith("night 2026-01-03: worker_died: its worker process ended with SIGKILL")
+    data = {path.relative_to(report) for path in (report / "data").rglob("*.js")}
+    assert {path for path in data if (output / "report" / path).exists()} == data
+    assert build(output).faults == ()
+    made, before = contents(output / "report"), contents(report)
+    for folder in (made, before):
+        folder.pop("manifest.json")
     assert made == before
 
 

@@ -14,7 +14,6 @@ from leakage.slope import benjamini_hochberg
 from pipeline.config import load_fleet
 from pipeline.decisions import Decision, record_decision
 from pipeline.fleet import RunRequest, RunResult, run_fleet
-from pipeline.manifest import verify_tables
 from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
 from pipeline.store import read_rows
 from pipeline.trends.record import Record, note_touched, read_record, trend_hash, write_record
@@ -26,6 +25,8 @@ from pipeline.trends.stage import (
     trend_tasks,
     with_q_values,
 )
+from pipeline.verification import verify_tables
+from pipeline.worker_process import Loss
 from tests.pipeline.trends.nights import (
     Nights,
     configure,
@@ -304,6 +305,6 @@ def test_a_broken_motor_takes_no_other_down(
     found = stage.run_trends(
         TrendTask(tuple(SPECS[:2]), tmp_path, tmp_path / "staging", asked, night_of(4))
     )
-    assert found.failures == {"A": "ZeroDivisionError: in one motor"}
+    assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert found.nights == {"B": 5}
     assert list(found.records) == ["B"]

@@ -1,0 +1,95 @@
+"""The command `motor-leakage`. Heavy imports wait until a command needs them."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, NoReturn
+
+import typer
+
+from pipeline.cli import checking, housekeeping, model, publishing, runs, state
+from pipeline.cli.arguments import (
+    EXIT_INTERRUPTED,
+    EXIT_LOCKED,
+    EXIT_NOTHING_PUBLISHED,
+    EXIT_OK,
+    EXIT_USAGE,
+)
+from pipeline.errors import LockedError, MotorLeakageError, UsageError
+from pipeline.messages import error_line, speak
+
+app = typer.Typer(
+    name="motor-leakage",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
+# In the order in which the help lists them.
+app.command("fit-fleet")(runs.fit_fleet)
+app.command()(runs.retry)
+app.command()(checking.check)
+app.command()(publishing.explain)
+app.command()(runs.fit)
+app.command()(publishing.report)
+app.command()(model.demo)
+app.command()(publishing.export)
+app.command("model")(model.draw_model)
+app.command()(state.status)
+app.command()(state.ack)
+app.command()(housekeeping.prune)
+app.command()(housekeeping.migrate)
+baseline.command("reset")(state.baseline_reset)
+app.add_typer(baseline, name="baseline")
+
+
+def _print_version(wanted: bool) -> None:
+    from importlib.metadata import version
+
+    if wanted:
+        typer.echo(f"motor-leakage {version('motor-leakage')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    _version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Say the version."),
+    ] = False,
+) -> None:
+    """Nightly grey-box leakage estimates for a fleet of radial piston hydraulic motors."""
+
+
+def _exit_code(error: MotorLeakageError) -> int:
+    from pipeline.config import ConfigError
+
+    if isinstance(error, UsageError | ConfigError):
+        return EXIT_USAGE
+    return EXIT_LOCKED if isinstance(error, LockedError) else EXIT_NOTHING_PUBLISHED
+
+
+def _call_as_program() -> int:
+    """Call the command so that wrong usage is an error of ours and not a box; its exit code."""
+    try:
+        return int(app(standalone_mode=False) or EXIT_OK)
+    except Exception as error:
+        # Typer's own class of errors has no public name in all versions.
+        if not hasattr(error, "format_message"):
+            raise
+        raise UsageError("usage", error.format_message()) from error
+
+
+def main() -> NoReturn:
+    """Run the command; every expected error is one message on stderr and a stated exit code."""
+    # Before anything is parsed: a fault in the arguments is a message, too.
+    as_json = "--json" in sys.argv[1:]
+    speak(as_json=as_json)
+    try:
+        code = _call_as_program() if as_json else app()
+    except MotorLeakageError as error:
+        code = _exit_code(error)
+        typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
+    except KeyboardInterrupt:
+        code = EXIT_INTERRUPTED
+    sys.exit(code or EXIT_OK)

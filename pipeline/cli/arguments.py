@@ -1,0 +1,83 @@
+"""What the commands share: options, the config they name, and how a line is said."""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    from pipeline.config import Fleet
+
+EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
+EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
+
+ConfigFile = Annotated[
+    Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as demo/configs/fleet.toml.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
+Output = Annotated[Path | None, typer.Option(help="Output folder, instead of the config's.")]
+Motors = Annotated[
+    str, typer.Option(help="Ids of the motors to do, with blanks between; all if empty.")
+]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Motors fitted at the same time.")]
+
+
+def loaded(config: Path) -> Fleet:
+    from pipeline.config import load_fleet
+
+    return load_fleet(config)
+
+
+def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
+    from pipeline.config import ConfigError, Fault
+
+    fleet = loaded(config)
+    if logs and not fleet.log_root.is_dir():
+        fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
+        raise ConfigError([fault])
+    if output is not None:
+        fleet = replace(fleet, output=output.resolve())
+    if jobs is not None:
+        fleet = replace(fleet, execution=fleet.execution.model_copy(update={"workers": jobs}))
+    return fleet
+
+
+def known_motors(wanted: list[str], fleet: Fleet) -> tuple[str, ...]:
+    known = {spec.motor_id for spec in fleet.motors}
+    strangers = sorted(set(wanted) - known)
+    if strangers:
+        raise UsageError(
+            "unknown_motor",
+            f"--motors: no motor {', '.join(strangers)}; there are {', '.join(sorted(known))}",
+        )
+    return tuple(wanted)
+
+
+def night_label(text: str | None, option: str) -> dt.date | None:
+    try:
+        return None if text is None else dt.date.fromisoformat(text)
+    except ValueError:
+        raise UsageError("date", f"{option}: got {text!r}; expected YYYY-MM-DD") from None
+
+
+def in_order(since: dt.date | None, until: dt.date | None) -> None:
+    if since and until and since > until:
+        raise UsageError("date", f"--since {since} is after --until {until}; no night lies between")
+
+
+def say(line: str, *, err: bool = False) -> None:
+    """Print a line; that nobody reads on must not end a run."""
+    try:
+        typer.echo(line, err=err)
+    except BrokenPipeError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, (sys.stderr if err else sys.stdout).fileno())
+        os.close(nowhere)

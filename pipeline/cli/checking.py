@@ -1,0 +1,128 @@
+"""`motor-leakage check`: the config, the ends of the logs, or the published tables."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.cli.arguments import (
+    EXIT_MOTORS_FAILED,
+    EXIT_OK,
+    AsJson,
+    load,
+    loaded,
+    say,
+)
+from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    from pipeline.channel_check import ChannelCheck
+    from pipeline.check import MotorCheck
+
+
+def check(
+    config: Annotated[
+        Path | None, typer.Argument(metavar="CONFIG", help="The fleet file; not with --suggest.")
+    ] = None,
+    as_json: AsJson = False,
+    suggest: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="Print the TOML that reads this log, to paste."),
+    ] = None,
+    tables: Annotated[
+        bool, typer.Option("--tables", help="Compare every table file with its manifest instead.")
+    ] = False,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder of the tables, instead of the config's.")
+    ] = None,
+) -> None:
+    """Check the config of a fleet and look at the ends of each log; nothing is fitted.
+
+    Example: motor-leakage check demo/configs/fleet.toml
+
+    Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
+
+    Exit code 0: no fault; 1: a log cannot be read; 2: a fault in the config.
+    """
+    from pipeline.check import check_fleet
+
+    if tables:
+        raise typer.Exit(_check_tables(config, output, as_json=as_json))
+    if suggest is not None:
+        from pipeline.ingest.suggest import suggest as suggested
+
+        typer.echo(suggested(suggest), nl=False)
+        return
+    if config is None:
+        raise UsageError("config", "name the fleet file, or a log with --suggest")
+    fleet = load(config, None, None)
+    checks = check_fleet(fleet)
+    if as_json:
+        for one in checks:
+            typer.echo(json.dumps(asdict(one)))
+    else:
+        _print_checks(checks)
+    raise typer.Exit(EXIT_MOTORS_FAILED if any(one.faults for one in checks) else EXIT_OK)
+
+
+def _check_tables(config: Path | None, output: Path | None, *, as_json: bool) -> int:
+    """Compare the table files with their manifests; returns the exit code."""
+    from pipeline.verification import verify_tables
+
+    if config is None:
+        raise UsageError("config", "name the fleet file whose tables are to be checked")
+    folder = output.resolve() if output is not None else loaded(config).output
+    faults = 0
+    for fault in verify_tables(folder):
+        faults += 1
+        line = {"event": "table_fault", **asdict(fault)}
+        words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
+        say(json.dumps(line) if as_json else words, err=True)
+    n_files = sum(1 for _ in (folder / "tables").glob("**/*.parquet"))
+    total = {"event": "tables", "n_files": n_files, "n_faults": faults}
+    say(json.dumps(total) if as_json else f"{n_files} table files, {faults} faults")
+    return EXIT_MOTORS_FAILED if faults else EXIT_OK
+
+
+def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
+    for one in checks:
+        span = f", {one.first} to {one.last}" if one.first else ""
+        typer.echo(
+            f"{one.motor_id}: {one.motor_type}, {one.log_format}, {one.n_files} files, "
+            f"{one.n_nights} nights{span}, {len(one.faults)} faults"
+        )
+        for channel in one.channels:
+            typer.echo(f"  {_channel_line(channel)}")
+        for note in one.notes:
+            typer.echo(f"  {note}")
+        for fault in one.faults:
+            typer.echo(f"{one.motor_id}: {fault}", err=True)
+    placeholders = sorted({name for one in checks for name in one.placeholders})
+    if placeholders:
+        typer.echo(
+            "placeholders, to be replaced with the manufacturer's values: "
+            f"{', '.join(placeholders)}"
+        )
+
+
+def _channel_line(channel: ChannelCheck) -> str:
+    """A channel in a line: rate, typical value, what is missing or refused, what it looks like."""
+    from pipeline.units import canonical_unit
+
+    parts = [f"{channel.channel}:"]
+    parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
+    unit = canonical_unit(channel.channel).replace("degC", "°C")
+    median = f"median {channel.median:.4g} {unit},"
+    parts.append("no value," if channel.median is None else median)
+    parts.append(f"{100 * channel.share_missing:.2g} % missing,")
+    parts.append(f"{100 * channel.share_refused:.2g} % refused")
+    rules = ", ".join(f"{name} {100 * share:.2g} %" for name, share in channel.refused_by.items())
+    parts.append(f"({rules})" if rules else "")
+    line = " ".join(part for part in parts if part)
+    looks = f", looks {channel.looks}" if channel.looks else ""
+    line += f"; configured as {channel.configured}{looks}"
+    return line + "".join(f"; LOOK: {remark}" for remark in channel.remarks)

@@ -1,0 +1,103 @@
+"""Commands that keep the tables in order: pruning, and migration of older ones."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from pipeline.cli.arguments import AsJson, ConfigFile, Output, load, say
+
+
+def prune(
+    config: ConfigFile,
+    output: Output = None,
+    tables: Annotated[
+        str, typer.Option(help="Tables, with commas between; those of [retention] if empty.")
+    ] = "",
+    keep: Annotated[
+        int | None, typer.Option(min=1, help="Newest nights to keep of them; else the config's.")
+    ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Remove them; without it nothing is removed.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Say which old nights of heavy tables can go, and what goes with them; remove them with --yes.
+
+    Figures, trends and alarms stay, and no night is made anew for it.
+
+    Example: motor-leakage prune demo/configs/fleet.toml --tables predictions,starts --keep 400
+    """
+    from pipeline.fleet import locked
+    from pipeline.retention import nights_kept, old_files
+    from pipeline.retention import prune as remove
+
+    fleet = load(config, output, None, logs=False)
+    kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
+    old = old_files(fleet.output, kept)
+    if yes and old:
+        with locked(fleet.output):
+            remove(fleet.output, old)
+    word = "removed" if yes else "can be removed"
+    for one in old:
+        if as_json:
+            line = {
+                "event": "prune",
+                "table": one.table,
+                "n_files": len(one.nights),
+                "size_bytes": one.size_bytes,
+                "first_night": one.nights[0].isoformat(),
+                "last_night": one.nights[-1].isoformat(),
+                "removed": yes,
+                "loss": one.loss,
+            }
+            say(json.dumps(line))
+            continue
+        say(
+            f"{one.table}: {len(one.nights)} nights, {one.nights[0]} to {one.nights[-1]}, "
+            f"{one.size_bytes / 1024**2:.1f} MiB {word}; with them goes: {one.loss}"
+        )
+    if not as_json:
+        size = sum(one.size_bytes for one in old) / 1024**2
+        say(f"{size:.1f} MiB {word}" + ("" if yes or not old else "; say --yes to remove them"))
+
+
+def migrate(
+    config: ConfigFile,
+    output: Output = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say how many files are of which version.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Write tables of older versions of the program anew, with the columns of today.
+
+    The program reads them without it; queries over old and new files together may need it. Rows
+    and figures stay, new columns are null.
+
+    Example: motor-leakage migrate demo/configs/fleet.toml --dry-run
+    """
+    from collections import Counter
+
+    from pipeline.fleet import locked
+    from pipeline.migration import migrate as rewrite
+    from pipeline.migration import old_table_files
+    from pipeline.schema import SCHEMA_VERSION
+
+    fleet = load(config, output, None, logs=False)
+    if dry_run:
+        found = Counter(one.version for one in old_table_files(fleet.output))
+    else:
+        with locked(fleet.output):
+            found = rewrite(fleet.output)
+    word = "to be written" if dry_run else "written"
+    for version, count in sorted(found.items()):
+        if as_json:
+            line = {"event": "migrate", "from_version": version, "n_files": count}
+            say(json.dumps(line | {"to_version": SCHEMA_VERSION, "written": not dry_run}))
+        else:
+            say(f"{count} files of schema version {version} {word} anew")
+    if not as_json:
+        say(f"{found.total()} files {word}; the tables' schema version is {SCHEMA_VERSION}")

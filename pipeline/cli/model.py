@@ -1,0 +1,70 @@
+"""Commands that need no logs: figures of a motor type's model, and the simulated fleet."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+class ImageFormat(StrEnum):
+    """Kinds of figures."""
+
+    PNG = "png"
+    SVG = "svg"
+
+
+def demo(
+    folder: Annotated[Path, typer.Argument(help="Folder to write; it is made.")],
+    nights: Annotated[int, typer.Option(min=1, help="Nights of logs.")] = 75,
+    minutes: Annotated[float, typer.Option(min=1.0, help="Minutes of log a night.")] = 90.0,
+    rate: Annotated[float, typer.Option(min=0.1, help="Samples a second.")] = 5.0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 1,
+    jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
+) -> None:
+    """Write a simulated fleet: config, logs in three formats, and the truth beside them.
+
+    Example: motor-leakage demo demo --nights 3
+
+    The examples of the other commands are of this fleet. Its tables go to demo/out/.
+    """
+    from pipeline.demo import write_demo
+
+    write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate, seed=seed, workers=jobs)
+    typer.echo(f"demo fleet written to {folder}; its config is {folder / 'configs' / 'fleet.toml'}")
+
+
+def draw_model(
+    motor_type: Annotated[str, typer.Option("--type", help="Motor type, such as CB560.")],
+    config: Annotated[
+        Path | None, typer.Option(metavar="FLEET", help="The fleet file; else the shipped config.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Folder of the figures; else figures/ in the output.")
+    ] = None,
+    image_format: Annotated[
+        ImageFormat, typer.Option("--format", help="Kind of the files.")
+    ] = ImageFormat.PNG,
+    oil: Annotated[
+        str | None, typer.Option(help="The oil; else that of the fleet's first motor of the type.")
+    ] = None,
+) -> None:
+    """Draw the model of a motor type as its config states it: each path, oil, shares, films.
+
+    Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
+    are the fleet's, without what a motor overrides. Prints the files that were written.
+
+    Example: motor-leakage model --type CB560 --config demo/configs/fleet.toml --format svg
+    """
+    from pipeline.config import load_fleet
+    from pipeline.demo import shipped_configs
+    from pipeline.model_figures import choose, write_model_figures
+
+    fleet = load_fleet(config or shipped_configs() / "fleet.toml")
+    subject = choose(fleet, motor_type, oil)
+    # The shipped config lies within the program: its output is nobody's.
+    folder = output or (fleet.output if config else Path("out").resolve()) / "figures"
+    for path in write_model_figures(subject, folder, image_format.value):
+        typer.echo(path)

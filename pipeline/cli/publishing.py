@@ -1,0 +1,156 @@
+"""Commands that tell what the tables say: a night in words, the report, CSV."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.cli.arguments import (
+    EXIT_MOTORS_FAILED,
+    EXIT_OK,
+    ConfigFile,
+    Output,
+    in_order,
+    known_motors,
+    load,
+    loaded,
+    night_label,
+)
+from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    from pipeline.config import Fleet
+    from pipeline.report import KnownMotor
+
+
+def explain(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+    output: Output = None,
+) -> None:
+    """Say in words why a motor's night has the figures it has, or none.
+
+    Example: motor-leakage explain demo/configs/fleet.toml CB560-01 2026-01-03
+    """
+    from pipeline.explain import explain as explained
+
+    fleet = load(config, output, None)
+    known_motors([motor], fleet)
+    label = night_label(night, "NIGHT")
+    assert label is not None
+    for line in explained(fleet.output, motor, label):
+        typer.echo(line)
+
+
+def report(
+    config: Annotated[
+        Path | None,
+        typer.Argument(metavar="CONFIG", help="The fleet file; the tables alone will do."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(help="Output folder with the tables, instead of the config's.")
+    ] = None,
+    to: Annotated[
+        Path | None, typer.Option(help="Folder of the report, instead of report/ in the output.")
+    ] = None,
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors to show, with blanks between; needs --to.")
+    ] = "",
+    nights: Annotated[
+        int | None, typer.Option(min=1, help="Newest nights to show one by one; all if left out.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Nights made at the same time.")] = 2,
+) -> None:
+    """Write the report: pages for the fleet and each motor that open without a server.
+
+    Example: motor-leakage report demo/configs/fleet.toml
+
+    Then open demo/out/report/index.html. A further run makes only what has changed. Exit code 1: a
+    table file could not be read; the rest is there.
+    """
+    from pipeline.config import Execution
+    from pipeline.report import ReportRequest, build_report
+
+    fleet = None if config is None else loaded(config)
+    if motors and to is None:
+        raise UsageError(
+            "report_motors", "--motors needs --to: the fleet's own report shows all motors"
+        )
+    tables = (output or (fleet.output if fleet else Path("out"))).resolve()
+    result = build_report(
+        ReportRequest(
+            output=tables,
+            folder=to.resolve() if to else tables / "report",
+            fleet=fleet.name if fleet else "",
+            known=_known_to_report(fleet) if fleet else {},
+            motors=tuple(motors.split()),
+            nights=nights,
+            execution=(fleet.execution if fleet else Execution()).model_copy(
+                update={"workers": jobs}
+            ),
+        )
+    )
+    typer.echo(
+        f"{result.n_motors} motors, {result.n_nights} nights made anew, {result.n_written} files "
+        f"written, {result.n_removed} removed; open {result.index}"
+    )
+    for fault in result.faults:
+        typer.echo(f"motor-leakage: store_read: {fault}", err=True)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.faults else EXIT_OK)
+
+
+def export(
+    config: ConfigFile,
+    csv: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write CSV, one file a table, there.")
+    ] = None,
+    tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
+    motors: Annotated[
+        str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
+    ] = "",
+    since: Annotated[str | None, typer.Option(help="First night, YYYY-MM-DD.")] = None,
+    until: Annotated[str | None, typer.Option(help="Last night, YYYY-MM-DD.")] = None,
+    bom: Annotated[
+        bool, typer.Option("--bom", help="Begin each file with a byte order mark, for Excel.")
+    ] = False,
+    output: Output = None,
+) -> None:
+    """Write published tables in another format; what is there of the same name is replaced.
+
+    Example: motor-leakage export demo/configs/fleet.toml --csv csv --tables fits,parameters --bom
+
+    Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    """
+    from pipeline.config import load_fleet
+    from pipeline.csv_export import Selection, export_csv, tables_named
+
+    if csv is None:
+        raise UsageError("export_format", "name the folder of the files: --csv FOLDER")
+    fleet = load_fleet(config)
+    selection = Selection(
+        tables=tables_named(tables.replace(",", " ").split()),
+        motors=known_motors(motors.split(), fleet),
+        since=night_label(since, "--since"),
+        until=night_label(until, "--until"),
+    )
+    in_order(selection.since, selection.until)
+    root = fleet.output if output is None else output.resolve()
+    for file in export_csv(root, csv, selection, byte_order_mark=bom):
+        typer.echo(f"{file.path}: {file.n_rows} rows")
+
+
+def _known_to_report(fleet: Fleet) -> Mapping[str, KnownMotor]:
+    """What the report is told of the config's motors: type and dated events."""
+    from pipeline.report import KnownMotor
+
+    return {
+        spec.motor_id: KnownMotor(
+            spec.file.motor_type,
+            tuple(event.model_dump(exclude={"oil"}) for event in spec.file.events),
+        )
+        for spec in fleet.motors
+    }

@@ -1,0 +1,170 @@
+"""How a run and its plan are told: a bar on a terminal, plain lines elsewhere, or JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.cli.arguments import say
+
+if TYPE_CHECKING:
+    from pipeline.fleet import RunRequest, RunResult
+    from pipeline.motor_task import MotorOutcome
+
+# Reasons of a plan that are told one by one.
+PLAN_REASONS = 8
+
+
+def print_plan(request: RunRequest, as_json: bool) -> None:
+    """What a run would do: nights by motor, and why."""
+    from collections import Counter
+
+    from pipeline.fleet import plan_fleet, plan_trends
+
+    total = 0
+    for motor_id, plan in plan_fleet(request):
+        total += len(plan)
+        if as_json:
+            nights = {
+                str(label): {"work": step.work.value, "reason": step.reason}
+                for label, step in plan.items()
+            }
+            say(json.dumps({"event": "plan", "motor_id": motor_id, "nights": nights}))
+            continue
+        say(f"{motor_id}: {len(plan)} nights" + (f", {min(plan)} to {max(plan)}" if plan else ""))
+        reasons = Counter((step.work.value, step.reason) for step in plan.values())
+        for (work, reason), count in reasons.most_common(PLAN_REASONS):
+            say(f"  {count} to {work}: {reason}")
+        if len(reasons) > PLAN_REASONS:
+            say(f"  and {len(reasons) - PLAN_REASONS} other reasons; all of them with --json")
+    for motor_id, reason in plan_trends(request):
+        if as_json:
+            say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
+        else:
+            say(f"{motor_id}: all trends anew: {reason}")
+    if not as_json:
+        say(f"{total} nights would be done")
+
+
+class Reporter:
+    """Says how a run goes: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
+
+    def __init__(self, as_json: bool, n_motors: int) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+        self.as_json = as_json
+        self.console = Console(stderr=True)
+        self.bar = Progress(
+            TextColumn("motors"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.description}"),
+            console=self.console,
+            disable=as_json or not self.console.is_terminal,
+        )
+        self.task = self.bar.add_task("", total=n_motors)
+
+    def __enter__(self) -> Reporter:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def motor(self, outcome: MotorOutcome) -> None:
+        """A motor has finished."""
+        self.bar.update(self.task, advance=1, description=outcome.motor_id)
+        counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
+        if self.as_json:
+            line = {
+                "event": "motor",
+                "motor_id": outcome.motor_id,
+                "status": outcome.status,
+                "error_code": outcome.error_code,
+                "message": outcome.message,
+                "nights": dict(outcome.counts),
+                "files": _by_fate(outcome.files),
+                "growing": outcome.growing,
+            }
+            say(json.dumps(line))
+            return
+        why = f": {outcome.message}" if outcome.message and not outcome.error_code else ""
+        say(f"{outcome.motor_id}: {outcome.status} ({counts or 'nothing to do'}){why}")
+        if outcome.error_code:
+            say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
+        for message in outcome.growing:
+            say(f"{outcome.motor_id}: log_growing: {message}", err=True)
+
+    def summary(self, result: RunResult, output: Path) -> None:
+        """The run has finished."""
+        if self.as_json:
+            line = {
+                "event": "run",
+                "run_id": result.run_id,
+                "n_motors": len(result.outcomes),
+                "n_failed": len(result.failed),
+                "n_nights": result.n_nights,
+                "files": _by_fate(result.files),
+                "interrupted": result.interrupted,
+                "seconds": round(result.seconds, 3),
+                "seconds_by_stage": {
+                    name: round(seconds, 3) for name, seconds in _by_stage(result).items()
+                },
+                "errors": _by_code(result),
+                "alarms": [
+                    {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
+                    for row in result.alarms
+                ],
+            }
+            say(json.dumps(line))
+            return
+        state = "interrupted; " if result.interrupted else ""
+        files = ", ".join(f"{n} {fate}" for fate, n in _by_fate(result.files).items())
+        say(
+            f"{state}{result.n_nights} nights of {len(result.outcomes)} motors in "
+            f"{result.seconds:.1f} s, {len(result.failed)} motors failed; logs: {files}; "
+            f"tables in {output / 'tables'}"
+        )
+        taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
+        if taken:
+            stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
+            say(f"seconds by stage, those of motors added up: {stages}")
+        for code, count in _by_code(result).items():
+            say(f"{code}: {count} motors")
+        for row in result.alarms:
+            say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
+
+
+def _by_stage(result: RunResult) -> dict[str, float]:
+    """Seconds by stage: those of the motors' tasks added up, then those of the run."""
+    from collections import Counter
+
+    from pipeline.fleet import MOTOR_STAGES
+
+    spent = Counter[str]()
+    for outcome in result.outcomes:
+        spent.update(outcome.seconds)
+    return {name: spent[name] for name in MOTOR_STAGES} | dict(result.seconds_by_stage)
+
+
+def _words(stage: str) -> str:
+    """A stage as people call it."""
+    names = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
+    return names.get(stage, stage.removesuffix("_s"))
+
+
+def _by_code(result: RunResult) -> dict[str, int]:
+    """Motors that failed by the code of their first failure."""
+    from collections import Counter
+
+    return dict(sorted(Counter(one.error_code or "" for one in result.failed).items()))
+
+
+def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
+    """Log files by what came of them, all of which there can be, in a fixed order."""
+    from pipeline.log_shelf import FATES
+
+    return {fate: files.get(fate, 0) for fate in FATES}

@@ -1,0 +1,182 @@
+"""Commands that fit: a fleet, what failed of it, one motor's night."""
+
+from __future__ import annotations
+
+import datetime as dt
+import signal
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, NoReturn
+
+import typer
+
+from pipeline.cli.arguments import (
+    EXIT_INTERRUPTED,
+    EXIT_MOTORS_FAILED,
+    EXIT_OK,
+    EXIT_TERMINATED,
+    AsJson,
+    ConfigFile,
+    Jobs,
+    Motors,
+    Output,
+    in_order,
+    known_motors,
+    load,
+    night_label,
+    say,
+)
+from pipeline.cli.reporter import Reporter, print_plan
+from pipeline.errors import MotorLeakageError, UsageError
+
+if TYPE_CHECKING:
+    from pipeline.config import Fleet
+    from pipeline.fleet import RunRequest
+    from pipeline.motor_task import MotorOutcome
+
+
+def fit_fleet(
+    config: ConfigFile,
+    output: Output = None,
+    jobs: Jobs = None,
+    motors: Motors = "",
+    since: Annotated[str | None, typer.Option(help="First night to do, YYYY-MM-DD.")] = None,
+    until: Annotated[str | None, typer.Option(help="Last night to do, YYYY-MM-DD.")] = None,
+    as_json: AsJson = False,
+    fail_on_alarm: Annotated[
+        bool, typer.Option("--fail-on-alarm", help="End with 1 if the run raised an alarm.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say what would be done, and why; do nothing.")
+    ] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Make nights anew from their logs though unchanged.")
+    ] = False,
+    with_starts: Annotated[
+        bool,
+        typer.Option(
+            "--with-starts", help="Search from all starts, too, in nights fitted without their log."
+        ),
+    ] = False,
+) -> None:
+    """Fit every new night of the fleet's motors and write the tables.
+
+    Example: motor-leakage fit-fleet demo/configs/fleet.toml --jobs 2 --since 2026-01-02
+
+    Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
+    config; 3: another run holds the output; 4: nothing could be published.
+    """
+    from pipeline.fleet import RunRequest
+
+    fleet = load(config, output, jobs)
+    request = RunRequest(
+        fleet=fleet,
+        motors=known_motors(motors.split(), fleet),
+        since=night_label(since, "--since"),
+        until=night_label(until, "--until"),
+        force=force,
+        with_starts=with_starts,
+    )
+    in_order(request.since, request.until)
+    if dry_run:
+        print_plan(request, as_json)
+        return
+    _run(request, as_json, fail_on_alarm=fail_on_alarm)
+
+
+def retry(
+    config: ConfigFile,
+    output: Output = None,
+    jobs: Jobs = None,
+    motors: Motors = "",
+    as_json: AsJson = False,
+) -> None:
+    """Try the nights and logs again that failed, and do what is new.
+
+    A log that cannot be read is not tried again while it is unchanged; this does.
+
+    Example: motor-leakage retry demo/configs/fleet.toml
+
+    Exit codes as those of fit-fleet.
+    """
+    from pipeline.fleet import RunRequest
+
+    fleet = load(config, output, jobs)
+    request = RunRequest(fleet, known_motors(motors.split(), fleet), retry=True)
+    _run(request, as_json)
+
+
+def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:
+    """Run a fleet, say how it goes, and end with the exit code."""
+    from pipeline.fleet import run_fleet
+
+    fleet = request.fleet
+    terminated = _catch_termination()
+    try:
+        with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
+            result = run_fleet(request, reporter.motor)
+            reporter.summary(result, fleet.output)
+        interrupted = result.interrupted
+    except KeyboardInterrupt:  # while publishing: what is not yet published is done anew
+        interrupted = True
+    if interrupted:
+        raise typer.Exit(EXIT_TERMINATED if terminated else EXIT_INTERRUPTED)
+    alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed or alarmed else EXIT_OK)
+
+
+def fit(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+) -> None:
+    """Fit one motor's night from its logs and say what came of it; nothing is published.
+
+    Example: motor-leakage fit demo/configs/fleet.toml CB560-01 2026-01-03
+    """
+    from tempfile import TemporaryDirectory
+
+    from pipeline.explain import explain as explained
+    from pipeline.fleet import RunRequest, run_fleet
+
+    label = night_label(night, "NIGHT")
+    assert label is not None
+    with TemporaryDirectory() as folder:
+        fleet = load(config, Path(folder), None)
+        request = RunRequest(fleet, known_motors([motor], fleet), since=label, until=label)
+        result = run_fleet(request)
+        growing = [one for outcome in result.outcomes for one in outcome.growing]
+        if growing and not result.n_nights:
+            raise MotorLeakageError("log_growing", f"the night waits: {'; '.join(growing)}")
+        (outcome,) = result.outcomes
+        if label not in outcome.nights:
+            _refuse_night(fleet, outcome, label)
+        for line in explained(fleet.output, motor, label):
+            typer.echo(line)
+    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoReturn:
+    """Say why there is nothing to fit in a night."""
+    from pipeline.check import check_motor
+
+    motor = outcome.motor_id
+    if outcome.error_code:
+        say(f"{motor}: {outcome.error_code}: {outcome.message}", err=True)
+        raise typer.Exit(EXIT_MOTORS_FAILED)
+    (spec,) = (one for one in fleet.motors if one.motor_id == motor)
+    seen = check_motor(spec)
+    there = f"they cover {seen.first} to {seen.last}" if seen.first else "; ".join(seen.notes)
+    raise UsageError("unknown_night", f"no log of {motor} covers the night of {label}: {there}")
+
+
+def _catch_termination() -> list[int]:
+    """Let SIGTERM end a run as SIGINT does; the list tells afterwards that it came."""
+    came: list[int] = []
+
+    def stop(number: int, _: FrameType | None) -> None:
+        came.append(number)
+        raise KeyboardInterrupt
+
+    signal.signal(signal.SIGTERM, stop)
+    return came

@@ -1,0 +1,117 @@
+"""Commands on the fleet as it stands: its state, and what people say of it."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Annotated
+
+import typer
+
+from pipeline.cli.arguments import (
+    EXIT_MOTORS_FAILED,
+    EXIT_OK,
+    AsJson,
+    ConfigFile,
+    Output,
+    known_motors,
+    load,
+    night_label,
+)
+from pipeline.errors import UsageError
+
+
+def status(
+    config: ConfigFile,
+    output: Output = None,
+    max_age: Annotated[
+        str, typer.Option(help="End with 1 if the last good run is older, such as 26h.")
+    ] = "",
+    as_json: AsJson = False,
+) -> None:
+    """Print the fleet's state: the motors that need attention first, and since when.
+
+    Example: motor-leakage status demo/configs/fleet.toml --max-age 26h
+
+    Exit code 0; with --max-age 1 where the last good run is too old, or there was none.
+    """
+    from pipeline.status import age_in_hours, fleet_status
+    from pipeline.status_lines import print_status
+
+    limit_h = age_in_hours(max_age) if max_age else None
+    fleet = load(config, output, None, logs=False)
+    found = fleet_status(fleet.output, [spec.motor_id for spec in fleet.motors])
+    too_old = False
+    if limit_h is not None:
+        ended = found.last_good_run
+        too_old = ended is None or dt.datetime.now(dt.UTC) - ended > dt.timedelta(hours=limit_h)
+    print_status(fleet.name, found, too_old=too_old, as_json=as_json)
+    raise typer.Exit(EXIT_MOTORS_FAILED if too_old else EXIT_OK)
+
+
+def ack(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    indicator: Annotated[str, typer.Argument(help="The indicator, as `status` names it.")],
+    note: Annotated[str, typer.Option(help="In words.")],
+    finding: Annotated[
+        str, typer.Option(help="confirmed or not_confirmed, once somebody has looked.")
+    ] = "",
+    output: Output = None,
+) -> None:
+    """Acknowledge an alarm, or say what an inspection found; kept across runs and shown.
+
+    Example: motor-leakage ack demo/configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
+
+    Once somebody has looked, add --finding confirmed, or --finding not_confirmed.
+    """
+    from pipeline.decisions import FINDINGS, Decision, record_decision
+    from pipeline.status import alarmed_night
+
+    if finding not in ("", *FINDINGS):
+        raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
+    fleet = load(config, output, None, logs=False)
+    known_motors([motor], fleet)
+    night = alarmed_night(fleet.output, motor, indicator)
+    decision = Decision(
+        motor_id=motor,
+        indicator=indicator,
+        time=dt.datetime.now(dt.UTC),
+        kind="finding" if finding else "acknowledged",
+        night=night,
+        finding="confirmed" if finding == "confirmed" else "not_confirmed" if finding else None,
+        note=note,
+    )
+    record_decision(fleet.output, decision)
+    typer.echo(f"{motor}: {indicator}, raised last on {night}: {decision.kind}")
+
+
+def baseline_reset(
+    config: ConfigFile,
+    motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    night: Annotated[str, typer.Argument(help="First night of the new baseline, YYYY-MM-DD.")],
+    note: Annotated[str, typer.Option(help="Why, in words.")],
+    indicator: Annotated[str, typer.Option(help="Of this indicator alone; all if empty.")] = "",
+    output: Output = None,
+) -> None:
+    """Let a motor's baseline begin anew with a night; the next run makes its trends anew.
+
+    An overhaul, an oil change or a change of flushing belongs into the motor's file, dated, in
+    `events`: that starts a new baseline as well.
+
+    Example: motor-leakage baseline reset demo/configs/fleet.toml CB560-01 2026-02-15 --note "new"
+    """
+    from pipeline.decisions import Decision, record_decision
+    from pipeline.status import known_indicators
+
+    label = night_label(night, "NIGHT")
+    assert label is not None
+    fleet = load(config, output, None, logs=False)
+    known_motors([motor], fleet)
+    known = known_indicators(fleet.output, motor)
+    if indicator and known and indicator not in known:
+        raise UsageError("indicator", f"{motor} has no {indicator!r}; it has {', '.join(known)}")
+    record_decision(
+        fleet.output,
+        Decision(motor, indicator, dt.datetime.now(dt.UTC), "baseline_reset", label, None, note),
+    )
+    typer.echo(f"{motor}: {indicator or 'every'} baseline begins anew with the night {label}")

@@ -1,0 +1,69 @@
+"""What the program says beside its results: lines for people, or one JSON object a line.
+
+Workers are processes of their own: what they log goes to the same stderr, in the same form.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import logging
+import os
+import sys
+
+# Tells worker processes, which inherit it, in what form to speak.
+FORM = "MOTOR_LEAKAGE_MESSAGES"
+AS_JSON = "json"
+
+
+class JsonLine(logging.Formatter):
+    """A record as one line of JSON: event, time (UTC), level, logger, message, traceback."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line."""
+        line = {
+            "event": "log",
+            "time": dt.datetime.fromtimestamp(record.created, dt.UTC).isoformat(),
+            "level": record.levelname.lower(),
+            "logger": record.name,
+            "message": record.getMessage(),
+            "process": record.process,
+        }
+        if record.exc_info:
+            line["traceback"] = self.formatException(record.exc_info)
+        return json.dumps(line)
+
+
+def speak(*, as_json: bool) -> None:
+    """Choose the form of this process and of the workers that it starts."""
+    os.environ[FORM] = AS_JSON if as_json else ""
+    _attach()
+
+
+def speak_as_told() -> None:
+    """Take the form that the process chose that started this one; does nothing where it is set."""
+    if not logging.getLogger().handlers:
+        _attach()
+
+
+def _attach() -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    if os.environ.get(FORM) == AS_JSON:
+        handler.setFormatter(JsonLine())
+    else:
+        handler.setFormatter(logging.Formatter("%(levelname)s %(name)s: %(message)s"))
+    logging.basicConfig(handlers=[handler])
+
+
+def error_line(code: str, message: str, exit_code: int, *, as_json: bool) -> str:
+    """How a command that ends early says why.
+
+    Examples
+    --------
+    >>> error_line("locked", "process 12 writes to this output", 3, as_json=False)
+    'motor-leakage: locked: process 12 writes to this output'
+    """
+    if not as_json:
+        return f"motor-leakage: {code}: {message}"
+    line = {"event": "error", "code": code, "message": message, "exit_code": exit_code}
+    return json.dumps(line)

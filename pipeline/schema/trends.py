@@ -1,0 +1,213 @@
+"""Tables of a motor's course over the nights: trends, alarms, baselines, changes, decisions."""
+
+from __future__ import annotations
+
+import polars as pl
+
+from pipeline.schema.columns import (
+    MOTOR_ID,
+    NIGHT,
+    RUN_ID,
+    TIMESTAMP,
+    Column,
+    Table,
+)
+
+
+def _per_time(name: str, per: str) -> tuple[Column, ...]:
+    return tuple(
+        Column(f"slope_{name}{end}", pl.Float64, f"see unit, {per}", what)
+        for end, what in (
+            ("", "Slope by generalised least squares; null below 20 nights"),
+            ("_lower", "Lower end of its interval"),
+            ("_upper", "Upper end of its interval"),
+        )
+    )
+
+
+INDICATOR = Column(
+    "indicator",
+    pl.String,
+    "",
+    "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
+    "and gap_change_ with the path's name, C_f, pressure_zero or flow_zero",
+)
+
+TRENDS = Table(
+    "trends",
+    "a motor, a night, an indicator",
+    ("motor_id", "night", "indicator"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        INDICATOR,
+        Column("value", pl.Float64, "see unit", "The night's figure; null where gated"),
+        Column("unit", pl.String, "", "l/min, m3, %, bar or 1"),
+        Column("lower", pl.Float64, "see unit", "Lower end of its 95 % interval"),
+        Column("upper", pl.Float64, "see unit", "Upper end of its 95 % interval"),
+        Column("n_nights", pl.Int64, "", "Nights that were fitted together for it"),
+        Column("gated_reason", pl.String, "", "Why the night does not count; null where it does"),
+        Column("baseline_start", pl.Date, "", "First night of the baseline in use"),
+        Column("baseline_mean", pl.Float64, "see unit", "Its mean; null before there is one"),
+        Column("deviation_percent", pl.Float64, "%", "(value − baseline) / baseline"),
+        Column("running_hours", pl.Float64, "h", "Running hours since the motor's first night"),
+        Column(
+            "running_hours_estimated",
+            pl.Boolean,
+            "",
+            "Some of them belong to nights without a log, by the mean share of the 30 before",
+        ),
+        *_per_time("per_1000_h", "1000 running hours"),
+        *_per_time("per_year", "year of 365.25 days"),
+        Column("theil_sen_per_year", pl.Float64, "see unit, year", "Median of all pairs' slopes"),
+        Column("theil_sen_outside", pl.Boolean, "", "It lies outside the slope's interval"),
+        Column("n_slope", pl.Int64, "", "Nights behind the slope"),
+        Column(
+            "slope_start",
+            pl.Date,
+            "",
+            "First night of the line: since the baseline began or, where a change stands told, "
+            "since that began",
+        ),
+        Column("provisional", pl.Boolean, "", "The slope rests on fewer than 60 nights"),
+        Column("p_value", pl.Float64, "", "Of no slope, two-sided"),
+        Column("q_value", pl.Float64, "", "The same, controlling false discoveries in the fleet"),
+        Column(
+            "is_trend",
+            pl.Boolean,
+            "",
+            "q_value is below trend.false_discovery_rate; null without one",
+        ),
+        Column("cusum", pl.Float64, "sd", "One-sided CUSUM of the whitened deviations"),
+        Column("cusum_limit", pl.Float64, "sd", "Beyond it the motor has changed"),
+        Column(
+            "state",
+            pl.String,
+            "",
+            "ok (no change of external leakage), warning, alarm, common_cause, stale or "
+            "insufficient",
+        ),
+        Column("state_reason", pl.String, "", "The state in words; null where ok"),
+        Column("path", pl.String, "", "Path whose growth explains the change; null: none does"),
+        Column("path_probability", pl.Float64, "", "That it does, given the fits' covariance"),
+        Column("path_reason", pl.String, "", "Why paths cannot be told apart"),
+        Column("limit", pl.Float64, "see unit", "The limit that the days count to"),
+        Column("days_to_limit", pl.Float64, "d", "Until the limit, at the slope per year"),
+        Column("days_to_limit_lower", pl.Float64, "d", "Lower end of its Fieller set"),
+        Column("days_to_limit_upper", pl.Float64, "d", "Upper end; null where it has none"),
+        Column(
+            "days_to_limit_status",
+            pl.String,
+            "",
+            "finite, no_trend, already_crossed, beyond_horizon, unbounded or insufficient",
+        ),
+        Column("oil", pl.String, "", "The night's oil"),
+        Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),
+        Column("flushing_mode", pl.String, "", "none, fixed or estimated"),
+        Column("share_reversed", pl.Float64, "", "Share of kept samples with negative speed"),
+        Column(
+            "coverage",
+            pl.Float64,
+            "",
+            "Overlap of the night's pressures, temperatures and speeds with the baseline's, the "
+            "smallest of the three; 1: the same, 0: none",
+        ),
+        Column(
+            "outside_fitted_range",
+            pl.Boolean,
+            "",
+            "The indicator's conditions lie outside what the night's samples saw",
+        ),
+        Column(
+            "sensor_health",
+            pl.String,
+            "",
+            "What the zeros at halts say of the sensors: ok, drifted or unknown",
+        ),
+        RUN_ID,
+        Column("warning_limit", pl.Float64, "see unit", "Level of a warning; null without one"),
+        Column("alarm_limit", pl.Float64, "see unit", "Level of an alarm; null without one"),
+    ),
+)
+
+ALARMS = Table(
+    "alarms",
+    "a change of state",
+    ("motor_id", "night", "indicator"),
+    (
+        MOTOR_ID,
+        NIGHT,
+        Column("time", TIMESTAMP, "UTC", "End of the night, never the clock"),
+        INDICATOR,
+        Column("from_state", pl.String, "", "State of the night before"),
+        Column("to_state", pl.String, "", "State of the night"),
+        Column("reason", pl.String, "", "In words, with figures and intervals"),
+        Column("deviation_percent", pl.Float64, "%", "Of the night from the baseline"),
+        Column(
+            "way",
+            pl.String,
+            "",
+            "Into a warning or an alarm: level, change (cumulative sum), both, jump (a sudden "
+            "change that no event explains) or drift (of a sensor's zero); stale; common_cause; "
+            "baseline; recovered; recomputed: what was told before is not in the figures now",
+        ),
+        Column("path", pl.String, "", "Path whose growth explains the change"),
+        RUN_ID,
+    ),
+)
+
+BASELINES = Table(
+    "baselines",
+    "a motor, an indicator, a baseline as it was frozen in a night",
+    ("motor_id", "night", "indicator"),
+    (
+        MOTOR_ID,
+        Column("night", pl.Date, "", "Night in which it was frozen"),
+        INDICATOR,
+        Column("start", pl.Date, "", "First good night"),
+        Column("end", pl.Date, "", "Last good night"),
+        Column("n", pl.Int64, "", "Good nights"),
+        Column("mean", pl.Float64, "see unit", "Winsorised mean"),
+        Column("sd", pl.Float64, "see unit", "Robust standard deviation, not below its floor"),
+        Column("unit", pl.String, "", "Unit of both"),
+        Column("phi", pl.Float64, "", "Night-to-night correlation, detrended and bias-corrected"),
+        Column("provisional", pl.Boolean, "", "To be replaced when there are more nights"),
+        Column("sloped", pl.Boolean, "", "The baseline itself has a slope: wear may hide in it"),
+        Column("reason", pl.String, "", "What it starts with: first nights, an event, a reset"),
+        Column("own_pressure_bar", pl.Float64, "bar", "The motor's own reference conditions"),
+        Column("own_temperature_c", pl.Float64, "°C", "The motor's own reference conditions"),
+        Column("own_speed_rpm", pl.Float64, "rpm", "The motor's own reference conditions"),
+        RUN_ID,
+    ),
+)
+
+CHANGE_POINTS = Table(
+    "change_points",
+    "a motor, an indicator, a change as it was seen from a night",
+    ("motor_id", "night", "indicator", "change_night"),
+    (
+        MOTOR_ID,
+        Column("night", pl.Date, "", "Night from which it was seen; the latest holds"),
+        INDICATOR,
+        Column("change_night", pl.Date, "", "First night after the change"),
+        Column("size_percent", pl.Float64, "%", "Step, relative to the level before"),
+        Column("model", pl.String, "", "step, or trend and step: which explains the nights best"),
+        RUN_ID,
+    ),
+)
+
+DECISIONS = Table(
+    "decisions",
+    "what people said of a motor",
+    ("motor_id", "time", "kind", "indicator"),
+    (
+        MOTOR_ID,
+        Column("time", TIMESTAMP, "UTC", "When it was said"),
+        Column("kind", pl.String, "", "acknowledged, finding or baseline_reset"),
+        INDICATOR,
+        Column("night", pl.Date, "", "Night that it refers to"),
+        Column("finding", pl.String, "", "confirmed or not_confirmed; null: no finding"),
+        Column("note", pl.String, "", "In words"),
+        RUN_ID,
+    ),
+)

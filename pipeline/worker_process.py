@@ -1,0 +1,129 @@
+"""Inside a worker: a process that does one task after the other and shares nothing with others.
+
+Whatever a task does to its process, the run goes on: the process ends when the run's does, when its
+time is up, and when it asks for more memory than it may have.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import faulthandler
+import logging
+import os
+import resource
+import signal
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from typing import Generic, TypeVar
+
+log = logging.getLogger(__name__)
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+MIB = 1 << 20
+PR_SET_PDEATHSIG = 1
+
+# The other end is the run; None where tasks are not done in a worker.
+_run: Connection | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Done(Generic[Result]):
+    """A task has come to its end."""
+
+    result: Result
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """A task has not.
+
+    Attributes
+    ----------
+    code
+        From `docs/operations.md`.
+    how
+        What happened, in words.
+    part
+        The part of its work that it was lost in; empty where it named none.
+    """
+
+    code: str
+    how: str
+    part: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class SignOfLife:
+    """A task goes on, and with which part of its work."""
+
+    part: str
+
+
+def sign_of_life(part: str) -> None:
+    """Say that a task begins with a part of its work, which has the whole time limit again."""
+    if _run is not None:
+        _run.send(SignOfLife(part))
+
+
+def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Loss:
+    """Do a task; what it raises is a loss and no exception."""
+    try:
+        return Done(function(task))
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a panic in Polars is no Exception
+        log.exception("a task failed")
+        return loss_of(error)
+
+
+def loss_of(error: BaseException) -> Loss:
+    """The loss by an error that nobody foresaw."""
+    how = f"{type(error).__name__}: {error}"
+    return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
+
+
+def serve(
+    function: Callable[[Task], Result], run: Connection, stderr: Connection, memory_limit_mib: int
+) -> None:
+    """Do tasks until there is nobody left who sends any.
+
+    Parameters
+    ----------
+    function
+        Does a task.
+    run
+        Tasks come from here, outcomes go back.
+    stderr
+        Takes what is written to stderr.
+    memory_limit_mib
+        Largest size of the data of this process, [MiB].
+    """
+    global _run
+    os.dup2(stderr.fileno(), sys.stderr.fileno())
+    stderr.close()
+    _end_with_the_run()
+    # A terminal sends it to all processes; the run decides what comes of its tasks.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # The run sends SIGALRM when the time is up. Told from C, without the interpreter, which may
+    # hang; then the process dies of it.
+    faulthandler.enable()
+    faulthandler.register(signal.SIGALRM, chain=True)
+    resource.setrlimit(resource.RLIMIT_DATA, (memory_limit_mib * MIB, memory_limit_mib * MIB))
+    _run = run
+    while True:
+        try:
+            task = run.recv()
+        except EOFError:
+            return
+        sign_of_life("")
+        run.send(attempt(function, task))
+
+
+def _end_with_the_run() -> None:
+    """Have the kernel kill this process when the run dies; elsewhere it ends after its task."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)

@@ -1,0 +1,196 @@
+"""Whatever bit flips in what a run has left: it is told, and never taken over into a new file."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from pipeline.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.manifest import manifest_file, read_manifest
+from pipeline.schema import QUALITY, frame
+from pipeline.store import night_file, prepare_night
+from pipeline.verification import verify_tables
+from tests.pipeline.faults.disk import Disk, Killed, on
+from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables, remembered_fits
+from tests.pipeline.simulated import NIGHT
+
+
+@pytest.fixture
+def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
+    """All that a run leaves, and something that people said."""
+    copy = shutil.copytree(tiny_fleet.after, tmp_path / "out")
+    moment = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
+    for number in range(3):
+        note = f"heard nothing, {number}"
+        record_decision(copy, Decision("M1", "", moment, "finding", NIGHT, "not_confirmed", note))
+    return copy
+
+
+def files_of(output: Path) -> list[Path]:
+    """Every file with content that is to be proven."""
+    return sorted(
+        path
+        for path in output.rglob("*")
+        if path.is_file() and path.name not in ("lock", "settings")
+    )
+
+
+def flip(path: Path, whole: bytes, bit: int) -> None:
+    changed = bytearray(whole)
+    changed[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(changed)
+
+
+def is_told(output: Path, path: Path) -> bool:
+    """Whether a fault names the file; of a manifest also, whether it names one that it lists."""
+    name = path.relative_to(output).as_posix().removeprefix("tables/")
+    return any(fault.path in (name, path.name) for fault in verify_tables(output))
+
+
+def test_some_bits_of_every_file(output: Path) -> None:
+    rng = np.random.default_rng(1)
+    for path in files_of(output):
+        whole = path.read_bytes()
+        flip(path, whole, int(rng.integers(8 * len(whole))))
+        assert is_told(output, path), path
+        path.write_bytes(whole)
+    assert list(verify_tables(output)) == []
+
+
+def alone(path: Path, output: Path, folder: Path) -> Path:
+    """A table file in an output of its own, with its manifest; returns where it lies."""
+    name = path.relative_to(output / "tables").as_posix()
+    place = folder / "tables" / name
+    place.parent.mkdir(parents=True)
+    shutil.copy(path, place)
+    for manifest in (output / "manifest").rglob("*.json"):
+        month = manifest.parent.name.removeprefix("month=")
+        found = read_manifest(output, month, manifest.stem)
+        assert found is not None
+        if name in found.names:
+            target = manifest_file(folder, month, manifest.stem)
+            target.parent.mkdir(parents=True)
+            document = json.loads(manifest.read_bytes())
+            target.write_text(json.dumps(document), "utf-8")
+    return place
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(200, id="some"), pytest.param(0, marks=pytest.mark.full, id="all")]
+)
+def test_bits_of_a_table(output: Path, tmp_path: Path, size: int) -> None:
+    """Pages, page headers, footer, lengths and magic numbers; the manifest's own bits as well."""
+    path = alone(night_file(output, QUALITY, NIGHT), output, tmp_path / "alone")
+    folder = tmp_path / "alone"
+    (manifest,) = (folder / "manifest").rglob("*.json")
+    # The manifest also lists what lies elsewhere.
+    for file in (path, manifest):
+        whole = file.read_bytes()
+        bits = np.arange(8 * len(whole))
+        if size:
+            bits = np.random.default_rng(2).choice(bits, size, replace=False)
+        for bit in bits:
+            flip(file, whole, int(bit))
+            assert is_told(folder, file), bit
+        file.write_bytes(whole)
+    assert not is_told(folder, path)
+
+
+@pytest.mark.full
+def test_every_byte_of_every_table(output: Path, tmp_path: Path) -> None:
+    rng = np.random.default_rng(3)
+    for number, path in enumerate(sorted((output / "tables").rglob("*.parquet"))):
+        folder = tmp_path / str(number)
+        place = alone(path, output, folder)
+        whole = place.read_bytes()
+        for byte in range(len(whole)):
+            flip(place, whole, 8 * byte + int(rng.integers(8)))
+            assert is_told(folder, place), byte
+        shutil.rmtree(folder)
+
+
+@pytest.mark.parametrize(
+    "size", [pytest.param(60, id="some"), pytest.param(0, marks=pytest.mark.full, id="all")]
+)
+def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
+    """A run adds rows to the file of a night: those that are there are proven first."""
+    path = night_file(output, QUALITY, NIGHT)
+    whole = path.read_bytes()
+    manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
+    assert manifest is not None
+    accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
+    new = {"M3": frame(QUALITY, [], without="run_id")}
+    sound = prepare_night(output, QUALITY, NIGHT, new, "run", lambda rows: rows, accepted)
+    assert not sound.lost_rows
+    bits = np.arange(8 * len(whole))
+    if size:
+        bits = np.random.default_rng(4).choice(bits, size, replace=False)
+    for bit in bits:
+        flip(path, whole, int(bit))
+        file = prepare_night(output, QUALITY, NIGHT, new, "run", lambda rows: rows, accepted)
+        file.drop()
+        assert file.lost_rows, bit
+
+
+def test_a_run_puts_a_damaged_file_aside_and_the_next_one_makes_all_of_it_anew(
+    output: Path, tiny_fleet: TinyFleet
+) -> None:
+    """In the footer, where no checksum of Parquet's would tell."""
+    journal_file(output).unlink()
+    path = night_file(output, QUALITY, LATER)
+    whole = path.read_bytes()
+    flip(path, whole, 8 * (len(whole) - 100))
+    (output / "ledger" / "M2" / f"{LATER:%Y-%m}.json").unlink()
+    tiny_fleet.run(output)
+    assert pl.read_parquet(path)["motor_id"].unique().to_list() == ["M2"]
+    assert [fault.code for fault in verify_tables(output)] == ["table_unlisted"]
+    path.with_suffix(".damaged").unlink()
+    tiny_fleet.run(output)
+    check_tables(output, tiny_fleet)
+    assert list(verify_tables(output)) == []
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(
+    "step", [pytest.param(250, id="some"), pytest.param(7, marks=pytest.mark.full, id="many")]
+)
+def test_rows_of_a_damaged_file_are_made_anew_though_the_run_is_killed(
+    tiny_fleet: TinyFleet, tmp_path: Path, step: int
+) -> None:
+    """One motor's night is published over a damaged file: the other's rows are not forgotten."""
+    output = tmp_path / "out"
+    point, disk = 120, Disk("killed", 0)
+    with remembered_fits():
+        while point == 120 or disk.struck:
+            tiny_fleet.copy(output)
+            path = night_file(output, QUALITY, NIGHT)
+            whole = path.read_bytes()
+            flip(path, whole, 8 * (len(whole) - 100))
+            disk = Disk("killed", point)
+            with on(disk), suppress(Killed):
+                tiny_fleet.run(output)
+            for _ in range(2):
+                tiny_fleet.run(output)
+            path.with_suffix(".damaged").unlink()
+            check_tables(output, tiny_fleet)
+            assert list(verify_tables(output)) == []
+            point += step
+
+
+def test_bits_of_what_people_said(output: Path) -> None:
+    """It cannot be made anew: a damaged line is told, and costs no other."""
+    path = journal_file(output)
+    whole, said = path.read_bytes(), read_decisions(output)
+    for bit in np.random.default_rng(5).choice(8 * len(whole), 200, replace=False):
+        flip(path, whole, int(bit))
+        found = read_decisions(output)
+        assert set(found) <= set(said)
+        assert len(found) >= len(said) - 2  # a line break that is none costs two
+        assert is_told(output, path), bit

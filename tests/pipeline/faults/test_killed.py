@@ -1,0 +1,190 @@
+"""SIGKILL of the process and of its workers, anywhere: the next run repairs all."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pipeline.fleet
+from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
+from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
+from tests.pipeline.faults.fleet import (
+    MOTORS,
+    TinyFleet,
+    check_old_or_new,
+    check_repaired,
+    remembered_fits,
+)
+from tests.pipeline.faults.sweep import count_points
+from tests.pipeline.faults.victim import OF_MOTORS, OF_TRENDS, STAGES, at_entry, die
+
+Kill = Callable[[Path, str, int], None]
+
+
+@pytest.fixture(scope="module")
+def kill(tiny_fleet: TinyFleet) -> Iterator[Kill]:
+    """Kills a run at the Nth call of the disk, or the Nth entry into a stage."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.pipeline.faults.victim"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])},
+    )
+    assert process.stdin is not None
+    assert process.stdout is not None
+
+    def ask(output: Path, stage: str, number: int) -> None:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        request = {
+            "folder": str(tiny_fleet.folder),
+            "output": str(output),
+            "stage": stage,
+            "number": number,
+            "workers": 1,
+        }
+        process.stdin.write(json.dumps(request) + "\n")
+        process.stdin.flush()
+        assert process.stdout.readline() == f"{-signal.SIGKILL}\n", (stage, number)
+
+    yield ask
+    process.stdin.close()
+    assert process.wait(60) == 0
+    process.stdout.close()
+
+
+def kill_and_repair(fleet: TinyFleet, output: Path, kill: Kill, stage: str, number: int) -> None:
+    fleet.copy(output)
+    kill(output, stage, number)
+    check_old_or_new(output, fleet)
+    with remembered_fits():
+        # Nobody holds the lock any more.
+        fleet.run(output)
+    check_repaired(output, fleet)
+
+
+@pytest.mark.parametrize("stage", ["fitting", "landing", "remembering", "trends"])
+def test_killed_in_a_stage(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, stage: str) -> None:
+    kill_and_repair(tiny_fleet, tmp_path / "out", kill, stage, 2 if stage == "landing" else 1)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("stage", STAGES)
+def test_killed_in_every_stage(
+    tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, stage: str, number: int
+) -> None:
+    if (stage, number) in (("trends", 2), ("publishing the run", 2)):
+        number = 1  # entered once
+    kill_and_repair(tiny_fleet, tmp_path / "out", kill, stage, number)
+
+
+def test_killed_at_a_call(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill) -> None:
+    output = tmp_path / "out"
+    n = count_points(tiny_fleet, output, "killed")
+    for point in np.random.default_rng(3).choice(n, 2, replace=False):
+        kill_and_repair(tiny_fleet, output, kill, "call", int(point) + 1)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("part", range(4))
+def test_killed_at_many_calls(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill, part: int) -> None:
+    """The process itself; that each call can be the last is shown without it, too."""
+    output = tmp_path / "out"
+    n = count_points(tiny_fleet, output, "killed")
+    points = range(1 + part, n + 1, 40)
+    for point in points:
+        kill_and_repair(tiny_fleet, output, kill, "call", point)
+    sys.stdout.write(f"SIGKILL, {part + 1} of 4: {len(points)} points tried and survived\n")
+
+
+# Workers. What is to be done reaches them with the task. (In the tests of every change, workers are
+# killed in `tests/pipeline/test_fleet.py`: starting some takes longer than all of the above.)
+
+
+def killing_motor(stage: str, motor: str, marker: Path | None) -> Callable[..., MotorOutcome]:
+    """A motor's task that dies in a stage: always, or only until a marker is there."""
+
+    def run_or_die(task: MotorTask) -> MotorOutcome:
+        if task.spec.motor_id != motor or (marker and marker.exists()):
+            return run_motor(task)
+
+        def then() -> None:
+            if marker:
+                marker.touch()
+            die()
+
+        patched = at_entry(stage, 1, then)
+        try:
+            return run_motor(task)
+        finally:
+            patched.undo()
+
+    return run_or_die
+
+
+def killing_trends(stage: str, motor: str, marker: Path | None) -> Callable[..., TrendOutcome]:
+    """The same of a task of trends."""
+
+    def run_or_die(task: TrendTask) -> TrendOutcome:
+        if task.specs[0].motor_id != motor or (marker and marker.exists()):
+            return run_trends(task)
+
+        def then() -> None:
+            if marker:
+                marker.touch()
+            die()
+
+        patched = at_entry(stage, 1, then)
+        try:
+            return run_trends(task)
+        finally:
+            patched.undo()
+
+    return run_or_die
+
+
+def check_worker(
+    fleet: TinyFleet, tmp_path: Path, patched: pytest.MonkeyPatch, stage: str, always: bool
+) -> None:
+    """A worker dies once and nothing is lost; or whenever it does a motor, and that alone fails."""
+    output, motor = fleet.copy(tmp_path / "out"), MOTORS[1]
+    marker = None if always else tmp_path / "died"
+    if stage in OF_MOTORS:
+        patched.setattr(pipeline.fleet, "run_motor", killing_motor(stage, motor, marker))
+    else:
+        patched.setattr(pipeline.fleet, "run_trends", killing_trends(stage, motor, marker))
+        # A task a motor: one alone would be done in this very process.
+        patched.setattr(pipeline.fleet, "MOTORS_A_TREND_TASK", 1)
+    result = fleet.run(output, workers=2, backend="loky")
+    patched.undo()
+    failed = [outcome.motor_id for outcome in result.failed]
+    assert failed == ([motor] if always else [])
+    assert always or (marker is not None and marker.exists())
+    check_old_or_new(output, fleet, failed)
+    if always:
+        with remembered_fits():
+            fleet.run(output)
+    check_repaired(output, fleet)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("always", [False, True], ids=["once", "always"])
+@pytest.mark.parametrize("stage", [*OF_MOTORS, *OF_TRENDS])
+def test_a_worker_killed_in_every_stage(
+    tiny_fleet: TinyFleet,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stage: str,
+    always: bool,
+) -> None:
+    check_worker(tiny_fleet, tmp_path, monkeypatch, stage, always)

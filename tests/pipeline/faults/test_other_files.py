@@ -1,0 +1,158 @@
+"""Files beside the tables: what people said, CSV exports, reports. Each call fails in turn."""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.csv_export import Selection, export_csv
+from pipeline.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.errors import StoreError
+from pipeline.fleet import run_fleet
+from pipeline.motor_task import MotorOutcome
+from pipeline.report.build import ReportRequest, build_report
+from pipeline.schema import FITS, PARAMETERS
+from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
+from tests.pipeline.faults.fleet import TinyFleet, check_tables
+from tests.pipeline.simulated import NIGHT
+
+DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+MOMENT = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
+
+
+def points(kind: Kind, act: Callable[[], object]) -> int:
+    """How many calls of an act can fail."""
+    with on(Disk(kind, 0)) as disk:
+        act()
+    return disk.seen
+
+
+def fails(kind: Kind, point: int, act: Callable[[], object]) -> bool:
+    """Whether an act tells that it has failed, or dies, when one of its calls does."""
+    with on(Disk(kind, point)) as disk:
+        try:
+            act()
+        except (StoreError, Killed):
+            return True
+        finally:
+            assert disk.struck
+    return False
+
+
+def said(number: int) -> Decision:
+    return Decision("M1", "", MOMENT, "finding", NIGHT, "confirmed", f"worn rings, {number}")
+
+
+@pytest.fixture(params=[0, 2], ids=["new", "more"])
+def journal(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
+    for number in range(request.param):
+        record_decision(tmp_path, said(number))
+    return tmp_path
+
+
+@DEAD
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_people_said_is_kept_or_they_are_told(journal: Path, kind: Kind) -> None:
+    """At every point; the lines before stay to the byte, and the next line is one of its own."""
+    path = journal_file(journal)
+    before = path.read_bytes() if path.exists() else b""
+    decided = read_decisions(journal)
+    n = points(kind, lambda: record_decision(journal, said(7)))
+    assert n >= 1
+    for point in range(1, n + 1):
+        path.write_bytes(before) if before else path.unlink(missing_ok=True)
+        failed = fails(kind, point, lambda: record_decision(journal, said(7)))
+        content = path.read_bytes() if path.exists() else b""
+        assert content.startswith(before)
+        assert failed or content != before
+        if failed and kind != "killed":
+            assert content == before
+        record_decision(journal, said(8))
+        found = read_decisions(journal)
+        assert {*decided, said(8)} <= set(found) <= {*decided, said(7), said(8)}
+
+
+@DEAD
+@pytest.mark.parametrize("kind", KINDS)
+def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
+    folder = tmp_path / "csv"
+    selection = Selection(tables=(FITS, PARAMETERS))
+
+    def export() -> None:
+        list(export_csv(tiny_fleet.after, folder, selection))
+
+    export()
+    n = points(kind, export)
+    new = {path.name: path.read_bytes() for path in folder.iterdir()}
+    for point in range(1, n + 1):
+        for name in new:
+            (folder / name).write_bytes(b"old")
+        failed = fails(kind, point, export)
+        for name, content in new.items():
+            assert (folder / name).read_bytes() in ((b"old", content) if failed else (content,))
+        export()
+        assert {path.name: path.read_bytes() for path in folder.iterdir()} == new
+
+
+@DEAD
+@pytest.mark.parametrize(
+    "n_points", [pytest.param(1, id="some"), pytest.param(0, marks=pytest.mark.full, id="all")]
+)
+@pytest.mark.parametrize("kind", ["EIO", "ENOSPC", "killed"])
+def test_a_report_is_made_whole_by_the_next(
+    tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind, n_points: int
+) -> None:
+    folder = tmp_path / "report"
+
+    def make() -> None:
+        build_report(ReportRequest(tiny_fleet.after, folder))
+
+    def contents() -> dict[str, bytes]:
+        return {
+            path.relative_to(folder).as_posix(): path.read_bytes()
+            for path in folder.rglob("*")
+            if path.is_file()
+        }
+
+    n = points(kind, make)
+    new = contents()
+    chosen = np.arange(n)
+    if n_points:
+        chosen = np.random.default_rng(KINDS.index(kind)).choice(n, n_points, replace=False)
+    for point in chosen:
+        shutil.rmtree(folder)
+        fails(kind, int(point) + 1, make)
+        make()
+        assert contents() == new
+
+
+def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
+    """While the first one runs; it loses nothing by it."""
+    output = tiny_fleet.copy(tmp_path / "out")
+    program = "from pipeline.cli import main; main()"
+    command = [sys.executable, "-c", program, "fit-fleet", str(tiny_fleet.fleet)]
+    ends = []
+
+    def second(_: MotorOutcome) -> None:
+        if not ends:
+            done = subprocess.run(
+                [*command, "--output", str(output)],
+                capture_output=True,
+                text=True,
+                env={**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])},
+            )
+            ends.append((done.returncode, done.stderr))
+
+    run_fleet(tiny_fleet.request(output), second)
+    ((code, told),) = ends
+    assert code == 3
+    assert f"process {os.getpid()} since" in told
+    check_tables(output, tiny_fleet)

@@ -1,0 +1,222 @@
+"""Who reads while a run publishes sees each file as it was or as it is, and each key once.
+
+Engines open a file twice, for its footer and for its pages (Polars 2.1, DuckDB 2; pyarrow 26 the
+first one). Where it is replaced in between they refuse it, and have to be asked again; they must
+never give an answer that is neither old nor new. Who opens a file once is always answered.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+import duckdb
+import polars as pl
+import pytest
+
+from pipeline.schema import FITS, INPUT_FILES, PARAMETERS, QUALITY, TRENDS, Table
+from pipeline.verification import verify_tables
+from tests.pipeline.faults.fleet import LATER, TinyFleet, remembered_fits
+from tests.pipeline.simulated import NIGHT
+
+READ = (FITS, PARAMETERS, QUALITY, TRENDS, INPUT_FILES)
+Rows = pl.DataFrame
+Answer = dict[tuple[str, object], str]
+
+
+def with_polars(pattern: str) -> Rows:
+    return pl.read_parquet(pattern, hive_partitioning=False)
+
+
+def opened_once(pattern: str) -> Rows:
+    files = sorted(Path(pattern.split("**")[0]).glob("**/*.parquet"))
+    return pl.concat(
+        [pl.read_parquet(path.read_bytes(), hive_partitioning=False) for path in files]
+    )
+
+
+def with_duckdb(pattern: str) -> Rows:
+    with duckdb.connect() as analyst:
+        return analyst.read_parquet(pattern, hive_partitioning=False).pl()
+
+
+def answer(rows: Rows, table: Table) -> Answer:
+    """Hash of what is said of each night; each key once."""
+    assert rows.select(table.key).is_unique().all(), table.name
+    columns = [name for name in table.schema if name != "run_id"]
+    nights = rows.select(columns).sort(table.key).partition_by("night", as_dict=True)
+    return {
+        (table.name, night): hashlib.sha256(part.write_json().encode()).hexdigest()
+        for (night,), part in nights.items()
+    }
+
+
+def pattern_of(output: Path, table: Table) -> str:
+    return (output / "tables" / table.name / "**" / "*.parquet").as_posix()
+
+
+def published(output: Path) -> Answer:
+    found: Answer = {}
+    for table in READ:
+        found |= answer(with_polars(pattern_of(output, table)), table)
+    return found
+
+
+class Reader(threading.Thread):
+    """Asks all the time, and keeps what it was told and what went wrong."""
+
+    def __init__(self, output: Path, read: Callable[[str], Rows]) -> None:
+        super().__init__()
+        self.output, self.read = output, read
+        self.seen: dict[tuple[str, object], set[str]] = {}
+        self.faults: list[str] = []
+        self.n_answers = self.n_refused = 0
+        self.stopped = threading.Event()
+
+    def _files(self, table: Table) -> dict[str, int]:
+        folder = self.output / "tables" / table.name
+        return {path.name: path.stat().st_ino for path in folder.rglob("*.parquet")}
+
+    def run(self) -> None:
+        while not self.stopped.is_set():
+            for table in READ:
+                before = self._files(table)
+                try:
+                    rows = self.read(pattern_of(self.output, table))
+                except BaseException as fault:  # a panic of a reader is one, too
+                    if self.read is not opened_once and self._files(table) != before:
+                        self.n_refused += 1
+                    else:
+                        self.faults.append(f"{table.name}: {fault!r}")
+                    continue
+                try:
+                    found = answer(rows, table)
+                except AssertionError as fault:
+                    self.faults.append(f"{table.name}: {fault!r}")
+                    continue
+                self.n_answers += 1
+                for key, said in found.items():
+                    self.seen.setdefault(key, set()).add(said)
+
+
+@pytest.mark.parametrize("read", [with_polars, with_duckdb])
+def test_the_footer_of_one_state_with_the_pages_of_another_is_refused(
+    tiny_fleet: TinyFleet, tmp_path: Path, read: Callable[[str], Rows]
+) -> None:
+    """What an engine sees that has opened a file before and after it was replaced."""
+    n_torn = 0
+    for path in sorted((tiny_fleet.before / "tables").rglob("*.parquet")):
+        states = [path, tiny_fleet.after / path.relative_to(tiny_fleet.before)]
+        one, two = (state.read_bytes() for state in states)
+        if one == two:
+            continue
+        for old, new in ((one, two), (two, one)):
+            begin = len(old) - 8 - int.from_bytes(old[-8:-4], "little")
+            torn = tmp_path / "torn.parquet"
+            torn.write_bytes(new[:begin].ljust(begin, b"\0") + old[begin:])
+            with pytest.raises((pl.exceptions.PolarsError, duckdb.Error)):
+                read(torn.as_posix())
+            n_torn += 1
+    assert n_torn > 10
+
+
+@pytest.fixture
+def own(tiny_fleet: TinyFleet, tmp_path: Path) -> TinyFleet:
+    """A fleet whose logs may be changed, fitted."""
+    for name in ("configs", "logs", "after"):
+        shutil.copytree(tiny_fleet.folder / name, tmp_path / name)
+    return TinyFleet(tmp_path)
+
+
+def check_readers(own: TinyFleet, n_runs: int) -> int:
+    """Runs that publish one of two states in turn, under the eyes of two readers."""
+    output = own.after
+    path = own.folder / "logs" / "M1" / f"{NIGHT}.parquet"
+    states = [path.read_bytes(), own.log("M1", NIGHT, seed=8).read_bytes()]
+    with remembered_fits():
+        told = []
+        for state in (1, 0):
+            path.write_bytes(states[state])
+            own.run(output)
+            told.append(published(output))
+        assert told[0] != told[1]
+        readers = [Reader(output, read) for read in (opened_once, with_polars, with_duckdb)]
+        for reader in readers:
+            reader.start()
+        try:
+            for number in range(n_runs):
+                path.write_bytes(states[1 - number % 2])
+                assert not own.run(output).failed
+                # A run may be publishing while somebody checks, too.
+                assert list(verify_tables(output)) == []
+        finally:
+            for reader in readers:
+                reader.stopped.set()
+            for reader in readers:
+                reader.join()
+    for reader in readers:
+        assert reader.faults == []
+        assert reader.n_answers >= n_runs
+        for key, said in reader.seen.items():
+            assert said <= {one[key] for one in told}, key
+    changed = ("fits", NIGHT)
+    assert told[0][changed] != told[1][changed]
+    assert told[0]["input_files", LATER] == told[1]["input_files", LATER]
+    for reader in readers:
+        sys.stdout.write(
+            f"{reader.read.__name__}: {reader.n_answers} answers, {reader.n_refused} refused\n"
+        )
+    return sum(reader.n_answers for reader in readers)
+
+
+def test_readers_during_runs(own: TinyFleet) -> None:
+    assert check_readers(own, 4) > 0
+
+
+@pytest.mark.full
+def test_readers_during_many_runs(own: TinyFleet) -> None:
+    assert check_readers(own, 100) > 1000
+
+
+def test_a_file_that_moves_to_another_night_never_stands_in_two(
+    own: TinyFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The key of `input_files` has no night: a place is left before another is taken."""
+    output = own.after
+    first, later = (own.folder / "logs" / "M1" / f"{night}.parquet" for night in (NIGHT, LATER))
+    seen = []
+    publish = TinyFleet.run
+
+    from pipeline.landing import Prepared
+
+    land = Prepared.land
+
+    def watched(prepared: Prepared) -> None:
+        land(prepared)
+        rows = with_polars(pattern_of(output, INPUT_FILES))
+        assert rows.select(INPUT_FILES.key).is_unique().all()
+        seen.append(rows.filter(pl.col("motor_id") == "M1").select("path", "night").rows())
+
+    monkeypatch.setattr(Prepared, "land", watched)
+    contents = first.read_bytes(), later.read_bytes()
+    # Their contents change places; then what was the later file is all that there is of the first.
+    for here, there in (contents[::-1], contents):
+        first.write_bytes(here)
+        later.write_bytes(there)
+        publish(own, output)
+        places = dict(
+            with_polars(pattern_of(output, INPUT_FILES))
+            .filter(pl.col("motor_id") == "M1")
+            .select("path", "night")
+            .rows()
+        )
+        swapped = here == contents[1]
+        assert places == {
+            f"M1/{NIGHT}.parquet": LATER if swapped else NIGHT,
+            f"M1/{LATER}.parquet": NIGHT if swapped else LATER,
+        }
+    assert len(seen) > 10

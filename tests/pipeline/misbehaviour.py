@@ -1,0 +1,174 @@
+"""Tasks that do to their worker what a motor's task must not do to a run.
+
+Libraries are loaded where they are needed, so that a worker for the others starts at once.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from pipeline.worker_process import sign_of_life
+
+GIB = 1 << 30
+
+
+def do(task: str) -> str:
+    """A task that does what it is called after, if that is a misbehaviour; else all is well."""
+    if task in MISBEHAVIOUR:
+        MISBEHAVIOUR[task]()
+    return f"{task} done"
+
+
+def raise_error() -> None:
+    raise ZeroDivisionError("not foreseen")
+
+
+def panic() -> None:
+    """What Polars raises where it is at fault; it is no Exception."""
+    from polars.exceptions import PanicException
+
+    raise PanicException("not foreseen")
+
+
+def hang_in_python() -> None:
+    sign_of_life("the third night")
+    while True:
+        time.sleep(0.01)
+
+
+def hang_in_c() -> None:
+    """Holds the interpreter's lock: no signal handler in Python is ever called."""
+    ctypes.PyDLL(None).sleep(1000)
+
+
+def hang_in_a_pattern() -> None:
+    """Backtracks for longer than the universe is old."""
+    re.fullmatch(r"(a|a)*b", "a" * 200)
+
+
+def stop() -> None:
+    """As a debugger does: nothing but SIGKILL ends a stopped process."""
+    os.kill(os.getpid(), signal.SIGSTOP)
+
+
+def eat_with_numpy() -> None:
+    import numpy as np
+
+    held = []
+    while True:
+        held.append(np.ones(GIB // 16))
+
+
+def eat_with_python() -> None:
+    held = []
+    while True:
+        held.append(bytes(GIB // 2))
+
+
+def eat_with_polars() -> None:
+    import polars as pl
+
+    held = []
+    while True:
+        held.append(pl.select(pl.int_range(GIB // 16, dtype=pl.Int64)))
+
+
+def eat_with_arrow() -> None:
+    import pyarrow as pa
+
+    held = []
+    while True:
+        held.append(pa.allocate_buffer(GIB // 2))
+
+
+def eat_at_once() -> None:
+    """One column of 8 TiB."""
+    import polars as pl
+
+    pl.select(pl.int_range(1 << 40, dtype=pl.Int64))
+
+
+def kill() -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def segfault() -> None:
+    ctypes.string_at(8)
+
+
+def abort() -> None:
+    os.abort()
+
+
+def leave() -> None:
+    os._exit(0)
+
+
+MISBEHAVIOUR: dict[str, Callable[[], None]] = {
+    one.__name__: one
+    for one in (
+        raise_error,
+        panic,
+        hang_in_python,
+        hang_in_c,
+        hang_in_a_pattern,
+        stop,
+        eat_with_numpy,
+        eat_with_python,
+        eat_with_polars,
+        eat_with_arrow,
+        eat_at_once,
+        kill,
+        segfault,
+        abort,
+        leave,
+    )
+}
+
+
+def slow_by_parts(parts: int) -> int:
+    """Takes 1.8 s for each part."""
+    for part in range(parts):
+        sign_of_life(f"part {part}")
+        time.sleep(1.8)
+    return parts
+
+
+def die_once(marker: str) -> str:
+    """Dies unless it has done so before."""
+    if not Path(marker).exists():
+        Path(marker).touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+def others_of_my_parent() -> int:
+    """How many workers there are beside this one."""
+    mine = f"PPid:\t{os.getppid()}\n"
+    found = 0
+    for status in Path("/proc").glob("[0-9]*/status"):
+        try:
+            found += mine in status.read_text() and "popen_loky" in (
+                status.with_name("cmdline").read_text()
+            )
+        except OSError:  # ended meanwhile
+            continue
+    return found - 1
+
+
+def count_beside_or_die(marker: str) -> int:
+    """Dies; the second time it counts the workers beside it."""
+    die_once(marker)
+    return others_of_my_parent()
+
+
+def pid_and_hang(folder: str) -> None:
+    """Says which process it is, and hangs."""
+    (Path(folder) / str(os.getpid())).touch()
+    hang_in_c()

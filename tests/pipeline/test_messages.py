@@ -1,0 +1,107 @@
+"""Messages: one JSON object a line where programs read, of workers and of wrong usage, too."""
+
+from __future__ import annotations
+
+import io
+import json
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli import main
+from pipeline.messages import FORM, JsonLine, error_line, speak_as_told
+
+Called = Callable[..., tuple[object, list[str], list[str]]]
+
+
+@pytest.fixture
+def called(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Called:
+    """Runs the command in this process: its exit code, and its lines on stdout and stderr."""
+    monkeypatch.setenv(FORM, "")
+
+    def run(*arguments: str) -> tuple[object, list[str], list[str]]:
+        monkeypatch.setattr(sys, "argv", ["motor-leakage", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capfd.readouterr()
+        return ended.value.code, out.splitlines(), err.splitlines()
+
+    return run
+
+
+def test_a_record_is_one_line_with_its_traceback() -> None:
+    stream = io.StringIO()
+    handler = logging.StreamHandler(stream)
+    handler.setFormatter(JsonLine())
+    log = logging.Logger("pipeline.somewhere")
+    log.addHandler(handler)
+    try:
+        int("two\nlines")
+    except ValueError:
+        log.exception("motor %s failed", "M1")
+    (line,) = stream.getvalue().splitlines()
+    record = json.loads(line)
+    assert (record["event"], record["level"], record["logger"], record["message"]) == (
+        "log",
+        "error",
+        "pipeline.somewhere",
+        "motor M1 failed",
+    )
+    assert record["time"].endswith("+00:00")
+    assert "ValueError: invalid literal" in record["traceback"]
+
+
+def test_errors_and_wrong_usage_are_objects(called: Called, tmp_path: Path) -> None:
+    for arguments, code, words in (
+        (("fit-fleet", "--json", "--no-such"), "usage", "No such option: --no-such"),
+        (("fit-fleet", "--json", str(tmp_path / "none.toml")), "config", "cannot be read"),
+        (("fit-fleet", "--json"), "usage", "CONFIG"),
+    ):
+        exit_code, out, err = called(*arguments)
+        (line,) = map(json.loads, err)
+        assert (exit_code, out) == (2, [])
+        assert (line["event"], line["code"], line["exit_code"]) == ("error", code, 2)
+        assert words in line["message"]
+
+
+def test_people_get_a_line(called: Called, tmp_path: Path) -> None:
+    exit_code, _, err = called("fit-fleet", str(tmp_path / "none.toml"))
+    assert exit_code == 2
+    assert err[0] == "motor-leakage: config: 1 config fault"
+
+
+def test_a_message_with_line_ends_stays_one_line() -> None:
+    line = error_line("config", "two\nlines", 2, as_json=True)
+    assert "\n" not in line
+    assert json.loads(line)["message"] == "two\nlines"
+
+
+@pytest.mark.parametrize("form", ["", "json"])
+def test_a_worker_speaks_as_it_is_told(form: str) -> None:
+    code = (
+        "import logging; from pipeline.messages import speak_as_told as told; told(); told();"
+        "logging.getLogger('pipeline.x').warning('careful')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {FORM: form},
+    )
+    if form:
+        assert json.loads(done.stderr)["message"] == "careful"
+    else:
+        assert done.stderr == "WARNING pipeline.x: careful\n"
+
+
+def test_a_program_that_logs_already_keeps_its_way() -> None:
+    before = list(logging.getLogger().handlers)
+    assert before, "pytest has put its own there"
+    speak_as_told()
+    assert logging.getLogger().handlers == before
