@@ -19,7 +19,7 @@ from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import OWN_REFERENCE, REFERENCE
 from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
-from pipeline.trends.standing import CHANGED, Standing
+from pipeline.trends.standing import CHANGED, RAISED, Standing
 
 Array = NDArray[np.float64]
 Places = NDArray[np.intp]
@@ -78,6 +78,12 @@ def path_behind(standing: Standing, name: str, place: int) -> Attribution | None
     if not names:
         return None
     found = attribute(names, weights, sizes, covariance)
+    if found.status == "no_change" and _has_risen(standing, name, place):
+        return replace(
+            found,
+            status="cannot_be_told_apart",
+            reason="the coefficients scatter too widely: they have not certainly risen",
+        )
     if REST not in found.paths:
         return found
     unknown = ", ".join(one.replace("_", " ") for one in flows if one not in changes)
@@ -87,6 +93,13 @@ def path_behind(standing: Standing, name: str, place: int) -> Attribution | None
         probability=None,
         reason=f"the nights do not tell the coefficients of: {unknown}",
     )
+
+
+def _has_risen(standing: Standing, name: str, place: int) -> bool:
+    """Whether a rise of the motor's own is told of an indicator."""
+    segment, found, _ = standing.watched[name].at(place)
+    told = bool(found.own.severity[place - segment.first])
+    return told and standing.states[name][place] in RAISED
 
 
 def path_named(standing: Standing, name: str, place: int, found: Attribution | None) -> str | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 
 import numpy as np
@@ -79,19 +80,25 @@ def test_pistons_and_sleeves_are_one_where_their_split_rests_on_noise() -> None:
 
 
 def test_what_the_nights_do_not_tell_is_said_to_be_so() -> None:
-    """Independent errors so wide that each path might be it."""
-    wear = {"balance_piston": step(N, AT, 0.06), "balance_sleeve": step(N, AT, 0.06)}
+    """Independent errors so wide that each path might be it, though one of them has grown."""
+    wear = {"balance_piston": step(N, AT, 0.106), "balance_sleeve": step(N, AT, 0.074)}
     seen = Counter()
-    for seed in range(6):
+    for seed in range(8):
         found = standing(Nights(motor(), N, wear, seed=seed, noise=8.0))
         behind = path_behind(found, DEVIATION, N - 1)
-        if behind is not None:
-            seen[behind.status] += 1
-            if behind.status == "cannot_be_told_apart":
-                words = why_state(found, DEVIATION, N - 1, behind)
-                assert "which path cannot be told: no path is more than" in words
-                assert path_named(found, DEVIATION, N - 1, behind) is None
-    assert seen["path"] == 0
+        assert behind is not None
+        seen[behind.status] += 1
+        if behind.status == "cannot_be_told_apart":
+            words = why_state(found, DEVIATION, N - 1, behind)
+            assert re.search(
+                "which path cannot be told: (no path is more than .* % probable|the coefficients "
+                "scatter too widely: they have not certainly risen)$",
+                words,
+            ), words
+            assert path_named(found, DEVIATION, N - 1, behind) is None
+    assert seen["cannot_be_told_apart"] >= 4
+    # An alarm that stands is never said to be none.
+    assert seen["no_change"] == 0
 
 
 def without(path: str) -> dict[tuple[int, str], str]:
