@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import logging
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.config import Alarms
+from pipeline.errors import one_line
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +57,7 @@ def _run(command: Sequence[str], content: bytes) -> str:
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"alarms.command: {error}"
     if done.returncode:
-        words = done.stderr.decode("utf-8", "replace").strip()[:200]
+        words = one_line(done.stderr.decode("utf-8", "replace").strip(), 200)
         return f"alarms.command ended with {done.returncode}: {words}"
     return ""
 
@@ -66,5 +68,5 @@ def _post(url: str, content: bytes) -> str:
     try:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - http or https
             return ""
-    except (urllib.error.URLError, OSError, ValueError) as error:
-        return f"alarms.webhook_url: {error}"
+    except (urllib.error.URLError, OSError, ValueError, http.client.HTTPException) as error:
+        return one_line(f"alarms.webhook_url: {error}", 200)
