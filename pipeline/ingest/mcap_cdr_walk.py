@@ -33,7 +33,7 @@ ORDERS = {0: ">", 1: "<"}
 _LARGEST_NUMBER = 8
 _MOST_PADDING = 3
 
-_MOST_STEPS = 2**18
+MOST_STEPS = 2**18
 """Fields that a walk goes past; definitions of a few lines may have any number, one in another."""
 
 _Wanted = Mapping[str | int, Any]
@@ -63,7 +63,7 @@ class Found:
     values: dict[FieldPath, NDArray[Any]]
     there: dict[FieldPath, NDArray[np.bool_]]
     sound: NDArray[np.bool_]
-    steps_left: int = _MOST_STEPS
+    steps_left: int = MOST_STEPS
 
     def step(self) -> None:
         """Count a field that is gone past."""

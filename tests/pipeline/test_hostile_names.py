@@ -20,7 +20,12 @@ from pipeline import status_lines
 from pipeline.check import check_fleet
 from pipeline.config import Alarms, ConfigError, load_fleet
 from pipeline.csv_export import Selection, export_csv
+from pipeline.errors import UsageError
 from pipeline.fleet import RunRequest, run_fleet
+from pipeline.ingest import ChannelSource
+from pipeline.ingest.mcap_paths import field_path
+from pipeline.ingest.table import is_of_file
+from pipeline.ingest.time_stamps import require_time_format
 from pipeline.logs import find_logs
 from pipeline.notify import notify
 from pipeline.report import ReportRequest, build_report
@@ -179,6 +184,34 @@ def test_a_config_of_any_depth_or_size_of_number_is_a_fault(
     path.write_bytes(content + b"\n" + path.read_bytes())
     with pytest.raises(ConfigError, match=r"not TOML|not UTF-8"):
         load_fleet(fleet)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("a\\" * 100_000, "\\" * 200_001, "a[1]" * 50_000 + "[", "a." * 100_000),
+        *("a[123456789" * 20_000, "[" * 100_000, "a" * 200_000 + "["),
+    ],
+    ids=lambda text: text[:4],
+)
+def test_a_path_of_a_field_is_judged_at_once(text: str) -> None:
+    with pytest.raises(UsageError, match="is no path"):
+        field_path(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["%Y" * 50_000, "%" * 100_001, "%d.%m.%Y" * 10_000, "%:" * 10_000, "%.f" * 20_000, "x" * 10**6],
+    ids=lambda text: text[:4],
+)
+def test_a_format_of_times_is_judged_at_once(text: str) -> None:
+    with pytest.raises(UsageError, match="time format"):
+        require_time_format(text)
+
+
+def test_a_pattern_of_a_file_s_name_is_judged_at_once() -> None:
+    channel = ChannelSource("speed", "*?" * 100 + "b", "rpm")
+    assert not is_of_file(channel, Path("a" * 255))
 
 
 def test_a_state_is_shown_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
