@@ -26,6 +26,8 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
         texts = text_paths(pq.read_schema(path, memory_map=False))
         with pq.ParquetFile(path, memory_map=False, read_dictionary=texts) as file:
             yield file
+    except pa.ArrowMemoryError as error:
+        raise MemoryError from error
     except (OSError, ValueError, TypeError, LookupError, OverflowError, pa.ArrowException) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError("log_damaged", path, f"the Parquet file cannot be read: {reason}") from error

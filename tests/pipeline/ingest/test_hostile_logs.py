@@ -296,3 +296,36 @@ def test_messages_show_a_stranger_s_text_on_one_line_of_bounded_length(tmp_path:
     assert len(message) < 2 * LONGEST_MESSAGE
     again = pickle.loads(pickle.dumps(raised.value))  # noqa: S301 - our own
     assert (again.code, again.message) == (raised.value.code, message)
+
+
+def with_room(room_bytes: int, path: Path, source: LogSource) -> list[str]:
+    """Codes of the errors in which all reads end where so much memory is left."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    most = pages * resource.getpagesize() + room_bytes
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    found = []
+    for read in (
+        lambda: time_span(path, source),
+        lambda: suggest(path),
+        lambda: read_log(path, source),
+    ):
+        try:
+            read()
+        except LogError as error:
+            found.append(error.code)
+    return found
+
+
+def test_a_page_of_parquet_that_unfolds_beyond_the_limit_of_the_process(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    rows = 400
+    stamps = pa.array([STAMP + " " * 10**6] * rows)
+    table = pa.table({"time": stamps, "n": np.ones(rows)})
+    pq.write_table(
+        table, path, compression="zstd", use_dictionary=False, data_page_size=2**30,
+        write_statistics=False,
+    )  # fmt: skip
+    assert path.stat().st_size < 2**16
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        codes = pool.submit(with_room, 2**28, path, PARQUET).result()
+    assert codes == ["log_too_large"] * 3
