@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
-from pipeline.errors import LogError
+from pipeline.errors import LogError, one_line
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
@@ -26,6 +26,7 @@ from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
 NO_REACH: Mapping[str, int] = MappingProxyType({})
 
@@ -48,7 +49,12 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
             found |= {path for path in spec.log_root.glob(pattern) if not path.is_dir()}
         else:
             absent.append(pattern)
-    names = {legible(path.relative_to(spec.log_root).as_posix()): path for path in sorted(found)}
+    names: dict[str, Path] = {}
+    for path in sorted(found):
+        name = legible(path.relative_to(spec.log_root).as_posix())
+        while name in names:  # Another file's name is what this one's is shown as.
+            name += "'"
+        names[name] = path
     return names, absent
 
 
@@ -64,8 +70,8 @@ def without_match(spec: MotorSpec) -> tuple[str, ...]:
 
 
 def legible(text: str) -> str:
-    """Text that tables can hold: bytes of a file's name that are no UTF-8 become their numbers."""
-    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+    """Text that tables, terminals and pages can show: what does not print becomes its escape."""
+    return one_line(text, LONGEST_PATH)
 
 
 def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpec) -> FileRecord:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.config import Alarms
+from pipeline.errors import one_line
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +56,7 @@ def _run(command: Sequence[str], content: bytes) -> str:
     except (OSError, ValueError, subprocess.TimeoutExpired) as error:
         return f"alarms.command: {error}"
     if done.returncode:
-        words = done.stderr.decode("utf-8", "replace").strip()[:200]
+        words = one_line(done.stderr.decode("utf-8", "replace").strip(), 200)
         return f"alarms.command ended with {done.returncode}: {words}"
     return ""
 
@@ -67,4 +68,4 @@ def _post(url: str, content: bytes) -> str:
         with urllib.request.urlopen(request, timeout=TIMEOUT_S):  # noqa: S310 - http or https
             return ""
     except (OSError, ValueError, http.client.HTTPException) as error:
-        return f"alarms.webhook_url: {error or type(error).__name__}"
+        return one_line(f"alarms.webhook_url: {error or type(error).__name__}", 200)

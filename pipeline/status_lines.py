@@ -8,8 +8,10 @@ from dataclasses import asdict
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
+from pipeline.errors import one_line
 from pipeline.heartbeat import FINISHED, RUNNING
 from pipeline.status import FleetStatus, MotorState
 
@@ -47,13 +49,14 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
         return
     console = Console()
     if console.is_terminal:
-        table = Table(*COLUMNS, title=name)
+        table = Table(*COLUMNS, title=escape(one_line(name)))
         for motor in found.motors:
-            table.add_row(*_cells(motor), style=COLOURS.get(motor.state))
+            cells = (escape(one_line(cell)) for cell in _cells(motor))
+            table.add_row(*cells, style=COLOURS.get(motor.state))
         console.print(table)
     else:
         for motor in found.motors:
-            typer.echo("; ".join(_cells(motor)))
+            typer.echo(one_line("; ".join(_cells(motor))))
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     typer.echo(f"last good run: {ended}{', which is too old' if too_old else ''}")
     if (line := _run_line(found)) is not None:

@@ -1,12 +1,24 @@
-"""The walk-through of a fit is run as it stands; the example of a historian's log is a config."""
+"""The walk-through of a fit is run as it stands; the example of a historian's log is a config; the
+limits on the page on security are the code's."""
 
 from __future__ import annotations
 
 import doctest
+import re
+import sys
 import tomllib
 from pathlib import Path
 
 from pipeline.config.motors import Channel, Logs
+from pipeline.ingest import (
+    csv_header,
+    csv_text,
+    mcap_cdr_walk,
+    mcap_layout,
+    parquet_log,
+    parquet_text,
+)
+from tests.pipeline.ingest.fuzzing.judging import CODES
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -29,3 +41,28 @@ def test_the_historian_s_log_is_one_that_the_config_takes() -> None:
         "hold",
         (192,),
     )
+
+
+def test_the_limits_of_the_page_on_security_are_those_of_the_code() -> None:
+    page = (DOCS / "security.md").read_text("utf-8")
+    text = page.replace(" ", "")
+    table = page.partition("## What is bounded")[2].partition("\n\n##")[0]
+    gib, mib = 2**30, 2**20
+    assert f"{csv_text.LARGEST_TEXT // gib}GiB;from64MiBon{csv_text.LARGEST_RATIO}times" in text
+    assert f"{csv_text.LONGEST_LINE // mib}MiB,1MiB,{csv_header.MOST_CELLS}," in text
+    assert f",{csv_header.MOST_HEADERS}|" in text
+    assert parquet_log.MOST_ROWS == 2**27
+    assert f"{parquet_log.MOST_ROWS_A_BYTE}abyte" in text
+    assert f"{parquet_text.MOST_TEXT_A_ROW}bytesarow" in text
+    assert f"{mcap_layout.LARGEST_CHUNK // mib}MiB;{mcap_layout.LONGEST_RECORD // mib}MiB" in text
+    assert f"{mcap_cdr_walk.MOST_STEPS}|" in text
+    assert f"{sys.get_int_max_str_digits()},byPython" in text
+    assert set(re.findall(r"`(log_\w+)`", table)) <= CODES
+
+
+def test_the_tests_that_the_page_on_security_names_are_there() -> None:
+    page = (DOCS / "security.md").read_text("utf-8")
+    there = {path.name for path in (DOCS.parent / "tests").rglob("test_*.py")}
+    named = {Path(name).name for name in re.findall(r"`([\w/]*test_\w+\.py)`", page)}
+    assert len(named) > 8
+    assert named <= there

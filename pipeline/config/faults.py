@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
-from pipeline.errors import MotorLeakageError
+from pipeline.errors import MotorLeakageError, one_line
 
 # What pydantic puts into the place of a fault and no file has: tags of a union, marks of a key.
 NO_KEYS = frozenset({"annular_gap", "speed_curve", "laminar", "[key]"})
@@ -34,7 +34,7 @@ class Fault:
     message: str
 
     def __str__(self) -> str:
-        return ": ".join(part for part in (self.file, self.key, self.message) if part)
+        return one_line(": ".join(part for part in (self.file, self.key, self.message) if part))
 
 
 class ConfigError(MotorLeakageError):

@@ -279,13 +279,17 @@ def _read_folder(folder: Path, model: type[Model], faults: list[Fault]) -> Folde
 def _read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:
     try:
         with path.open("rb") as stream:
-            return tomllib.load(stream)
+            document = tomllib.load(stream)
+        # Whatever cannot be written as JSON: too deep, or a number of thousands of digits.
+        json.dumps(document, default=str)
     except OSError as error:
         faults.append(Fault(file, "", f"cannot be read: {error.strerror}"))
     except UnicodeDecodeError as error:
         faults.append(Fault(file, "", f"is not UTF-8, as TOML must be: byte {error.start}"))
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:
         faults.append(Fault(file, "", f"is not TOML: {error}"))
+    else:
+        return document
     return None
 
 

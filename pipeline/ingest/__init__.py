@@ -60,6 +60,8 @@ def read_log(path: Path, source: LogSource) -> RawLog:
         return _READERS[source.format].read(path, source)
     except OSError as error:
         raise _not_readable(path, error) from error
+    except MemoryError as error:
+        raise _too_large(path) from error
 
 
 def time_span(path: Path, source: LogSource) -> tuple[int, int]:
@@ -88,6 +90,8 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
         return _READERS[source.format].span(path, source)
     except OSError as error:
         raise _not_readable(path, error) from error
+    except MemoryError as error:
+        raise _too_large(path) from error
 
 
 def _require_file(path: Path) -> None:
@@ -100,6 +104,10 @@ def _require_file(path: Path) -> None:
             raise LogError("log_empty", path, "the file has no bytes")
     except (OSError, ValueError) as error:
         raise _not_readable(path, error) from error
+
+
+def _too_large(path: Path) -> LogError:
+    return LogError("log_too_large", path, "it takes more memory than there is: split the log")
 
 
 def _not_readable(path: Path, error: Exception) -> LogError:

@@ -12,6 +12,12 @@ from pipeline.ingest.contract import LogSource
 
 _HEAD = 2**20
 
+MOST_CELLS = 2**14
+"""Cells of a header, as many as a spreadsheet has columns; the parser takes 2 kB for each."""
+
+MOST_HEADERS = 2**16
+"""Headers in a file: a logger that starts anew every second of a night writes fewer."""
+
 
 @dataclass(frozen=True, slots=True)
 class Section:
@@ -104,11 +110,22 @@ class Header:
             raise LogError(
                 "log_not_csv", self.path, f"the header cannot be read: {error}"
             ) from error
+        if len(row) > MOST_CELLS:
+            raise LogError(
+                "log_not_csv",
+                self.path,
+                f"the header has {len(row)} cells, read are at most {MOST_CELLS}: check separator "
+                "and skip_rows",
+            )
         return tuple(cell.strip() for cell in row)
 
     def take_again(self, names: tuple[str, ...]) -> None:
         """A header that is met again: its columns may be others, or stand in another order."""
         self.repeated += 1
+        if self.repeated > MOST_HEADERS:
+            raise LogError(
+                "log_not_csv", self.path, f"its header stands there more than {MOST_HEADERS} times"
+            )
         self.line = 0
         self._take(names)
 

@@ -25,6 +25,8 @@ from pipeline.ingest.table import Columns, Table, wanted_columns
 _SPAN_PIECE = 2**16
 # Room for more rows than those of a file's first piece make likely: they may be shorter further on.
 _SLACK = 1.1
+# From so many rows of another width on, most of the rows before must have the header's.
+_MANY_RAGGED = 2**19
 
 
 def read_csv_log(path: Path, source: LogSource) -> RawLog:
@@ -132,6 +134,8 @@ class _Reader:
             return
         for section in sections(self.header, lines.data, start):
             self._read_section(section, lines.data, start)
+        if self.ragged > _MANY_RAGGED:
+            self.require_rows_of_one_width()
 
     def _read_at_once(self, data: bytes, start: int) -> bool:
         """Read a piece all of whose cells are numbers and stamps, so that no header is in it."""

@@ -200,6 +200,10 @@ def _decoded(path: Path, pieces: Iterator[bytes], encoding: str) -> Iterator[byt
 
 
 def _refuse_binary(path: Path, head: bytes) -> None:
+    packers = {**_PACKED, **_OTHER_PACKERS}
+    packed = next((name for magic, name in packers.items() if head.startswith(magic)), None)
+    if packed is not None:
+        raise LogError("log_not_csv", path, f"what is in it is packed again, with {packed}")
     nul = head.count(0)
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) or 5 * nul > 2 * len(head) > 0:
         raise LogError(

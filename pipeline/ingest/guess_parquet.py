@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from pipeline.errors import LogError
 from pipeline.ingest.guess_layout import SAMPLES, Column, Kind, kind_of
+from pipeline.ingest.parquet_text import decoded, text_paths
 
 _HEAD_ROWS = 400
 _BATCH_ROWS = 2**17
@@ -20,9 +21,13 @@ _BATCH_ROWS = 2**17
 
 @contextmanager
 def _opened(path: Path) -> Iterator[pq.ParquetFile]:
+    """An open file, all text of which is read as dictionaries."""
     try:
-        with pq.ParquetFile(path, memory_map=False) as file:
+        texts = text_paths(pq.read_schema(path, memory_map=False))
+        with pq.ParquetFile(path, memory_map=False, read_dictionary=texts) as file:
             yield file
+    except pa.ArrowMemoryError as error:
+        raise MemoryError from error
     except (OSError, ValueError, TypeError, LookupError, OverflowError, pa.ArrowException) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise LogError("log_damaged", path, f"the Parquet file cannot be read: {reason}") from error
@@ -46,21 +51,20 @@ def parquet_columns(path: Path) -> list[Column]:
             column
             for field, values in zip(schema, head.columns, strict=True)
             if schema.names.count(field.name) == 1
-            for column in _columns(field.name, field, values)
+            for column in _columns(path, field.name, field, values)
         ]
     if not columns:
         raise LogError("log_empty", path, "the file has no columns that can be read")
     return columns
 
 
-def _columns(name: str, field: pa.Field, values: pa.Array) -> Iterator[Column]:
+def _columns(path: Path, name: str, field: pa.Field, values: pa.Array) -> Iterator[Column]:
     if pa.types.is_struct(field.type):
         for inner in field.type:
             below = pc.struct_field(values, inner.name)
-            yield from _columns(f"{name}.{inner.name}", inner, below)
+            yield from _columns(path, f"{name}.{inner.name}", inner, below)
         return
-    if pa.types.is_dictionary(values.type):
-        values = values.dictionary_decode()
+    values = decoded(path, name, values)
     unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
     if pa.types.is_timestamp(values.type):
         # In the place of a unit: what the type says of the zone.
@@ -95,7 +99,9 @@ def parquet_scan(path: Path, names: Sequence[str]) -> Iterator[tuple[str, ...]]:
         for batch in file.iter_batches(batch_size=_BATCH_ROWS, columns=list(names)):
             batch.validate(full=True)
             columns = [_within(batch, name) for name in names]
-            codes = pc.fill_null(columns[0].dictionary_encode().indices, -1).to_numpy()
+            first = columns[0]
+            encoded = first if pa.types.is_dictionary(first.type) else first.dictionary_encode()
+            codes = pc.fill_null(encoded.indices, -1).to_numpy()
             for code in np.unique(codes[codes >= 0]).tolist():
                 rows = pa.array(np.flatnonzero(codes == code)[:SAMPLES])
                 picked = [column.take(rows).to_pylist() for column in columns]
@@ -108,4 +114,4 @@ def _within(batch: pa.RecordBatch, name: str) -> pa.Array:
     column = batch.column(top)
     if top != name:
         column = pc.struct_field(column, name.split(".")[1:])
-    return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
+    return column

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
-from pipeline.ingest.mcap_cdr_walk import HEAD, ORDERS, Found, walked
+from pipeline.ingest.mcap_cdr_walk import HEAD, ORDERS, Found, TooManySteps, walked
 from pipeline.ingest.mcap_fields import number_kind, stamp_parts
 from pipeline.ingest.mcap_layout import Schema
 from pipeline.ingest.mcap_paths import FieldPath
@@ -68,7 +68,8 @@ def cdr_decoder(
     LogError
         ``log_damaged``, ``log_encoding``; ``log_column_missing`` or ``log_type`` where a path leads
         nowhere, or to something else than a number. The decoder raises ``log_encoding`` where all
-        messages are in another representation of DDS.
+        messages are in another representation of DDS, and ``log_too_large`` where they have no end
+        of fields.
     """
     definitions = ros2_definitions(path, topic, schema)
     root = Ros2Place(definitions, Message(definitions.root))
@@ -78,7 +79,15 @@ def cdr_decoder(
     def decode(payloads: Payloads) -> Decoded:
         identifier = _identifiers(payloads)
         _require_plain(path, topic, identifier)
-        found = walked(payloads, identifier, definitions, kinds)
+        try:
+            found = walked(payloads, identifier, definitions, kinds)
+        except TooManySteps as error:
+            raise LogError(
+                "log_too_large",
+                path,
+                f"messages of topic {topic!r} have more fields, one in another, than are read",
+                topic,
+            ) from error
         readings = {one: _readings(found, one) for one in fields}
         return Decoded(readings, _stamps(found, stamps, time_format) if stamps else None)
 

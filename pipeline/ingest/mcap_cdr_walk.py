@@ -33,8 +33,15 @@ ORDERS = {0: ">", 1: "<"}
 _LARGEST_NUMBER = 8
 _MOST_PADDING = 3
 
+MOST_STEPS = 2**18
+"""Fields that a walk goes past; definitions of a few lines may have any number, one in another."""
+
 _Wanted = Mapping[str | int, Any]
 """Wanted fields as a tree; a leaf is the path that leads to it."""
+
+
+class TooManySteps(Exception):  # noqa: N818 - it says what there is
+    """Messages have more fields to go past than any log."""
 
 
 @dataclass(slots=True)
@@ -49,11 +56,20 @@ class Found:
         By path, in which messages they were.
     sound : (n,) bool
         Messages that have all that they say they have.
+    steps_left
+        How many fields may still be gone past.
     """
 
     values: dict[FieldPath, NDArray[Any]]
     there: dict[FieldPath, NDArray[np.bool_]]
     sound: NDArray[np.bool_]
+    steps_left: int = MOST_STEPS
+
+    def step(self) -> None:
+        """Count a field that is gone past."""
+        self.steps_left -= 1
+        if self.steps_left < 0:
+            raise TooManySteps
 
 
 @dataclass(slots=True)
@@ -140,6 +156,10 @@ def walked(
         Their layout.
     kinds
         NumPy's names of the types of the wanted numbers, by path.
+
+    Raises
+    ------
+    TooManySteps
     """
     wanted = _tree(kinds)
     if not definitions.has_wide_text:
@@ -183,6 +203,7 @@ def _walk_through(
 
 def _read(walk: _Walk, definitions: Definitions, kind: Type, inside: Any, found: Found) -> None:
     """Go past what is of a type, and keep what is wanted of it."""
+    found.step()
     match kind:
         case Number():
             walk.align(kind.size)

@@ -26,9 +26,10 @@ from pipeline.ingest.mcap_ros2_types import (
 
 _HEADING = re.compile(r"^(?:={3,}|IDL:.*)[ \t\r]*$", re.MULTILINE)
 _NAME = r"[A-Za-z_]\w*"
+# What is opened and never closed goes to the end, so that no place of a text is looked at twice.
 _TOKEN = re.compile(
-    rf"""(?P<nothing>\s+ | //[^\n]* | /\*.*?\*/ | \#[^\n]*)
-    | L?"(?:\\.|[^"\\])*" | L?'(?:\\.|[^'\\])+'
+    rf"""(?P<nothing>\s+ | //[^\n]* | /\*.*?(?:\*/|\Z) | \#[^\n]*)
+    | L?"(?:\\.|[^"\\])*(?:"|\Z) | L?'(?:\\.|[^'\\])+(?:'|\Z)
     | (?:::)?{_NAME}(?:::{_NAME})*
     | 0[xX][0-9a-fA-F]+ | (?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?[dD]?
     | [^\s\w]""",

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.contract import LogSource, RawLog
+from pipeline.ingest.parquet_text import decoded, is_text, text_paths
 from pipeline.ingest.table import Columns, Table, wanted_columns
 from pipeline.ingest.time_stamps import (
     EPOCH_UNITS,
@@ -85,9 +86,12 @@ def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> No
     with _opened(path) as file:
         places = {name: _place(path, file.schema_arrow, name) for name in columns.all}
         _require_types(path, source, columns, file.schema_arrow, places)
+        wanted = [".".join(place) for place in places.values()]
+        texts = [name for name in text_paths(file.schema_arrow) if name in wanted]
+    with _opened(path, texts) as file:
         table.expect(file.metadata.num_rows)
         for batch in _batches(path, file, places):
-            found = {name: _within(batch, place) for name, place in places.items()}
+            found = {name: _within(path, batch, place) for name, place in places.items()}
             table.add(
                 _stamps(path, source, [found[name] for name in columns.time]),
                 {name: _readings(found[name]) for name in columns.numbers},
@@ -97,12 +101,18 @@ def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> No
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[pq.ParquetFile]:
-    """An open file; what PyArrow raises on it, now or while it is read, becomes a `LogError`."""
+def _opened(path: Path, dictionaries: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
+    """An open file, some columns of which are read as dictionaries; what PyArrow raises on it, now
+    or while it is read, becomes a `LogError`."""
     _require_magic(path)
     try:
         # Not memory mapped: a file cut by another process would end this one.
-        with pq.ParquetFile(path, memory_map=False, page_checksum_verification=True) as file:
+        with pq.ParquetFile(
+            path,
+            memory_map=False,
+            page_checksum_verification=True,
+            read_dictionary=list(dictionaries),
+        ) as file:
             yield file
     except pa.ArrowMemoryError as error:
         raise LogError(
@@ -201,16 +211,10 @@ def _require_types(
                 f"column {name!r} (channel {channels}) is of type {kind}, which is no number",
                 name,
             )
-    if columns.name is not None and not _is_text(_kind(schema, places[columns.name])):
+    if columns.name is not None and not is_text(_kind(schema, places[columns.name])):
         raise LogError(
             "log_type", path, f"column {columns.name!r} holds no names of channels", columns.name
         )
-
-
-def _is_text(kind: pa.DataType) -> bool:
-    return bool(
-        pa.types.is_string(kind) or pa.types.is_large_string(kind) or pa.types.is_string_view(kind)
-    )
 
 
 def _batches(
@@ -248,27 +252,25 @@ def _require_fewer(path: Path, rows: int) -> None:
         )
 
 
-def _within(batch: pa.RecordBatch, place: _Place) -> pa.ChunkedArray:
+def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.ChunkedArray:
     column = batch.column(place[0])
     if len(place) > 1:
         # Null where one of those around it is.
         column = pc.struct_field(column, list(place[1:]))
-    if pa.types.is_dictionary(column.type):
-        column = column.dictionary_decode()
-    return pa.chunked_array([column])
+    return pa.chunked_array([decoded(path, ".".join(place), column)])
 
 
 def _stamps(path: Path, source: LogSource, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
     column = columns[-1]
     if len(columns) > 1:
-        if not all(_is_text(part.type) for part in columns):
+        if not all(is_text(part.type) for part in columns):
             raise LogError("log_time", path, "date and time in columns of their own are to be text")
         date, clock = (pc.utf8_trim_whitespace(part.cast(pa.string())) for part in columns)
         column = pc.binary_join_element_wise(date, clock, " ")
     kind = column.type
     if pa.types.is_timestamp(kind):
         return written_as_timestamps(column)
-    if _is_text(kind):
+    if is_text(kind):
         return written_as_text(column.cast(pa.string()), source.time_format)
     numeric = pa.types.is_integer(kind) or pa.types.is_float64(kind)
     if not numeric or source.time_format not in (*EPOCH_UNITS, EXCEL_DAYS):

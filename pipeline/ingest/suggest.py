@@ -70,6 +70,8 @@ def suggest(path: Path) -> str:
         return "\n".join(lines) + "\n"
     except OSError as error:
         raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error
+    except MemoryError as error:
+        raise LogError("log_too_large", path, "it takes more memory than there is") from error
 
 
 def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:

@@ -1,0 +1,331 @@
+"""Logs made to harm: of a few kilobytes that unfold to gigabytes, or that would take for ever.
+
+They are read in another process, as what goes wrong here may end one. `docs/security.md` has the
+limits.
+"""
+
+from __future__ import annotations
+
+import gzip
+import multiprocessing
+import pickle
+import resource
+import struct
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import zstandard
+from google.protobuf import descriptor_pb2
+from mcap.writer import CompressionType
+
+from pipeline.errors import LONGEST_MESSAGE, LogError
+from pipeline.ingest import ChannelSource, LogSource, read_log, time_span
+from pipeline.ingest.suggest import suggest
+
+from .mcap_files import JSON, TOPIC, mcap_of
+from .writers import T0_US
+
+CPU_S = 30.0
+"""Far more than any takes; without the limits, some take years."""
+
+MEMORY_BYTES = 2**30
+
+CHANNEL = (ChannelSource("speed", "n", "rpm"),)
+CSV = LogSource("csv", CHANNEL)
+PARQUET = LogSource("parquet", CHANNEL)
+STAMP = "2025-03-01T06:00:00Z"
+ROWS = 200_000
+
+Hostile = Callable[[Path], LogSource]
+
+
+def text(content: bytes) -> Hostile:
+    def write(path: Path) -> LogSource:
+        path.write_bytes(content)
+        return CSV
+
+    return write
+
+
+def repeated(head: bytes, row: bytes, count: int, pack: Callable[[bytes], bytes]) -> Hostile:
+    def write(path: Path) -> LogSource:
+        path.write_bytes(pack(head + row * count))
+        return CSV
+
+    return write
+
+
+def parquet(**columns: Callable[[], Any]) -> Hostile:
+    """Columns of `ROWS` rows; the others are a time and a speed that are sound."""
+    sound = {
+        "time": lambda: pa.array(np.full(ROWS, T0_US), pa.timestamp("us", "UTC")),
+        "n": lambda: pa.array(np.ones(ROWS)),
+    }
+
+    def write(path: Path) -> LogSource:
+        made = {name: column() for name, column in (sound | columns).items()}
+        # Without Arrow's own schema, so that a dictionary is read as plain text.
+        pq.write_table(pa.table(made), path, compression="zstd", store_schema=False)
+        layout = "long" if "channel" in columns else "wide"
+        names = {"value_column": "n"} if layout == "long" else {}
+        return LogSource("parquet", CHANNEL, layout=layout, **names)
+
+    return write
+
+
+def one_text(content: str) -> pa.Array:
+    """The same text in each row, which is stored once."""
+    return pa.DictionaryArray.from_arrays(np.zeros(ROWS, np.int32), [content])
+
+
+def mcap(
+    payloads: list[bytes], field: str, schema: tuple[str, str, bytes], encoding: str
+) -> Hostile:
+    def write(path: Path) -> LogSource:
+        options = {"compression": CompressionType.ZSTD, "chunk_size": 2**27}
+        path.write_bytes(mcap_of(payloads, schema, encoding, **options))
+        return LogSource("mcap", (ChannelSource("speed", TOPIC, "rpm", field=field),))
+
+    return write
+
+
+def json(*payloads: bytes, field: str = "value") -> Hostile:
+    return mcap(list(payloads), field, JSON, "json")
+
+
+def ros2(definition: str, payload: bytes = b"\1" * 8, language: str = "ros2msg") -> Hostile:
+    message = b"\0\1\0\0" + payload
+    return mcap([message] * 3, "v", ("m/msg/V", language, definition.encode()), "cdr")
+
+
+def within(*parts: str) -> str:
+    return f"\n{'=' * 80}\n".join(parts)
+
+
+def twice_over(depth: int) -> str:
+    """Each message holds the next one twice: 2 to the depth of fields, in a few lines."""
+    inner = [f"MSG: m/L{i}\nL{i + 1} a\nL{i + 1} b" for i in range(depth)]
+    return within("L0 a\nuint8 v", *inner, f"MSG: m/L{depth}\nuint8 x")
+
+
+def idl(body: str) -> Hostile:
+    return ros2(f"module m {{ module msg {{ {body} }}; }};", language="ros2idl")
+
+
+def protobuf(*files: Any, payload: bytes = b"") -> Hostile:
+    schema = descriptor_pb2.FileDescriptorSet(file=files).SerializeToString()
+    return mcap([payload], "value", ("m.V", "protobuf", schema), "protobuf")
+
+
+def imports(count: int) -> list[Any]:
+    """Files of Protobuf, each of which imports the next."""
+    return [
+        descriptor_pb2.FileDescriptorProto(
+            name=str(i), package="m", dependency=[str(i + 1)] if i < count else []
+        )
+        for i in range(count + 1)
+    ]
+
+
+def within_itself(depth: int) -> Hostile:
+    """A message that may hold itself, and one that does so very often."""
+    field = descriptor_pb2.FieldDescriptorProto
+    message = descriptor_pb2.DescriptorProto(name="V")
+    message.field.add(name="value", number=1, type=field.TYPE_DOUBLE, label=1)
+    message.field.add(name="v", number=2, type=field.TYPE_MESSAGE, type_name=".m.V", label=1)
+    payload = b""
+    for _ in range(depth):
+        payload = b"\x12" + _varint(len(payload)) + payload
+    file = descriptor_pb2.FileDescriptorProto(name="a", package="m", message_type=[message])
+    return protobuf(file, payload=payload)
+
+
+def _varint(number: int) -> bytes:
+    low = bytes([number % 128 + (128 if number > 127 else 0)])
+    return low + (_varint(number // 128) if number > 127 else b"")
+
+
+SEQUENCE = within("E[] a\nuint8 v", "MSG: m/E\n")
+MANY = struct.pack("<I", 3_000_000) + bytes(3_000_001)
+
+HOSTILE: dict[str, tuple[Hostile, str]] = {
+    # What unfolds
+    "a gzip of a gzip": (text(gzip.compress(gzip.compress(bytes(2**27)))), "log_not_csv"),
+    "Zstandard of gigabytes": (
+        repeated(b"time,n\n", f"{STAMP},1\n".encode(), 4_000_000, zstandard.compress),
+        "log_too_large",
+    ),
+    "a name of a megabyte in each row": (
+        parquet(channel=lambda: one_text("x" * 10**6)),
+        "log_too_large",
+    ),
+    "a stamp of a megabyte in each row": (
+        parquet(time=lambda: one_text(STAMP + " " * 10**6)),
+        "log_too_large",
+    ),
+    # What is deep, or long, or wide
+    "arrays in arrays in JSON": (json(b'{"value":1,"x":' + b"[" * 10**6 + b"]" * 10**6 + b"}"), ""),
+    "objects in objects in JSON": (
+        json(b'{"x":' * 10**5 + b"1" + b"}" * 10**5),
+        "log_column_missing",
+    ),
+    "an array of arrays for a reading": (
+        json(b'{"value":' + b"[" * 10**6 + b"]" * 10**6 + b"}"),
+        "log_type",
+    ),
+    "a number of a million digits": (json(b'{"value":' + b"9" * 10**6 + b"}"), ""),
+    "an exponent beyond all": (json(b'{"value":-1e999999999}', b'{"value":1e-999999999}'), ""),
+    "a header of a million cells": (text(b"time,n" + b"," * 10**6 + b"\n"), "log_not_csv"),
+    "a header in each line": (repeated(b"", b"time,n\n", 10**5, bytes), "log_not_csv"),
+    "a line without an end": (repeated(b"time,n\n", b"1", 2**26, bytes), "log_not_csv"),
+    # Definitions
+    "a message within itself, twice each": (ros2(twice_over(27)), "log_too_large"),
+    "a message within itself": (ros2(within("W w\nuint8 v", "MSG: m/W\nW w")), "log_damaged"),
+    "messages in messages without an end": (
+        ros2(within("L0 a\nuint8 v", *(f"MSG: m/L{i}\nL{i + 1} a" for i in range(5000)))),
+        "log_damaged",
+    ),
+    "a sequence of millions of nothing": (ros2(SEQUENCE, MANY), "log_too_large"),
+    "an array of more than there is": (ros2(f"uint8[{'9' * 30}] a\nuint8 v"), "log_damaged"),
+    "a size of thousands of digits": (ros2(f"uint8[{'9' * 5000}] a\nuint8 v"), "log_damaged"),
+    "comments without an end": (idl("/*" * 10**5), "log_damaged"),
+    "quotations without an end": (idl('"' + '\\"' * 10**5), "log_damaged"),
+    "modules in modules": (idl("module a {" * 10**5), "log_damaged"),
+    "sequences of sequences": (
+        idl(f"struct V {{ {'sequence<' * 10**4}octet{'>' * 10**4} v; }};"),
+        "log_damaged",
+    ),
+    "arrays of arrays": (
+        idl("typedef octet T0;" + "".join(f"typedef T{i} T{i + 1}[99];" for i in range(99))
+            + "struct V { octet v; T99 w; };"),
+        "log_damaged",
+    ),
+    "files that import files": (protobuf(*imports(5000)), "log_damaged"),
+    "files that import each other": (
+        protobuf(*imports(1), descriptor_pb2.FileDescriptorProto(name="2", dependency=["0"])),
+        "log_damaged",
+    ),
+    "a message of Protobuf in itself": (within_itself(2000), "log_type"),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def process() -> Iterator[ProcessPoolExecutor]:
+    """A process for all of them, which ends where it takes far too long."""
+    context = multiprocessing.get_context("spawn")
+    most = int(10 * CPU_S)
+    limit = (resource.RLIMIT_CPU, (most, most))
+    with ProcessPoolExecutor(1, context, resource.setrlimit, limit) as pool:
+        yield pool
+
+
+def measured(path: Path, source: LogSource) -> tuple[str, float, int]:
+    """Code of the error that a log ends in, processor time, and memory taken to read it."""
+    begin, before = time.process_time(), peak_bytes()
+    with suppress(LogError):
+        suggest(path)
+    try:
+        read_log(path, source)
+        code = ""
+    except LogError as error:
+        code = error.code
+    return code, time.process_time() - begin, peak_bytes() - before
+
+
+def peak_bytes() -> int:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+
+
+@pytest.mark.parametrize(("hostile", "code"), HOSTILE.values(), ids=HOSTILE.keys())
+def test_a_hostile_log_ends_in_bounded_time_and_memory(
+    tmp_path: Path, process: ProcessPoolExecutor, hostile: Hostile, code: str
+) -> None:
+    path = tmp_path / "log"
+    found, cpu_s, taken = process.submit(measured, path, hostile(path)).result()
+    assert found == code
+    assert cpu_s < CPU_S
+    assert taken < MEMORY_BYTES
+
+
+def test_a_table_of_another_width_is_not_read_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.csv"
+    other = b"1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20,21\n"
+    right = f"{STAMP},1\n".encode()
+    path.write_bytes(b"time,n\n" + other * 80_000 + right * 200_000)
+    assert read_log(path, CSV).rows == 200_000
+    monkeypatch.setattr("pipeline.ingest.csv_log._MANY_RAGGED", 50_000)
+    with pytest.raises(LogError, match="rows have not the header's 2 cells") as raised:
+        read_log(path, CSV)
+    assert raised.value.code == "log_not_csv"
+
+
+@pytest.mark.parametrize("read", [read_log, time_span])
+def test_what_takes_more_memory_than_there_is_has_a_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path, LogSource], object]
+) -> None:
+    path = tmp_path / "log.csv"
+    path.write_bytes(f"time,n\n{STAMP},1\n".encode())
+
+    def no_memory(*_: object) -> object:
+        raise MemoryError
+
+    monkeypatch.setattr("pipeline.ingest.csv_log.read_lines", no_memory)
+    with pytest.raises(LogError, match=r"log\.csv: it takes more memory") as raised:
+        read(path, CSV)
+    assert raised.value.code == "log_too_large"
+
+
+def test_messages_show_a_stranger_s_text_on_one_line_of_bounded_length(tmp_path: Path) -> None:
+    path = tmp_path / "a\n\x1b[2J\u202eb\udc80.csv"
+    path.write_bytes(b"t\x1b[31m\xe2\x80\xa8ime," + b"x" * 10_000 + b"\n1,2\n")
+    with pytest.raises(LogError) as raised:
+        read_log(path, CSV)
+    message = raised.value.message
+    assert message.startswith(r"a\n\x1b[2J\u202eb\udc80.csv: no column 'time'")
+    assert message.isprintable()
+    assert len(message) < 2 * LONGEST_MESSAGE
+    again = pickle.loads(pickle.dumps(raised.value))  # noqa: S301 - our own
+    assert (again.code, again.message) == (raised.value.code, message)
+
+
+def with_room(room_bytes: int, path: Path, source: LogSource) -> list[str]:
+    """Codes of the errors in which all reads end where so much memory is left."""
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    most = pages * resource.getpagesize() + room_bytes
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    found = []
+    for read in (
+        lambda: time_span(path, source),
+        lambda: suggest(path),
+        lambda: read_log(path, source),
+    ):
+        try:
+            read()
+        except LogError as error:
+            found.append(error.code)
+    return found
+
+
+def test_a_page_of_parquet_that_unfolds_beyond_the_limit_of_the_process(tmp_path: Path) -> None:
+    path = tmp_path / "log"
+    rows = 400
+    stamps = pa.array([STAMP + " " * 10**6] * rows)
+    table = pa.table({"time": stamps, "n": np.ones(rows)})
+    pq.write_table(
+        table, path, compression="zstd", use_dictionary=False, data_page_size=2**30,
+        write_statistics=False,
+    )  # fmt: skip
+    assert path.stat().st_size < 2**16
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
+        codes = pool.submit(with_room, 2**28, path, PARQUET).result()
+    assert codes == ["log_too_large"] * 3
