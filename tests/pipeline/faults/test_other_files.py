@@ -154,5 +154,5 @@ def test_a_second_run_is_turned_away_by_code_3(tiny_fleet: TinyFleet, tmp_path: 
     run_fleet(tiny_fleet.request(output), second)
     ((code, told),) = ends
     assert code == 3
-    assert f"process {os.getpid()} since" in told
+    assert f"process {os.getpid()} on " in told
     check_tables(output, tiny_fleet)
