@@ -66,7 +66,8 @@ class TinyFleet:
             folder,
             {one: motor_toml(one, "MINI") for one in MOTORS},
             {"MINI": MINI},
-            QUICK,
+            # A disk may become full in spite of the look at it before a run.
+            f"{QUICK}minimum_free_mib = 0\n",
         )
         for number, motor in enumerate(MOTORS):
             made.log(motor, NIGHT, seed=number)

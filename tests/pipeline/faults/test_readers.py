@@ -25,6 +25,7 @@ from tests.pipeline.simulated import NIGHT
 
 READ = (FITS, PARAMETERS, QUALITY, TRENDS, INPUT_FILES)
 Rows = pl.DataFrame
+REFUSED = (pl.exceptions.PolarsError, pl.exceptions.PanicException, duckdb.Error)
 Answer = dict[tuple[str, object], str]
 
 
@@ -118,7 +119,7 @@ def test_the_footer_of_one_state_with_the_pages_of_another_is_refused(
             begin = len(old) - 8 - int.from_bytes(old[-8:-4], "little")
             torn = tmp_path / "torn.parquet"
             torn.write_bytes(new[:begin].ljust(begin, b"\0") + old[begin:])
-            with pytest.raises((pl.exceptions.PolarsError, duckdb.Error)):
+            with pytest.raises(REFUSED):
                 read(torn.as_posix())
             n_torn += 1
     assert n_torn > 10
