@@ -9,17 +9,20 @@ from __future__ import annotations
 from typing import Generic, TypeVar
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from pipeline.ingest.assembly import Readings, convert_in_place
 from pipeline.ingest.contract import ChannelSource
-from pipeline.ingest.time_stamps import WrittenStamps
+from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
 
 _T = TypeVar("_T", bound=np.generic)
 
+_FIRST_ROOM = 2**12
+_MOST_ROOM = 2**18
+
 
 class Growing(Generic[_T]):
-    """An array that grows at its end.
+    """An array that grows at its end, where it lies.
 
     Parameters
     ----------
@@ -33,29 +36,30 @@ class Growing(Generic[_T]):
     >>> array = Growing(np.int64, 2)
     >>> for piece in ([1, 2], [3], [4, 5, 6]):
     ...     _ = array.append(np.array(piece))
-    >>> array.values.tolist()
+    >>> array.taken().tolist()
     [1, 2, 3, 4, 5, 6]
     """
 
-    def __init__(self, dtype: DTypeLike, expected: int = 0) -> None:
-        self._array: NDArray[_T] = np.empty(expected, dtype)
+    def __init__(self, dtype: type[_T], expected: int = 0) -> None:
+        self._array: NDArray[_T] = np.empty(max(expected, _FIRST_ROOM), dtype)
         self._size = 0
 
     def append(self, piece: NDArray[_T]) -> NDArray[_T]:
         """Copy a piece to the end; returns where it is now, until the next one comes."""
-        begin, end = self._size, self._size + piece.size
-        if end > self._array.size:
-            larger: NDArray[_T] = np.empty(max(end, 2 * self._array.size), self._array.dtype)
-            larger[:begin] = self._array[:begin]
-            self._array = larger
+        begin, end, room = self._size, self._size + piece.size, self._array.size
+        if end > room:
+            # Small steps cost little: a large array is moved by its pages, not copied.
+            self._array.resize(max(end, room + min(room // 8, _MOST_ROOM)), refcheck=False)
         self._array[begin:end] = piece
         self._size = end
         return self._array[begin:end]
 
-    @property
-    def values(self) -> NDArray[_T]:
-        """All elements."""
-        return self._array[: self._size]
+    def taken(self) -> NDArray[_T]:
+        """All elements, to be given up; room that was not needed goes back."""
+        array, self._array = self._array, np.empty(0, self._array.dtype)
+        array.resize(self._size, refcheck=False)
+        self._size = 0
+        return array
 
 
 class GatheredStamps:
@@ -68,23 +72,23 @@ class GatheredStamps:
     """
 
     def __init__(self, expected: int = 0) -> None:
-        self._time_us: Growing[np.int64] = Growing(np.int64, expected)
-        self._kind: Growing[np.int8] = Growing(np.int8, expected)
+        self._time_us = Growing(np.int64, expected)
+        self._kind = _Marks(np.int8(WITH_ZONE), expected)
         self._example: str | None = None
 
     def add(self, part: WrittenStamps) -> None:
         """Add a piece."""
-        self._example = self._example or part.example
         self._time_us.append(part.time_us)
         self._kind.append(part.kind)
+        self._example = self._example or part.example
 
-    def stamps(self) -> WrittenStamps:
-        """All of them."""
-        return WrittenStamps(self._time_us.values, self._kind.values, self._example)
+    def taken(self) -> WrittenStamps:
+        """All of them, to be given up."""
+        return WrittenStamps(self._time_us.taken(), self._kind.taken(), self._example)
 
 
 class GatheredReadings:
-    """Readings of a channel, piece after piece.
+    """Readings of a channel or field, piece after piece.
 
     Parameters
     ----------
@@ -94,11 +98,11 @@ class GatheredReadings:
         As of `Growing`.
     """
 
-    def __init__(self, channel: ChannelSource | None, expected: int = 0) -> None:
+    def __init__(self, channel: ChannelSource | None = None, expected: int = 0) -> None:
         self._channel = channel
-        self._raw: Growing[np.float64] = Growing(np.float64, expected)
-        self._missing = _Marks(expected)
-        self._unparsed = _Marks(expected)
+        self._raw = Growing(np.float64, expected)
+        self._missing: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
+        self._unparsed: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
         self._example: str | None = None
 
     def add(self, part: Readings) -> None:
@@ -106,33 +110,35 @@ class GatheredReadings:
         raw = self._raw.append(part.raw)
         if self._channel is not None:
             convert_in_place(self._channel, raw)
-        self._missing.add(part.missing)
-        self._unparsed.add(part.unparsed)
-        if self._example is None:
-            self._example = part.example
+        self._missing.append(part.missing)
+        self._unparsed.append(part.unparsed)
+        self._example = self._example or part.example
 
-    def readings(self) -> Readings:
-        """All of them."""
-        return Readings(
-            self._raw.values, self._missing.values(), self._unparsed.values(), self._example
-        )
+    def taken(self) -> Readings:
+        """All of them, to be given up."""
+        marks = self._missing.taken(), self._unparsed.taken()
+        return Readings(self._raw.taken(), *marks, self._example)
 
 
-class _Marks:
-    """Marks of which most are not set: zeros that are never written take no memory."""
+class _Marks(Generic[_T]):
+    """Values one after the other, which take no memory as long as all are the same."""
 
-    def __init__(self, expected: int) -> None:
+    def __init__(self, usual: _T, expected: int) -> None:
+        self._usual = usual
         self._expected = expected
+        self._marks: Growing[_T] | None = None
         self._size = 0
-        self._marks: Growing[np.bool_] | None = None
 
-    def add(self, marks: NDArray[np.bool_]) -> None:
-        if self._marks is None and marks.any():
-            self._marks = Growing(np.bool_, max(self._expected, self._size + marks.size))
-            self._marks.append(np.zeros(self._size, dtype=np.bool_))
+    def append(self, marks: NDArray[_T]) -> None:
+        if self._marks is None and (marks != self._usual).any():
+            self._marks = Growing(type(self._usual), self._expected)
+            self._marks.append(np.full(self._size, self._usual))
         if self._marks is not None:
             self._marks.append(marks)
         self._size += marks.size
 
-    def values(self) -> NDArray[np.bool_]:
-        return np.zeros(self._size, dtype=np.bool_) if self._marks is None else self._marks.values
+    def taken(self) -> NDArray[_T]:
+        """Where all are the same they cannot be written."""
+        if self._marks is not None:
+            return self._marks.taken()
+        return np.broadcast_to(self._usual, self._size)

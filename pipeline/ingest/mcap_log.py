@@ -26,8 +26,8 @@ from pipeline.ingest.contract import (
     RawChannel,
     RawLog,
 )
+from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
-from pipeline.ingest.mcap_columns import ReadingsColumn, StampsColumn
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
 from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
@@ -72,8 +72,8 @@ _Key = tuple[str, Schema, _Fields]
 class _Parts:
     """What the pieces hold of one topic, in the order of the file."""
 
-    stamps: StampsColumn
-    fields: dict[FieldPath, ReadingsColumn]
+    stamps: GatheredStamps
+    fields: dict[FieldPath, GatheredReadings]
     states: dict[_Quality, list[NDArray[np.uint8]]]
 
 
@@ -232,8 +232,8 @@ def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
     content = _Content(
         {
             name: _Parts(
-                StampsColumn(),
-                {one: ReadingsColumn() for one in fields.readings},
+                GatheredStamps(),
+                {one: GatheredReadings() for one in fields.readings},
                 {one: [] for one in fields.qualities},
             )
             for name, fields in wanted.items()
@@ -301,9 +301,9 @@ def _decode(
     for topic in np.unique(payloads.topic).tolist():
         rows = payloads.topic == topic
         parts = content.parts[names[topic]]
-        parts.stamps.append(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
+        parts.stamps.add(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
         for one, column in parts.fields.items():
-            column.append(decoded.fields[one].rows(rows))
+            column.add(decoded.fields[one].rows(rows))
         for (one, good), states in parts.states.items():
             cells = _cells(decoded, one).filter(pa.array(rows))
             states.append(quality_states(path, path_text(one), cells, good))

@@ -226,7 +226,6 @@ class Table:
             ``log_column_missing`` where a long table has rows, and none of a wanted channel.
         """
         stamps, without_time = self._stamps()
-        self._written = GatheredStamps()
         refused = {**refused, **without_time}
         if self.source.layout == "long":
             return self._long_log(stamps, refused)
@@ -255,7 +254,7 @@ class Table:
         return self.source.value_column if is_of_file(channel, self.path) else None
 
     def _joined(self, name: str) -> Readings:
-        return self._parts.pop(name, GatheredReadings(None)).readings()
+        return self._parts.pop(name, GatheredReadings()).taken()
 
     def _joined_states(self) -> dict[_Quality, NDArray[np.uint8]]:
         return {quality: np.concatenate(parts) for quality, parts in self._states.items()}
@@ -285,5 +284,5 @@ class Table:
         return raw_log(channels, rows_read, refused, remarks)
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
-        stamps = placed([self._written.stamps()], self.source.time_zone)
+        stamps = placed([self._written.taken()], self.source.time_zone)
         return judged(self.path, stamps, time_name(self.source, stamps.example))

@@ -44,6 +44,8 @@ class Reader:
 
     Attributes
     ----------
+    patience_s
+        As above; of the next mutations.
     peak_bytes
         Most memory that a process has taken beyond what it had before the first damaged log.
     """
@@ -56,7 +58,7 @@ class Reader:
     ) -> None:
         self._read = read
         self._memory_bytes = memory_bytes
-        self._patience_s = patience_s
+        self.patience_s = patience_s
         self._process: BaseProcess | None = None
         self._connection: Connection[Any, Any] | None = None
         self.peak_bytes = 0
@@ -89,12 +91,12 @@ class Reader:
 
     def _next(self, connection: Connection[Any, Any]) -> Verdict:
         try:
-            if connection.poll(self._patience_s):
+            if connection.poll(self.patience_s):
                 verdict, peak = connection.recv()
                 self.peak_bytes = max(self.peak_bytes, peak)
                 return verdict
             self._end()
-            return Verdict(Outcome.HUNG, f"no word in {self._patience_s:g} s")
+            return Verdict(Outcome.HUNG, f"no word in {self.patience_s:g} s")
         except (EOFError, ConnectionError):
             return Verdict(Outcome.CRASHED, f"the process ended with {self._end()}")
 
