@@ -91,7 +91,8 @@ def clean_channel(
     if night_start_us is not None:
         early = raw.time_us < night_start_us
     cells, disorder = in_order(raw.rows(~early) if early.any() else raw, rules)
-    period = typical_period_us(cells.time_us[~cells.missing])
+    blank = cells.missing.any()
+    period = typical_period_us(cells.time_us[~cells.missing] if blank else cells.time_us)
     longest_gap_us = _longest_gap_us(period, rules)
     samples = samples_of(cells, rules, period)
     noted = {"backward_time": disorder.n_put_back}

@@ -24,6 +24,8 @@ class Disorder:
 
 def in_order(raw: RawChannel, rules: ChannelRules) -> tuple[RawChannel, Disorder]:
     """Cells in strict order of their corrected time, and what it took."""
+    if bool((raw.time_us[1:] > raw.time_us[:-1]).all()):
+        return _corrected(raw, rules), Disorder(0, 0, 0)
     backward = backward_time(raw.time_us)
     late = np.zeros(len(backward), dtype=np.bool_)
     if rules.puts_in_order:
@@ -43,6 +45,8 @@ def in_order(raw: RawChannel, rules: ChannelRules) -> tuple[RawChannel, Disorder
 
 def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
     """Samples at the times at which they hold."""
+    if not rules.sampling.shift_us:
+        return raw
     return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
 
 
@@ -50,6 +54,8 @@ def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) 
     """Cells in order without the blank ones that are no sample."""
     if rules.sampling.on_change:
         return cells.rows(_says_something(cells, rules))
+    if not cells.missing.any():
+        return cells
     missing = missing_sample(cells.time_us, cells.missing, period_us)
     return cells.rows(~cells.missing | missing)
 
