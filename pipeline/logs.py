@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import SECOND_US
+from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
@@ -322,9 +322,11 @@ def slice_night(
         for name, channel in log.channels.items():
             start_us = night.start_us - reach_us.get(name, 0)
             inside = (channel.time_us >= start_us) & (channel.time_us < night.end_us)
-            some = channel if inside.all() else channel.rows(inside)
-            parts.setdefault(name, []).append(some)
-    return {name: RawChannel.joined(pieces) for name, pieces in parts.items()}
+            parts.setdefault(name, []).append(channel.rows(chosen_rows(inside)))
+    return {
+        name: pieces[0] if len(pieces) == 1 else RawChannel.joined(pieces)
+        for name, pieces in parts.items()
+    }
 
 
 def reaches_us(spec: MotorSpec) -> dict[str, int]:
