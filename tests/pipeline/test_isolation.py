@@ -156,13 +156,11 @@ def test_sequential_has_the_same_outcomes_for_what_is_raised() -> None:
 
 
 PARENT = """
-import signal, sys
+import sys
 from pipeline.config import Execution
 from pipeline.workers import run_tasks
 from tests.pipeline.misbehaviour import pid_and_hang
 
-# Tests that run in the background of a shell are born deaf to it.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 print("begun", flush=True)
 list(run_tasks(pid_and_hang, [sys.argv[1]] * 2, print, Execution(workers=2)))
 """
@@ -349,8 +347,6 @@ import pipeline.fleet
 from pipeline.cli import main
 
 marker = sys.argv.pop()
-# Tests that run in the background of a shell are born deaf to it.
-signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def wait(task):
     Path(marker).touch()
