@@ -135,7 +135,9 @@ class Reporter:
         for code, count in _by_code(result).items():
             say(f"{code}: {count} motors")
         for row in result.alarms:
-            say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
+            # That an indicator has its baseline is in `alarms`; nobody needs to look.
+            if row["way"] != "baseline":
+                say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
 
 
 def _by_stage(result: RunResult) -> dict[str, float]:
