@@ -13,7 +13,6 @@ from benchmarks.simulated_nights import motor
 from leakage import OperatingConditions, Parametrisation, regressors
 from leakage.multi_start import starting_points
 
-
 PLAUSIBLE = {
     "pressure_difference": (-450.0, 450.0),
     "oil_temperature": (-20.0, 120.0),
