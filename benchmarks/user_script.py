@@ -13,6 +13,13 @@ from benchmarks.simulated_nights import motor
 from leakage import OperatingConditions, Parametrisation, regressors
 from leakage.multi_start import starting_points
 
+PLAUSIBLE = {
+    "pressure_difference": (-450.0, 450.0),
+    "oil_temperature": (-20.0, 120.0),
+    "speed": (-400.0, 400.0),
+    "drain_flow": (0.0, 100.0),
+}
+
 
 def user_motor_night(log: Path, starts: int, timed: int) -> float:
     """Seconds that a motor-night takes: reading, cleaning, and a search from some starts, scaled.
@@ -27,10 +34,12 @@ def user_motor_night(log: Path, starts: int, timed: int) -> float:
     begin = time.perf_counter()
     frame = pd.read_parquet(log)
     frame = frame.sort_values("timestamp").drop_duplicates("timestamp").set_index("timestamp")
+    for name, (low, high) in PLAUSIBLE.items():
+        frame[name] = frame[name].where(frame[name].between(low, high))
     frame["oil_temperature"] = frame["oil_temperature"].interpolate("time")
     frame = frame[(frame["speed"].abs() > 0.5) & (frame["drain_flow"] < 16.0)].dropna()
     conditions = OperatingConditions.from_bar(
-        frame["pressure_difference"].abs().clip(lower=0.0).to_numpy(),
+        frame["pressure_difference"].abs().to_numpy(),
         frame["oil_temperature"].to_numpy(),
         frame["speed"].abs().to_numpy(),
     )
