@@ -24,7 +24,8 @@ from typing import Any
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
-from pipeline.errors import LockedError, StoreError
+from pipeline.engine import RunTasks, open_engine
+from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.ledger import forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
@@ -58,7 +59,6 @@ from pipeline.trends.stage import (
     with_q_values,
     write_record,
 )
-from pipeline.workers import run_tasks
 
 log = logging.getLogger(__name__)
 
@@ -159,11 +159,14 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         If another run writes to the same output.
     StoreError
         If nothing can be published.
+    EngineError
+        If there is nothing that tasks could run on.
     """
     output = request.fleet.output
     with _locked(output), _staging(output) as staging:
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
-        return _run(request, staging, progress)
+        with open_engine(request.fleet.execution, (request.fleet.log_root, staging)) as run_tasks:
+            return _run(request, staging, progress, run_tasks)
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
@@ -191,14 +194,14 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
     )
 
 
-def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
+def _run(request: RunRequest, staging: Path, progress: Progress, run_tasks: RunTasks) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
     tasks = [_task(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in run_tasks(run_motor, tasks, _lost, fleet.execution):
+        for outcome in run_tasks(run_motor, tasks, _lost):
             outcomes[outcome.motor_id] = outcome
             progress(outcome)
     except KeyboardInterrupt:
@@ -210,7 +213,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress) -> RunResult:
     n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
     alarms: list[Mapping[str, Any]] = []
     if not interrupted:
-        finished, alarms = _publish_trends(request, publisher, finished)
+        finished, alarms = _publish_trends(request, publisher, finished, run_tasks)
     seconds = time.perf_counter() - begin
     result = RunResult(
         run_id, tuple(finished), n_nights, interrupted, seconds, alarms=tuple(alarms)
@@ -295,7 +298,10 @@ def _publish(
 
 
 def _publish_trends(
-    request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
+    request: RunRequest,
+    publisher: Publisher,
+    outcomes: Sequence[MotorOutcome],
+    run_tasks: RunTasks,
 ) -> tuple[list[MotorOutcome], list[Mapping[str, Any]]]:
     """Make and publish the trends of the run's motors; one whose trends failed has failed."""
     fleet = request.fleet
@@ -317,9 +323,12 @@ def _publish_trends(
     )
     failures: dict[str, str] = {}
     alarms: list[Mapping[str, Any]] = []
-    for outcome in run_tasks(run_trends, tasks, _lost_trends, fleet.execution):
-        alarms += _publish_trend_rows(publisher, outcome)
-        failures |= outcome.failures
+    try:
+        for outcome in run_tasks(run_trends, tasks, _lost_trends):
+            alarms += _publish_trend_rows(publisher, outcome)
+            failures |= outcome.failures
+    except EngineError as error:  # the nights are published: the next run makes the trends
+        failures |= dict.fromkeys((spec.motor_id for spec in fleet.motors), error.message)
     judged = [
         replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
         if one.motor_id in failures and one.status != FAILED

@@ -387,8 +387,25 @@ class Execution(Section):
     """How the work is spread; nothing here changes a figure."""
 
     workers: int = Field(2, ge=1, le=256, description="Motors fitted at the same time")
-    backend: Literal["loky", "sequential"] = Field(
-        "loky", description="`loky`: worker processes; `sequential`: one after the other, here"
+    backend: Literal["loky", "sequential", "dask"] = Field(
+        "loky",
+        description="`loky`: worker processes; `sequential`: one after the other, here; `dask`: a "
+        "Dask cluster (`scale.md`)",
+    )
+    scheduler: str = Field(
+        "",
+        pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$",
+        description="`dask`: address of the scheduler, such as tcp://10.0.0.5:8786; without it "
+        "`workers` Dask workers of this machine",
+    )
+    tasks_in_flight: int = Field(
+        256,
+        ge=1,
+        description="`dask`: never more tasks than this are handed to the scheduler at a time",
+    )
+    scheduler_wait_s: Positive = Field(
+        30.0,
+        description="`dask`: how long to wait for the scheduler, and while it has no worker",
     )
 
 
