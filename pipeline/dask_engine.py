@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from uuid import uuid4
 
 from pipeline.config import Execution
-from pipeline.dask_worker import Done, StrangeWorkerError, Surroundings, do_task
+from pipeline.dask_worker import Done, StrangeWorkerError, Surroundings, do_task, put
 from pipeline.errors import EngineError, StoreError
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ Result = TypeVar("Result")
 
 # How often to look whether there are workers while nothing finishes.
 LOOK_S = 1.0
+# Tasks in flight for each worker where their own content is large.
+AHEAD = 2
 # How often a task is sent anew, for reasons that are not its own, before it counts as lost.
 MOST_SENT = 10
 
@@ -69,7 +71,7 @@ class DaskEngine:
             Does a task; the same version of it must be on the workers.
         tasks
             Plain data. Where one has a ``staging`` folder, it stages elsewhere and the files are
-            brought there.
+            brought there; those that it names as its ``parts`` travel with it.
         lost
             The result of a task that could not be done, and why.
 
@@ -95,14 +97,18 @@ class DaskEngine:
 
 def _bring(staged: Mapping[str, bytes], folder: Path | None) -> None:
     """Put what a task has staged where the run looks for it."""
+    if not staged or folder is None:
+        return
     try:
-        for name, content in staged.items():
-            assert folder is not None
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(content)
+        put(staged, folder)
     except OSError as error:
         raise StoreError("store_write", f"rows cannot be staged: {error}") from error
+
+
+def _needed(task: object) -> dict[str, bytes]:
+    """What a task reads that others have staged: it travels with the task."""
+    folder, names = getattr(task, "staging", None), getattr(task, "parts", ())
+    return {name: (folder / name).read_bytes() for name in names}
 
 
 @dataclass(slots=True)
@@ -144,11 +150,18 @@ class _Flight:
 
     def _submit(self) -> None:
         """Fill up what is in flight; suspects go last, and each alone."""
-        while self.waiting and len(self.under_way) < self.engine.execution.tasks_in_flight:
+        while self.waiting and len(self.under_way) < self._most(self.waiting[0]):
             self._send(self.waiting.popleft())
         if self.suspects and not self.under_way:
             self.alone = True
             self._send(self.suspects.popleft())
+
+    def _most(self, number: int) -> int:
+        """How many tasks may be in flight; of those that carry much, no more than are done."""
+        most = self.engine.execution.tasks_in_flight
+        if getattr(self.tasks[number], "parts", ()):
+            return min(most, AHEAD * max(len(self.engine.client.nthreads()), 1))
+        return most
 
     def _send(self, number: int) -> None:
         self.sent[number] += 1
@@ -160,6 +173,7 @@ class _Flight:
             self.function,
             self.tasks[number],
             self.engine.expected,
+            _needed(self.tasks[number]),
             key=f"motor-leakage-{self.run}-{number}-{self.sent[number]}",
             workers=fit,
             # Never twice for one key by Dask itself unless a worker was lost.

@@ -87,8 +87,13 @@ def differences(expected: Surroundings) -> list[str]:
     ]
 
 
-def do_task(function: Callable[[Any], Result], task: Any, expected: Surroundings) -> Done[Result]:
-    """Do a task in a staging folder of its own, if the task has one.
+def do_task(
+    function: Callable[[Any], Result],
+    task: Any,
+    expected: Surroundings,
+    brought: Mapping[str, bytes],
+) -> Done[Result]:
+    """Do a task in a staging folder of its own, if the task has one, with what was brought there.
 
     Raises
     ------
@@ -101,13 +106,22 @@ def do_task(function: Callable[[Any], Result], task: Any, expected: Surroundings
         return Done(function(task), {})
     with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
         folder = Path(name)
+        put(brought, folder)
         result = function(replace(task, staging=folder))
         staged = {
             path.relative_to(folder).as_posix(): path.read_bytes()
             for path in sorted(folder.rglob("*"))
-            if path.is_file()
+            if path.is_file() and path.relative_to(folder).as_posix() not in brought
         }
     return Done(result, staged)
+
+
+def put(contents: Mapping[str, bytes], folder: Path) -> None:
+    """Write files below a folder."""
+    for name, content in contents.items():
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
 
 
 def own_address() -> str:

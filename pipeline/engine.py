@@ -59,3 +59,11 @@ def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[
         return run_tasks(function, tasks, lost, execution)
 
     yield here
+
+
+def nights_a_part(execution: Execution) -> int:
+    """How many nights of a motor make a part; 0 where there is one worker to do them all."""
+    if execution.backend == "dask" and execution.scheduler:
+        return execution.nights_a_part
+    alone = execution.backend == "sequential" or execution.workers == 1
+    return 0 if alone else execution.nights_a_part

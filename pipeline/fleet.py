@@ -24,7 +24,7 @@ from typing import Any
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
-from pipeline.engine import RunTasks, open_engine
+from pipeline.engine import RunTasks, nights_a_part, open_engine
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.ledger import forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
@@ -49,6 +49,7 @@ from pipeline.schema import (
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of
+from pipeline.spread import run_motors
 from pipeline.store import last_night, remove_leftovers
 from pipeline.trends.stage import (
     TrendOutcome,
@@ -191,6 +192,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         until=request.until,
         force=request.force,
         retry=request.retry,
+        nights_a_part=nights_a_part(request.fleet.execution),
     )
 
 
@@ -201,7 +203,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress, run_tasks: RunT
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in run_tasks(run_motor, tasks, _lost):
+        for outcome in run_motors(run_tasks, run_motor, tasks, _lost):
             outcomes[outcome.motor_id] = outcome
             progress(outcome)
     except KeyboardInterrupt:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
+import pickle
 import resource
 import time
 from collections import Counter, defaultdict
@@ -24,13 +25,14 @@ from threadpoolctl import threadpool_limits
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
 from pipeline.ledger import (
+    FileRecord,
     Ledger,
     NightRecord,
     changed_months,
     read_ledger,
     read_settings,
 )
-from pipeline.log_shelf import LogShelf
+from pipeline.log_shelf import LogShelf, Sight
 from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
 from pipeline.motor_night import (
     FAILED,
@@ -45,7 +47,7 @@ from pipeline.motor_night import (
 from pipeline.night_rows import Row
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
-from pipeline.refit import REFITTED_TABLES, StoredNights
+from pipeline.refit import REFITTED_TABLES, StoredNights, judged
 from pipeline.schema import FITS, NIGHT_TABLES
 from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
 from pipeline.store import night_file, stage
@@ -91,6 +93,12 @@ class MotorTask:
         Whether to make nights anew from their logs that nothing has changed of.
     retry
         Whether to try nights and logs again that failed.
+    nights_a_part
+        A motor with more nights to read than this is split into parts of so many; 0: never.
+    looked_at
+        What an earlier task of this run has seen of its logs; None: nothing.
+    parts
+        Files below the staging folder with nights that other tasks have made.
     """
 
     spec: MotorSpec
@@ -100,6 +108,9 @@ class MotorTask:
     until: dt.date | None = None
     force: bool = False
     retry: bool = False
+    nights_a_part: int = 0
+    looked_at: Mapping[str, FileRecord] | None = None
+    parts: tuple[str, ...] = ()
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -161,6 +172,79 @@ class MotorOutcome:
         return self.peak_memory_mib is not None
 
 
+@dataclass(frozen=True, slots=True)
+class SplitMotor:
+    """A motor with so many nights to read that other tasks are to make them.
+
+    Attributes
+    ----------
+    looked_at
+        What was seen of its logs.
+    parts
+        Nights of each part, in order of time.
+    """
+
+    motor_id: str
+    looked_at: Mapping[str, FileRecord]
+    parts: tuple[tuple[dt.date, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PartTask:
+    """Some nights of a motor, to be read and fitted apart from the others.
+
+    Attributes
+    ----------
+    motor
+        The motor's own task.
+    nights
+        Which nights.
+    staging
+        Folder in which they are left, as `name`.
+    """
+
+    motor: MotorTask
+    nights: tuple[dt.date, ...]
+    staging: Path
+
+    @property
+    def name(self) -> str:
+        """Its file below the staging folder."""
+        return f"parts/{self.motor.spec.motor_id}/{min(self.nights)}"
+
+
+@dataclass(frozen=True, slots=True)
+class PartOutcome:
+    """That a part is made, or why not.
+
+    Attributes
+    ----------
+    name
+        Its file below the staging folder.
+    failure
+        What then comes of the motor; None: the part is made.
+    peak_memory_mib
+        Largest memory of the worker so far.
+    """
+
+    motor_id: str
+    name: str
+    failure: MotorOutcome | None = None
+    peak_memory_mib: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MadeNight:
+    """A night as another task has made it, and what it saw of which logs.
+
+    Nights hang together by the model before alone, which is judged again when they are joined.
+    """
+
+    outcome: NightOutcome
+    seen: Mapping[str, Sight]
+    used: tuple[str, ...]
+
+
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     """What a run would do of a motor now, night by night, and why; nothing is read or written.
 
@@ -172,22 +256,55 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     return _Nights(task).plan()
 
 
-def run_motor(task: MotorTask) -> MotorOutcome:
+def run_motor(task: MotorTask) -> MotorOutcome | SplitMotor:
     """Do everything that is new for a motor, and stage its rows.
 
     Returns
     -------
-    MotorOutcome
-        Also where the task failed as a whole: with status ``failed`` and no nights.
+    MotorOutcome or SplitMotor
+        Also where the task failed as a whole: with status ``failed`` and no nights. Or what is to
+        be done in parts first; nothing is then staged.
     """
     with threadpool_limits(1):
         try:
-            return _Nights(task).run()
+            nights = _Nights(task)
+            return nights.split() or nights.run()
         except StoreError as error:
             return lost(task, error.code, error.message)
         except Exception as error:  # the edge of a motor's task: it must not take others down
             log.exception("motor %s failed", task.spec.motor_id)
             return lost(task, "internal", legible(f"{type(error).__name__}: {error}"))
+
+
+def run_part(task: PartTask) -> PartOutcome:
+    """Make some nights of a motor, and leave them in the staging folder."""
+    motor_id = task.motor.spec.motor_id
+    with threadpool_limits(1):
+        try:
+            made = _Nights(task.motor).make(task.nights)
+            path = task.staging / task.name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(pickle.dumps(made))
+        except StoreError as error:
+            return PartOutcome(motor_id, task.name, lost(task.motor, error.code, error.message))
+        except Exception as error:  # as of a whole motor
+            log.exception("nights of motor %s failed", motor_id)
+            why = legible(f"{type(error).__name__}: {error}")
+            return PartOutcome(motor_id, task.name, lost(task.motor, "internal", why))
+    return PartOutcome(motor_id, task.name, peak_memory_mib=_peak_memory_mib())
+
+
+def _peak_memory_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _read_parts(task: MotorTask) -> dict[dt.date, MadeNight]:
+    """The nights that other tasks of this run have made."""
+    made: dict[dt.date, MadeNight] = {}
+    for name in task.parts:
+        # Written by this run, below a folder of its own.
+        made |= pickle.loads((task.staging / name).read_bytes())  # noqa: S301
+    return made
 
 
 def lost(task: MotorTask, code: str, message: str) -> MotorOutcome:
@@ -237,7 +354,8 @@ class _Nights:
         if task.retry:
             self.before = _without_failures(self.before)
         with self._timed("read_s"):
-            self.logs = LogShelf(self.spec, self.before.files)
+            self.logs = LogShelf(self.spec, self.before.files, task.looked_at)
+        self.made = _read_parts(task)
         self.hashes = SettingsHashes(self.spec)
         self.stored = StoredNights(task.output, self.spec)
         self.done: dict[dt.date, NightOutcome] = {}
@@ -245,6 +363,33 @@ class _Nights:
         self.kept: set[dt.date] = set()
         self.reasons: dict[dt.date, str] = {}
         self.by_settings = self._outdated_by_settings()
+
+    def split(self) -> SplitMotor | None:
+        """The parts in which the motor's nights are to be made; None: here, in one."""
+        size = self.task.nights_a_part
+        if not size or self.task.looked_at is not None:
+            return None
+        labels = [label for label, step in self.plan().items() if step.work is Work.READ]
+        if len(labels) <= size:
+            return None
+        parts = tuple(tuple(labels[at : at + size]) for at in range(0, len(labels), size))
+        return SplitMotor(self.spec.motor_id, self.logs.files, parts)
+
+    def make(self, labels: tuple[dt.date, ...]) -> dict[dt.date, MadeNight]:
+        """Read and fit some nights, each on its own."""
+        made = {}
+        for label in labels:
+            before = dict(self.logs.files)
+            here = night(label, self.spec.settings.nights)
+            used = (*self.logs.before_night(here), *self.logs.of_night(label))
+            outcome = self._night(label, Work.READ, {})
+            assert outcome is not None
+            seen = {
+                name: Sight(before[name], self.logs.files[name], name in self.logs.read)
+                for name in used
+            }
+            made[label] = MadeNight(outcome, seen, used)
+        return made
 
     def run(self) -> MotorOutcome:
         # Reading may show that a log covers other nights than its ends had told, so look again.
@@ -391,6 +536,9 @@ class _Nights:
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
+        made = self.made.get(label)
+        if made is not None and self.logs.recall(here, made.seen, made.used):
+            return judged(self.spec, made.outcome, before)
         with self._timed("read_s"):
             names = self.logs.of_night(label)
             read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
@@ -471,5 +619,5 @@ class _Nights:
             growing=tuple(self.logs.growing()),
             ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
-            peak_memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            peak_memory_mib=_peak_memory_mib(),
         )

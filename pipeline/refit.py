@@ -9,6 +9,7 @@ from __future__ import annotations
 import datetime as dt
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -197,6 +198,18 @@ class StoredNights:
         factor = _factor(before["night_factor"], len(before["columns"]))
         row |= previous_model_columns(self._spec, factor, previous)
         return row | criteria_columns(row)
+
+
+def judged(spec: MotorSpec, outcome: NightOutcome, previous: PreviousModel) -> NightOutcome:
+    """A night just fitted, with the model before judged on it, which its fit did not know."""
+    if outcome.status != OK:
+        return outcome
+    rows = []
+    for row in outcome.rows["fits"]:
+        factor = _factor(row["night_factor"], len(row["columns"]))
+        before = previous.get(row["flushing_mode"])
+        rows.append(row | previous_model_columns(spec, factor, before))
+    return replace(outcome, rows={**outcome.rows, "fits": rows})
 
 
 def _factors(blocks: Sequence[Row], part: str) -> Array:

@@ -392,6 +392,12 @@ class Execution(Section):
         description="`loky`: worker processes; `sequential`: one after the other, here; `dask`: a "
         "Dask cluster (`scale.md`)",
     )
+    nights_a_part: int = Field(
+        14,
+        ge=0,
+        description="A motor with more new nights than this is split into parts of so many, which "
+        "workers do side by side; 0: never",
+    )
     scheduler: str = Field(
         "",
         pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$",

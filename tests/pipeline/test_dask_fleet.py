@@ -47,9 +47,9 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
                 killed.append(min(client.run(os.getpid).values()))
             os.kill(killed[0], signal.SIGKILL)
 
-    result = run(
-        demo_folder / "configs" / "fleet.toml", tmp_path, two_workers.execution(), kill_one
-    )
+    # Each motor in parts, too: what they made travels to the task that joins them.
+    execution = two_workers.execution(nights_a_part=2)
+    result = run(demo_folder / "configs" / "fleet.toml", tmp_path, execution, kill_one)
     assert killed
     assert status_of(result) == dict.fromkeys(MOTORS, "ok")
     assert table_files(tmp_path) == table_files(fitted_output)
