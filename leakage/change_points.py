@@ -182,45 +182,58 @@ def _fitted(
     places: tuple[int, ...],
 ) -> _Fitted:
     """Maximum likelihood over the grid of φ; steps that the criterion does not want are dropped."""
-    fitted = _likeliest(name, nights, values, trend_from, places)
-    while name != "none" and len(fitted.places) > 1:
+    n = len(values)
+    columns = [np.ones(n)]
+    columns += [] if trend_from is None else [_trend_column(nights, trend_from)]
+    first = len(columns)
+    columns += [(np.arange(n) >= place).astype(np.float64) for place in places]
+    triangles = _triangles(np.column_stack([*columns, values]), nights)
+    logs = _log_determinants(nights)
+    fitted = _likeliest(name, triangles, logs, n, trend_from, places)
+    while len(fitted.places) > 1:
+        # The triangles hold all that a model with fewer columns needs.
+        several = len(fitted.places)
         fewer = [
-            _likeliest(name, nights, values, trend_from, (*fitted.places[:at], *rest))
-            for at, rest in ((at, fitted.places[at + 1 :]) for at in range(len(fitted.places)))
+            _likeliest(
+                name,
+                _triangular(np.delete(triangles, first + at, axis=2)),
+                logs,
+                n,
+                trend_from,
+                fitted.places[:at] + fitted.places[at + 1 :],
+            )
+            for at in range(several)
         ]
-        shortened = min(fewer, key=lambda model: model.bic)
-        if shortened.bic >= fitted.bic:
+        dropped = min(range(several), key=lambda at: fewer[at].bic)
+        if fewer[dropped].bic >= fitted.bic:
             break
-        fitted = shortened
+        fitted = fewer[dropped]
+        triangles = _triangular(np.delete(triangles, first + dropped, axis=2))
     return fitted
 
 
 def _likeliest(
     name: ChangeModel,
-    nights: Nights,
-    values: Array,
+    triangles: Array,
+    logs: Array,
+    n: int,
     trend_from: int | None,
     places: tuple[int, ...],
 ) -> _Fitted:
-    """Maximum likelihood over the grid of φ."""
-    n = len(values)
-    columns = [np.ones(n)]
-    columns += [] if trend_from is None else [_trend_column(nights, trend_from)]
-    columns += [(np.arange(n) >= place).astype(np.float64) for place in places]
-    table = np.column_stack([*columns, values])
-    twice, phi, triangle = min(
-        (_minus_twice_log_likelihood(table, nights, float(phi)) for phi in PHI_GRID),
-        key=lambda found: found[0],
-    )
-    k = len(columns)
+    """Maximum likelihood over the grid of φ, from the triangular factor at each."""
+    squared = np.maximum(triangles[:, -1, -1] ** 2, 1e-300)
+    twice = n * (np.log(2 * math.pi * squared / n) + 1) + logs
+    best = int(np.argmin(twice))
+    triangle = triangles[best]
+    k = len(triangle) - 1
     inverse = np.linalg.inv(triangle[:k, :k])
     variance = float(triangle[k, k]) ** 2 / max(n - k - 1, 1)
     # σ, φ and every column; the night on which a step or a later trend begins is found, too.
     p = 2 + k + len(places) + (1 if trend_from else 0)
     return _Fitted(
         name=name,
-        bic=twice + p * math.log(n),
-        phi=phi,
+        bic=float(twice[best]) + p * math.log(n),
+        phi=float(PHI_GRID[best]),
         trend_from=trend_from,
         places=places,
         coefficients=inverse @ triangle[:k, k],
@@ -228,16 +241,22 @@ def _likeliest(
     )
 
 
-def _minus_twice_log_likelihood(
-    table: Array, nights: Nights, phi: float
-) -> tuple[float, float, Array]:
-    """−2 ln L at a φ, the φ, and the triangular factor of the whitened columns and values."""
-    n = len(table)
-    rho = correlation_to_previous(phi, nights)
-    _, triangle = np.linalg.qr(whitened(table, rho))
-    squared = max(float(triangle[-1, -1]) ** 2, 1e-300)
-    twice = n * (math.log(2 * math.pi * squared / n) + 1) + float(np.sum(np.log1p(-(rho**2))))
-    return twice, phi, triangle
+def _triangles(table: Array, nights: Nights) -> Array:
+    """Triangular factor of the whitened columns and values at each φ, shape (m, k + 1, k + 1)."""
+    rho = [correlation_to_previous(float(phi), nights) for phi in PHI_GRID]
+    return _triangular(np.stack([whitened(table, one) for one in rho]))
+
+
+def _triangular(stacked: Array) -> Array:
+    result: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+    return result
+
+
+def _log_determinants(nights: Nights) -> Array:
+    """Logarithm of the determinant of the errors' correlation at each φ, shape (m,)."""
+    rho = np.stack([correlation_to_previous(float(phi), nights) for phi in PHI_GRID])
+    result: Array = np.log1p(-(rho**2)).sum(axis=1)
+    return result
 
 
 def _partition(nights: Nights, values: Array) -> tuple[int, ...]:

@@ -78,8 +78,9 @@ class Track:
     Attributes
     ----------
     baselines
-        In the order in which they served: a provisional one, then the whole; none where there are
-        too few good nights, or their mean is not positive.
+        In the order in which they served: a provisional one, then the whole, or the provisional
+        one again where it is kept; none where there are too few good nights, or their mean is not
+        positive.
     served_from
         Place in the series from which each served.
     deviation
@@ -159,6 +160,7 @@ def monitor(
     values: Array,
     settings: MonitorSettings | None = None,
     others_log_change: Array | None = None,
+    others_known_from: int = 0,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -175,14 +177,18 @@ def monitor(
         Median over the other motors of the circuit of the logarithm of the same indicator over its
         baseline (:func:`leakage.peers.peer_deviations`), shape (n,); nan where none is known. None
         for a motor without a circuit.
+    others_known_from
+        Place of the first night on which that was known, of any night: before it the own values
+        decide alone, as they did then.
 
     Returns
     -------
     Monitoring
         States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
-        value; otherwise what the own and the corrected values both say, the milder of the two. The
-        own ones decide alone where the corrected have no baseline or are stale. An absolute limit
-        holds whatever the others do.
+        value; otherwise what the own and the corrected values both say, the milder of the two; what
+        both have told stays a warning for as long as the own values tell it. The own ones decide
+        alone where the corrected have no baseline or are stale. An absolute limit holds whatever
+        the others do.
 
     Raises
     ------
@@ -202,12 +208,13 @@ def monitor(
     chosen = settings or MonitorSettings()
     own = track(nights, values, chosen)
     corrected = circuit = None
+    comparable = np.arange(len(nights)) >= others_known_from
     if others_log_change is not None:
         check_series(nights, others_log_change)
         common = np.exp(others_log_change)
         corrected = track(nights, values / common, replace(chosen, limits=Limits()))
         circuit = track(nights, common, replace(chosen, limits=Limits()))
-    states = _states(own, corrected, circuit, chosen.stale_nights)
+    states = _states(own, corrected, circuit, chosen.stale_nights, comparable)
     return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
 
 
@@ -363,9 +370,10 @@ def _serve(
     parts.follow(nights[:end], values[:end], provisional, settings, start)
     kept = _why_kept(first, whole, bool(parts.severity[end - 1]))
     if kept:
+        # As a baseline of its own: what was said before it was decided stays as it was said.
         first = replace(first, reason=_joined(kept, first.reason))
         parts.follow(nights, values, first, settings, start)
-        return [(start, first)]
+        return [(start, provisional), (end, first)]
     parts.follow(nights, values, whole, settings, end)
     return [(start, provisional), (end, whole)]
 
@@ -380,15 +388,22 @@ def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
 
 
 def _states(
-    own: Track, corrected: Track | None, circuit: Track | None, stale_nights: int
+    own: Track,
+    corrected: Track | None,
+    circuit: Track | None,
+    stale_nights: int,
+    comparable: NDArray[np.bool_],
 ) -> list[State]:
     """State of each night from its tracks."""
     severity, common = own.severity, np.zeros(len(own.severity), dtype=np.bool_)
     if corrected is not None and circuit is not None:
-        usable = corrected.has_baseline & (corrected.since_good <= stale_nights)
-        explained = usable & (corrected.severity == 0) & (own.severity > 0)
-        common = explained & (circuit.severity > 0)
-        severity = np.where(usable, np.minimum(severity, corrected.severity), severity)
+        usable = corrected.has_baseline & (corrected.since_good <= stale_nights) & comparable
+        both = np.where(usable, np.minimum(severity, corrected.severity), severity)
+        # What both have told stays told while the own values tell it: that another motor rises
+        # later does not undo it.
+        both = np.maximum(both, _latched(usable & (both > 0), severity > 0))
+        common = (both == 0) & (severity > 0) & (circuit.severity > 0)
+        severity = both
     severity = np.maximum(severity, own.limit_severity)
     states = np.array(OF_SEVERITY, dtype=object)[severity]
     states[common & (own.limit_severity == 0)] = "common_cause"
@@ -396,6 +411,15 @@ def _states(
     states[~own.has_baseline] = "insufficient"
     found: list[State] = states.tolist()
     return found
+
+
+def _latched(begins: NDArray[np.bool_], lasts: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """On from where it begins for as long as it lasts."""
+    places = np.arange(len(begins))
+    begun = np.maximum.accumulate(np.where(begins, places, -1))
+    ended = np.maximum.accumulate(np.where(lasts, -1, places))
+    latched: NDArray[np.bool_] = begun > ended
+    return latched
 
 
 def _joined(*reasons: str) -> str:

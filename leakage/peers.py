@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from leakage.autoregression import Array
 from leakage.errors import ShapeError
+
+# Good nights that say how far something has moved.
+NIGHTS_OF_NOW = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,3 +92,21 @@ def peer_deviations(log_ratios: Array) -> PeerDeviations:
         some = n_others[:, motor] > 0
         others[some, motor] = np.nanmedian(rest[some], axis=1)
     return PeerDeviations(others, log_ratios - others, n_others)
+
+
+def recent_median(values: Array) -> Array:
+    """Median of the last five good nights up to each; nan before there is one.
+
+    Examples
+    --------
+    >>> recent_median(np.array([np.nan, 1.0, 9.0, 2.0, np.nan])).tolist()
+    [nan, 1.0, 5.0, 2.0, 2.0]
+    """
+    good = np.flatnonzero(np.isfinite(values))
+    result = np.full(len(values), np.nan)
+    if len(good):
+        padded = np.concatenate([np.full(NIGHTS_OF_NOW - 1, np.nan), values[good]])
+        medians = np.nanmedian(sliding_window_view(padded, NIGHTS_OF_NOW), axis=1)
+        last = np.searchsorted(good, np.arange(len(values)), side="right") - 1
+        result[last >= 0] = medians[last[last >= 0]]
+    return result

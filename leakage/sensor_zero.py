@@ -112,10 +112,34 @@ def halt_zero(samples: Array, resolution: float) -> HaltZero:
     return HaltZero("ok", float(seen.mean()), math.hypot(error, resolution / math.sqrt(12.0)))
 
 
-def zero_drift(
+@dataclass(frozen=True, slots=True)
+class ZeroCourse:
+    """What was known of a sensor's zero after each halt; shape (n,) each, nan below ten halts.
+
+    Attributes
+    ----------
+    drifts
+        Whether the move is certain and beyond the tolerance.
+    zero, lower, upper, change, change_lower, change_upper
+        As in :class:`ZeroDrift`.
+    n_halts
+        Halts that counted by then.
+    """
+
+    drifts: NDArray[np.bool_]
+    zero: Array
+    lower: Array
+    upper: Array
+    change: Array
+    change_lower: Array
+    change_upper: Array
+    n_halts: NDArray[np.int64]
+
+
+def zero_course(
     nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
-) -> ZeroDrift:
-    """Whether a sensor's zero has moved since its first halts.
+) -> ZeroCourse:
+    """How far a sensor's zero had moved since its first halts, halt by halt.
 
     Parameters
     ----------
@@ -123,15 +147,87 @@ def zero_drift(
         Night of each halt, not decreasing, shape (n,); since the sensor was last put right.
     zeros, errors
         Of each halt, from :func:`halt_zero` [unit], shape (n,); those that are not finite do not
-        count.
+        count, and keep what was known before.
     tolerance
-        Stated tolerance of the sensor's zero [unit]: a smaller move is ``steady`` however certain.
+        Stated tolerance of the sensor's zero [unit]: a smaller move is no drift however certain.
+
+    Returns
+    -------
+    ZeroCourse
+        From the means of the first and of the last halts, up to thirty each and never the same
+        ones, by Welch's t; the scatter between halts counts, and is at least that of the errors.
+        What is known after a halt depends on that halt and those before it alone.
+
+    Raises
+    ------
+    ShapeError
+        ``shape`` or ``night_order``.
+    ParameterError
+        ``zero_tolerance``.
+
+    Examples
+    --------
+    >>> nights = np.arange(40)
+    >>> zeros = 0.001 * (-1.0) ** nights + 0.05 * (nights >= 20)
+    >>> found = zero_course(nights, zeros, np.full(40, 0.001), tolerance=0.02)
+    >>> int(found.drifts.argmax()), round(float(found.change[-1]), 3)
+    (24, 0.05)
+    """
+    _require_halts(nights, zeros, errors, tolerance)
+    kept = np.isfinite(zeros) & np.isfinite(errors)
+    count = np.cumsum(kept, dtype=np.int64)
+    # The last halt that counts is what each halt knows.
+    last = np.maximum(count - 1, 0)
+    size = np.minimum(count // 2, MOST_HALTS)
+    known = size >= LEAST_HALTS
+    size = np.where(known, size, LEAST_HALTS)
+    if not kept.any():
+        nothing = np.full(len(zeros), np.nan)
+        return ZeroCourse(known, nothing, nothing, nothing, nothing, nothing, nothing, count)
+    # The first one, not their middle: what is known after a halt must not hang on later ones.
+    reference = float(zeros[kept][0])
+    sums = _Sums.of(zeros[kept] - reference, errors[kept])
+    end = np.minimum(last + 1, len(sums.value) - 1)
+    now, now_variance = sums.mean(np.maximum(end - size, 0), end, size)
+    first_end = np.minimum(size, len(sums.value) - 1)
+    before, before_variance = sums.mean(np.zeros_like(size), first_end, size)
+    half = stdtrit(size - 1.0, 0.5 + COVERAGE / 2) * np.sqrt(now_variance)
+    change, variance = now - before, now_variance + before_variance
+    # Welch and Satterthwaite, for groups of one size.
+    both = now_variance**2 + before_variance**2
+    freedom = np.where(both > 0.0, (size - 1) * variance**2 / np.where(both > 0, both, 1), size - 1)
+    reach = stdtrit(freedom, 0.5 + COVERAGE / 2) * np.sqrt(variance)
+
+    def only(values: Array) -> Array:
+        return np.where(known, values, np.nan)
+
+    zero = reference + now
+    return ZeroCourse(
+        drifts=known & (np.abs(change) > np.maximum(reach, tolerance)),
+        zero=only(zero),
+        lower=only(zero - half),
+        upper=only(zero + half),
+        change=only(change),
+        change_lower=only(change - reach),
+        change_upper=only(change + reach),
+        n_halts=count,
+    )
+
+
+def zero_drift(
+    nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
+) -> ZeroDrift:
+    """Whether a sensor's zero has moved since its first halts.
+
+    Parameters
+    ----------
+    nights, zeros, errors, tolerance
+        As for :func:`zero_course`.
 
     Returns
     -------
     ZeroDrift
-        From the means of the first and of the last halts, up to thirty each and never the same
-        ones, by Welch's t; the scatter between halts counts, and is at least that of the errors.
+        What is known after the last halt.
 
     Raises
     ------
@@ -148,6 +244,50 @@ def zero_drift(
     >>> found.status, round(found.change, 3)
     ('drifts', 0.05)
     """
+    found = zero_course(nights, zeros, errors, tolerance)
+    n = int(found.n_halts[-1]) if len(zeros) else 0
+    if n < 2 * LEAST_HALTS:
+        nan = math.nan
+        return ZeroDrift("insufficient", nan, nan, nan, nan, nan, nan, n)
+    return ZeroDrift(
+        status="drifts" if found.drifts[-1] else "steady",
+        zero=float(found.zero[-1]),
+        lower=float(found.lower[-1]),
+        upper=float(found.upper[-1]),
+        change=float(found.change[-1]),
+        change_lower=float(found.change_lower[-1]),
+        change_upper=float(found.change_upper[-1]),
+        n_halts=n,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Sums:
+    """Running sums of zeros, their squares and the squares of their errors; shape (n + 1,)."""
+
+    value: Array
+    square: Array
+    error: Array
+
+    @classmethod
+    def of(cls, zeros: Array, errors: Array) -> _Sums:
+        return cls(
+            *(np.concatenate([[0.0], np.cumsum(part)]) for part in (zeros, zeros**2, errors**2))
+        )
+
+    def mean(
+        self, first: NDArray[np.int64], end: NDArray[np.int64], n: NDArray[np.int64]
+    ) -> tuple[Array, Array]:
+        """Mean of some halts, and its variance."""
+        mean = (self.value[end] - self.value[first]) / n
+        squares = self.square[end] - self.square[first] - n * mean**2
+        scatter = np.maximum(squares / (n - 1), (self.error[end] - self.error[first]) / n)
+        return mean, np.maximum(scatter, 0.0) / n
+
+
+def _require_halts(
+    nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
+) -> None:
     if not len(nights) == len(zeros) == len(errors):
         raise ShapeError(
             "shape",
@@ -159,38 +299,6 @@ def zero_drift(
         raise ParameterError(
             "zero_tolerance", f"tolerance of a zero is {tolerance:g}; expected 0 or more"
         )
-    kept = np.isfinite(zeros) & np.isfinite(errors)
-    zeros, errors = zeros[kept], errors[kept]
-    n = len(zeros)
-    if n < 2 * LEAST_HALTS:
-        nan = math.nan
-        return ZeroDrift("insufficient", nan, nan, nan, nan, nan, nan, n)
-    size = min(n // 2, MOST_HALTS)
-    now, now_variance = _mean(zeros[-size:], errors[-size:])
-    before, before_variance = _mean(zeros[:size], errors[:size])
-    half = _quantile(size - 1) * math.sqrt(now_variance)
-    change, variance = now - before, now_variance + before_variance
-    # Welch and Satterthwaite, for groups of one size.
-    both = now_variance**2 + before_variance**2
-    freedom = (size - 1) * variance**2 / both if both > 0.0 else float(size - 1)
-    reach = _quantile(freedom) * math.sqrt(variance)
-    drifts = abs(change) > max(reach, tolerance)
-    return ZeroDrift(
-        status="drifts" if drifts else "steady",
-        zero=now,
-        lower=now - half,
-        upper=now + half,
-        change=change,
-        change_lower=change - reach,
-        change_upper=change + reach,
-        n_halts=n,
-    )
-
-
-def _mean(zeros: Array, errors: Array) -> tuple[float, float]:
-    """Mean of some halts, and its variance."""
-    scatter = max(float(zeros.var(ddof=1)), float(np.mean(errors**2)))
-    return float(zeros.mean()), scatter / len(zeros)
 
 
 def _quantile(freedom: float) -> float:

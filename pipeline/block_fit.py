@@ -65,6 +65,7 @@ def fit_blocks(
     inflation: float = 1.0,
     *,
     search: bool = True,
+    bootstrap: bool = True,
 ) -> BlockFit:
     """Fit a motor to blocks of training samples.
 
@@ -82,6 +83,8 @@ def fit_blocks(
         Factor on standard errors that robust weights ask for.
     search
         Whether to make the starts of the search, too; the estimate does not depend on them.
+    bootstrap
+        Whether to make the block bootstrap, which nothing but its own columns depends on.
 
     Returns
     -------
@@ -118,7 +121,7 @@ def fit_blocks(
             fitted.coefficients,
             ~fitted.certificate.fixed,
             _resampling(estimation.seed, spec.motor_id, night, mode),
-            resamples=estimation.bootstrap_resamples,
+            resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
     )
 

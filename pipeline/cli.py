@@ -296,7 +296,7 @@ def _print_plan(request: RunRequest, as_json: bool) -> None:
 
 def _check_tables(config: Path | None, output: Path | None) -> int:
     """Compare the table files with their manifests; returns the exit code."""
-    from pipeline.manifest import verify_tables
+    from pipeline.verification import verify_tables
 
     if config is None:
         raise UsageError("config", "name the fleet file whose tables are to be checked")

@@ -12,12 +12,14 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import BinaryIO
 
 import polars as pl
 
 from pipeline.errors import StoreError, UsageError
+from pipeline.landing import put, remove_leftovers
 from pipeline.schema import TABLES, TIMESTAMP, Table
-from pipeline.store import read_table, replace_whole, table_folder
+from pipeline.store import read_table, table_folder
 
 BYTE_ORDER_MARK = "\ufeff"
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
@@ -115,6 +117,7 @@ def export_csv(
         raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")
     if folder.resolve().is_relative_to(tables.resolve()):
         raise UsageError("csv_folder", f"{folder} lies within the tables; name another folder")
+    remove_leftovers([folder], below=False)
     for table in selection.tables:
         yield _export_table(output, folder, table, selection, byte_order_mark)
 
@@ -124,16 +127,15 @@ def _export_table(
 ) -> Exported:
     path, count = folder / f"{table.name}.csv", 0
 
-    def write(name: str) -> None:
+    def write(file: BinaryIO) -> None:
         nonlocal count
-        with Path(name).open("w", encoding="utf-8", newline="") as file:
-            file.write(BYTE_ORDER_MARK if byte_order_mark else "")
-            file.write(",".join(table.schema) + "\n")
-            for rows in _parts(output, table, selection):
-                count += rows.height
-                file.write(as_text(rows).write_csv(include_header=False))
+        file.write((BYTE_ORDER_MARK if byte_order_mark else "").encode())
+        file.write((",".join(table.schema) + "\n").encode())
+        for rows in _parts(output, table, selection):
+            count += rows.height
+            file.write(as_text(rows).write_csv(include_header=False).encode())
 
-    replace_whole(path, write)
+    put(path, write)
     return Exported(table.name, path, count)
 
 

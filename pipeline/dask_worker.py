@@ -17,6 +17,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+from pipeline.landing import scratch
+
 Result = TypeVar("Result")
 
 # What shapes the bytes of a result, beside the code itself.
@@ -117,11 +119,10 @@ def do_task(
 
 
 def put(contents: Mapping[str, bytes], folder: Path) -> None:
-    """Write files below a folder."""
+    """Write files into folders of a folder."""
     for name, content in contents.items():
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_bytes(content)
+        with scratch(folder / name) as stream:
+            stream.write(content)
 
 
 def own_address() -> str:

@@ -10,12 +10,12 @@ import datetime as dt
 import hashlib
 import json
 import logging
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from pipeline.errors import StoreError
+from pipeline.landing import append, read
 
 log = logging.getLogger(__name__)
 
@@ -59,7 +59,7 @@ def journal_file(output: Path) -> Path:
 
 
 def record_decision(output: Path, decision: Decision) -> None:
-    """Append a decision to the journal, and flush it to the disk.
+    """Append a decision to the journal, flushed and read back.
 
     Raises
     ------
@@ -71,29 +71,7 @@ def record_decision(output: Path, decision: Decision) -> None:
         "night": decision.night.isoformat(),
     }
     line = json.dumps({"sha256": _digest(document), **document}, sort_keys=True) + "\n"
-    path = journal_file(output)
-    try:
-        output.mkdir(parents=True, exist_ok=True)
-        whole = _append(path, line.encode())
-    except OSError as error:
-        raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
-    if not whole:
-        raise StoreError("store_write", f"{path.name} was written in part: the disk is full")
-
-
-def _append(path: Path, line: bytes) -> bool:
-    """One write to a file opened for appending: a run may be reading, others may be writing."""
-    handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        size = os.fstat(handle).st_size
-        # After a line that was cut off a new one begins.
-        torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
-        line = b"\n" + line if torn else line
-        written = os.write(handle, line)
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-    return written == len(line)
+    append(journal_file(output), line.encode())
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
@@ -104,23 +82,35 @@ def read_decisions(output: Path) -> tuple[Decision, ...]:
     StoreError
         If there is a journal that cannot be read.
     """
+    found = []
+    for number, one in _lines(output).items():
+        if one is None:
+            log.warning("%s, line %d is damaged and left out", journal_file(output).name, number)
+        else:
+            found.append(one)
+    return tuple(sorted(found, key=lambda one: (one.time, one.motor_id, one.indicator)))
+
+
+def damaged_lines(output: Path) -> tuple[int, ...]:
+    """Numbers of the lines of the journal that are damaged.
+
+    Raises
+    ------
+    StoreError
+        If there is a journal that cannot be read.
+    """
+    return tuple(number for number, one in _lines(output).items() if one is None)
+
+
+def _lines(output: Path) -> dict[int, Decision | None]:
     path = journal_file(output)
     try:
-        lines = path.read_bytes().split(b"\n")
+        lines = read(path).split(b"\n")
     except FileNotFoundError:
-        return ()
+        return {}
     except OSError as error:
         raise StoreError("store_read", f"{path.name} cannot be read: {error.strerror}") from error
-    found = []
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        decision = _decision(line)
-        if decision is None:
-            log.warning("%s, line %d is damaged and left out", path.name, number)
-        else:
-            found.append(decision)
-    return tuple(sorted(found, key=lambda one: (one.time, one.motor_id, one.indicator)))
+    return {n: _decision(line) for n, line in enumerate(lines, start=1) if line.strip()}
 
 
 def _decision(line: bytes) -> Decision | None:

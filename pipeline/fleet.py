@@ -11,13 +11,13 @@ import fcntl
 import hashlib
 import logging
 import os
-import shutil
-import tempfile
+import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,8 @@ from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.engine import RunTasks, nights_a_part, open_engine
 from pipeline.errors import EngineError, LockedError, StoreError
-from pipeline.ledger import forget_night, write_months, write_settings
+from pipeline.landing import make_folders, remove_all, remove_leftovers
+from pipeline.ledger import Ledger, forget_night, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
@@ -50,15 +51,14 @@ from pipeline.schema import (
 from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of
 from pipeline.spread import run_motors
-from pipeline.store import last_night, remove_leftovers
+from pipeline.store import last_night
+from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
     TrendOutcome,
     TrendTask,
-    forget_records,
     run_trends,
     trend_tasks,
     with_q_values,
-    write_record,
 )
 
 log = logging.getLogger(__name__)
@@ -165,6 +165,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     """
     output = request.fleet.output
     with _locked(output), _staging(output) as staging:
+        remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         with open_engine(request.fleet.execution, (request.fleet.log_root, staging)) as run_tasks:
             return _run(request, staging, progress, run_tasks)
@@ -238,8 +239,9 @@ def _lost_trends(task: TrendTask, how: str) -> TrendOutcome:
 @contextmanager
 def _locked(output: Path) -> Iterator[None]:
     """Hold the output for one run; the lock ends with the process, however that ends."""
+    holder = f"process {os.getpid()} since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
     try:
-        output.mkdir(parents=True, exist_ok=True)
+        make_folders(output)
         stream = (output / "lock").open("a+", encoding="utf-8")
     except OSError as error:
         raise StoreError(
@@ -256,11 +258,10 @@ def _locked(output: Path) -> Iterator[None]:
             raise StoreError(
                 "store_write", f"{output} cannot be locked: {error.strerror}; choose a local folder"
             ) from error
-        stream.truncate(0)
-        stream.write(
-            f"process {os.getpid()} since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
-        )
-        stream.flush()
+        # On a full disk nobody can be told who holds the lock; it is held all the same.
+        with suppress(OSError):
+            os.truncate(stream.fileno(), 0)
+            os.write(stream.fileno(), holder.encode())
         yield
 
 
@@ -268,18 +269,20 @@ def _locked(output: Path) -> Iterator[None]:
 def _staging(output: Path) -> Iterator[Path]:
     """A folder for this run's staged rows; those of killed runs are removed."""
     root = output / "staging"
-    shutil.rmtree(root, ignore_errors=True)
+    remove_all(root)
+    # A name of its own: a worker of a killed run may still write into the folder of that one.
+    folder = root / secrets.token_hex(8)
     try:
-        root.mkdir(parents=True)
-        folder = Path(tempfile.mkdtemp(dir=root))
+        make_folders(folder)
     except OSError as error:
+        remove_all(root)
         raise StoreError(
             "store_write", f"{root} cannot be written: {error.strerror}; look what is there"
         ) from error
     try:
         yield folder
     finally:
-        shutil.rmtree(root, ignore_errors=True)
+        remove_all(root)
 
 
 def _publish(
@@ -287,16 +290,25 @@ def _publish(
 ) -> int:
     """Publish what the motors' tasks have staged, then what was remembered of it."""
     fresh = [outcome for outcome in outcomes if outcome.nights]
-    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh])
+    for outcome in fresh:
+        note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh], forget_night)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
-        write_months(publisher.output, outcome.motor_id, outcome.ledger)
+        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
         if outcome.finished:
             spec = specs[outcome.motor_id]
             write_settings(publisher.output, outcome.motor_id, settings_of(spec))
-    for night, kept in sorted(publisher.lost.items()):
-        forget_night(publisher.output, night, kept)
     return sum(len(outcome.nights) for outcome in fresh)
+
+
+def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
+    """What is to be remembered of a motor, but for nights whose published rows were lost."""
+    months = dict(outcome.ledger)
+    for night, kept in publisher.lost.items():
+        if outcome.motor_id not in kept:
+            months = {month: ledger.without(night) for month, ledger in months.items()}
+    return months
 
 
 def _publish_trends(
@@ -323,14 +335,15 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
+    made: list[TrendOutcome] = []
     failures: dict[str, str] = {}
-    alarms: list[Mapping[str, Any]] = []
     try:
-        for outcome in run_tasks(run_trends, tasks, _lost_trends):
-            alarms += _publish_trend_rows(publisher, outcome)
-            failures |= outcome.failures
+        made.extend(run_tasks(run_trends, tasks, _lost_trends))
     except EngineError as error:  # the nights are published: the next run makes the trends
         failures |= dict.fromkeys((spec.motor_id for spec in fleet.motors), error.message)
+    # All tasks first: a night's q-values are over the slopes of the whole fleet.
+    alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+    failures |= {motor_id: why for one in made for motor_id, why in one.failures.items()}
     judged = [
         replace(one, status=FAILED, error_code="trend", message=failures[one.motor_id])
         if one.motor_id in failures and one.status != FAILED
@@ -340,19 +353,24 @@ def _publish_trends(
     return judged, alarms
 
 
-def _publish_trend_rows(publisher: Publisher, outcome: TrendOutcome) -> list[Mapping[str, Any]]:
-    """Publish what a task has staged; returns the new rows of `alarms`."""
-    fresh = [motor_id for motor_id, nights in outcome.nights.items() if nights]
-    lost_before = set(publisher.lost)
-    publisher.nights(TREND_TABLES, fresh, {TRENDS.name: with_q_values})
-    for motor_id, record in outcome.records.items():
-        write_record(publisher.output, motor_id, record)
-    for night in sorted(set(publisher.lost) - lost_before):
-        forget_records(publisher.output, publisher.lost[night])
-    staged = publisher.staged(ALARMS, fresh).values()
-    nights = ((rows, night) for rows in staged for night in rows.nights)
-    frames = (rows.rows(night) for rows, night in nights)
-    return [row for found in frames if found is not None for row in found.to_dicts()]
+def _publish_trend_rows(
+    publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
+) -> list[Mapping[str, Any]]:
+    """Publish what the tasks have staged; returns the new rows of `alarms`."""
+    fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
+    lost: list[Collection[str]] = []
+
+    def forget(output: Path, _: dt.date, keep: Collection[str]) -> None:
+        lost.append(keep)
+        forget_records(output, keep)
+
+    finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
+    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
+    for motor_id, record in [item for one in made for item in one.records.items()]:
+        if all(motor_id in keep for keep in lost):
+            write_record(publisher.output, motor_id, record)
+    new = [row for one in made for row in one.alarms]
+    return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
 
 
 def _config_hash(tasks: Sequence[MotorTask]) -> str:

@@ -15,7 +15,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.store import replace_whole
+from pipeline.landing import put, read
+from pipeline.sealed import seal, unseal
 
 # Where files of which no night is known are kept.
 NO_MONTH = "unknown"
@@ -103,6 +104,14 @@ class Ledger:
         earlier = [label for label, record in self.nights.items() if label < night and record.model]
         return self.nights[max(earlier)].model if earlier else {}
 
+    def without(self, night: dt.date) -> Ledger:
+        """A ledger that knows nothing of a night, nor of the files in which it has samples."""
+        label = night.isoformat()
+        return Ledger(
+            {name: one for name, one in self.files.items() if label not in one.nights},
+            {date: one for date, one in self.nights.items() if date != night},
+        )
+
     def by_month(self) -> dict[str, Ledger]:
         """What is kept in each month's file: a night by its label, a file by its first night."""
         files: defaultdict[str, dict[str, FileRecord]] = defaultdict(dict)
@@ -141,10 +150,15 @@ def read_ledger(output: Path, motor_id: str) -> Ledger:
 
 
 def _read_month(path: Path) -> Ledger:
+    return month_of(path) or Ledger()
+
+
+def month_of(path: Path) -> Ledger | None:
+    """What a file of a ledger says; None where it is damaged or cannot be read."""
     try:
-        document = json.loads(path.read_text("utf-8"))
-        if document.pop("sha256") != _digest(document):
-            return Ledger()
+        document = unseal(read(path))
+        if document is None:
+            return None
         files = {
             name: FileRecord(**(record | {"nights": tuple(record["nights"])}))
             for name, record in document["files"].items()
@@ -155,8 +169,8 @@ def _read_month(path: Path) -> Ledger:
             )
             for label, record in document["nights"].items()
         }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return Ledger()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
     return Ledger(files, nights)
 
 
@@ -175,13 +189,7 @@ def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> N
                 label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
             },
         }
-        document["sha256"] = _digest(document)
-        text = json.dumps(document, separators=(",", ":"), sort_keys=True)
-
-        def write(name: str, text: str = text) -> None:
-            Path(name).write_text(text, "utf-8")
-
-        replace_whole(ledger_folder(output, motor_id) / f"{month}.json", write)
+        put(ledger_folder(output, motor_id) / f"{month}.json", seal(document))
 
 
 def settings_file(output: Path, motor_id: str) -> Path:
@@ -192,7 +200,7 @@ def settings_file(output: Path, motor_id: str) -> Path:
 def read_settings(output: Path, motor_id: str) -> dict[str, str]:
     """Settings of a motor's last run by dotted key; empty where they are not known."""
     try:
-        document = json.loads(settings_file(output, motor_id).read_text("utf-8"))
+        document = json.loads(read(settings_file(output, motor_id)))
         return {str(key): str(value) for key, value in document.items()}
     except (OSError, ValueError, AttributeError, RecursionError):
         return {}
@@ -206,12 +214,9 @@ def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> 
     StoreError
         If they cannot be written.
     """
-
-    def write(name: str) -> None:
-        Path(name).write_text(json.dumps(dict(settings), indent=0, sort_keys=True), "utf-8")
-
     if read_settings(output, motor_id) != settings:
-        replace_whole(settings_file(output, motor_id), write)
+        content = json.dumps(dict(settings), indent=0, sort_keys=True).encode()
+        put(settings_file(output, motor_id), content)
 
 
 def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
@@ -231,21 +236,11 @@ def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
     StoreError
         If a ledger cannot be written.
     """
-    label = night.isoformat()
     for folder in (output / "ledger").glob("*"):
         if folder.name in keep:
             continue
         before = read_ledger(output, folder.name)
-        after = Ledger(
-            {name: one for name, one in before.files.items() if label not in one.nights},
-            {date: one for date, one in before.nights.items() if date != night},
-        )
-        write_months(output, folder.name, changed_months(before, after))
-
-
-def _digest(document: Mapping[str, Any]) -> str:
-    """Hash of all that a ledger says: a flipped digit would otherwise be believed."""
-    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
+        write_months(output, folder.name, changed_months(before, before.without(night)))
 
 
 def content_hash(path: Path) -> str:

@@ -1,43 +1,90 @@
 """SHA-256 of every published table file: what proves a table, its footer included.
 
-One manifest a night (and a run), written after its files: page checksums do not cover a footer, and
-a query engine checks neither. Between a file and its manifest a crash may come; the run after
-makes that night anew and the manifest with it.
+One manifest a night (and a run). Page checksums do not cover a footer, and a query engine checks
+neither. Before files are put into their places their manifest says what comes, and what was there;
+after that, what is there: so every file can be proven at any moment, wherever a run was broken off.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.store import TEMPORARY_PREFIX, replace_whole
+from pipeline.errors import StoreError
+from pipeline.landing import put, read
 
 
 @dataclass(frozen=True, slots=True)
-class TableFault:
-    """A table file that is not as it was published.
+class Manifest:
+    """What the files of a night are to be, by path relative to the folder of the tables.
 
     Attributes
     ----------
-    path
-        Relative to the folder of the tables.
-    code
-        ``table_altered``, ``table_missing``, ``table_unlisted`` or ``manifest_damaged``.
-    message
-        In words, with what to do.
+    files
+        SHA-256 of each.
+    coming
+        Of those that a run was about to replace when it wrote this: each SHA-256 that the file may
+        have, that of before and that of after; None where there may be no file.
     """
 
-    path: str
-    code: str
-    message: str
+    files: Mapping[str, str] = field(default_factory=dict)
+    coming: Mapping[str, tuple[str | None, ...]] = field(default_factory=dict)
+
+    def accepted(self, name: str) -> tuple[str | None, ...]:
+        """What a file may be; empty where the manifest says nothing of it."""
+        if name in self.coming:
+            return self.coming[name]
+        return (self.files[name],) if name in self.files else ()
+
+    @property
+    def names(self) -> set[str]:
+        """Files of which it says something."""
+        return self.files.keys() | self.coming.keys()
 
 
 def manifest_file(output: Path, month: str, name: str) -> Path:
     """Where the manifest of a night, or of a run, lies."""
     return output / "manifest" / f"month={month}" / f"{name}.json"
+
+
+def read_manifest(output: Path, month: str, name: str) -> Manifest | None:
+    """The manifest of a night, or of a run; None where there is none, or it is damaged.
+
+    Raises
+    ------
+    StoreError
+        If there is one that cannot be read.
+    """
+    return _read(manifest_file(output, month, name))
+
+
+def announce(
+    output: Path, month: str, name: str, changes: Mapping[str, tuple[str | None, str | None]]
+) -> None:
+    """Say which files are about to be replaced.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    month, name
+        YYYY-MM, and the files' name without ending.
+    changes
+        SHA-256 of what is there and of what comes, by path relative to the folder of the tables;
+        None for no file.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    path = manifest_file(output, month, name)
+    before = _read(path) or Manifest()
+    coming = {one: pair for one, pair in changes.items() if pair[0] != pair[1]}
+    _write(path, Manifest(before.files, {**before.coming, **coming}))
 
 
 def update_manifest(output: Path, month: str, name: str, files: Mapping[str, str | None]) -> None:
@@ -50,7 +97,7 @@ def update_manifest(output: Path, month: str, name: str, files: Mapping[str, str
     month, name
         YYYY-MM, and the files' name without ending.
     files
-        SHA-256 by path relative to the folder of the tables; None for a file that was removed.
+        SHA-256 by path relative to the folder of the tables; None for no file.
 
     Raises
     ------
@@ -58,71 +105,52 @@ def update_manifest(output: Path, month: str, name: str, files: Mapping[str, str
         If it cannot be written.
     """
     path = manifest_file(output, month, name)
-    listed = {**(_read(path) or {}), **files}
-    kept = {name: digest for name, digest in sorted(listed.items()) if digest is not None}
-    document = {"files": kept, "sha256": _digest(kept)}
-
-    def write(temporary: str) -> None:
-        Path(temporary).write_text(json.dumps(document, indent=0, sort_keys=True), "utf-8")
-
-    replace_whole(path, write)
+    before = _read(path) or Manifest()
+    listed: dict[str, str | None] = {**before.files, **files}
+    kept = {one: digest for one, digest in listed.items() if digest is not None}
+    coming = {one: some for one, some in before.coming.items() if one not in files}
+    _write(path, Manifest(kept, coming))
 
 
-def _read(path: Path) -> dict[str, str] | None:
-    """Files of a manifest; None where there is none, or it is damaged."""
+def _write(path: Path, manifest: Manifest) -> None:
+    """Write a manifest, unless it is there as it is to be."""
+    if _read(path) == manifest:
+        return
+    document: dict[str, object] = {"files": dict(manifest.files)}
+    if manifest.coming:
+        document["coming"] = {name: list(some) for name, some in manifest.coming.items()}
+    document["sha256"] = _digest(manifest)
+    put(path, json.dumps(document, indent=0, sort_keys=True).encode())
+
+
+def _read(path: Path) -> Manifest | None:
+    """A manifest; one that reads as damaged once is read again."""
+    return _read_once(path) or _read_once(path)
+
+
+def _read_once(path: Path) -> Manifest | None:
     try:
-        document = json.loads(path.read_text("utf-8"))
-        files = {str(name): str(digest) for name, digest in document["files"].items()}
-        return files if document["sha256"] == _digest(files) else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        content = read(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as error:
+        # Taken for absent, it would lose what it says of the other files.
+        raise StoreError(
+            "store_read", f"manifest {path.name} cannot be read: {error.strerror}"
+        ) from error
+    try:
+        document = json.loads(content)
+        found = Manifest(
+            {str(name): str(digest) for name, digest in document["files"].items()},
+            {str(name): tuple(some) for name, some in document.get("coming", {}).items()},
+        )
+        return found if document["sha256"] == _digest(found) else None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
 
 
-def _digest(files: Mapping[str, str]) -> str:
-    return hashlib.sha256(json.dumps(dict(files), sort_keys=True).encode()).hexdigest()
-
-
-def verify_tables(output: Path) -> Iterator[TableFault]:
-    """Compare every table file with its manifest.
-
-    Yields
-    ------
-    TableFault
-        One for each file that differs, is absent, or is in no manifest.
-    """
-    tables = output / "tables"
-    listed: set[str] = set()
-    for manifest in sorted((output / "manifest").glob("month=*/*.json")):
-        files = _read(manifest)
-        if files is None:
-            yield TableFault(
-                f"manifest/{manifest.parent.name}/{manifest.name}",
-                "manifest_damaged",
-                "the manifest is damaged; `fit-fleet --force` with that night makes it anew",
-            )
-            continue
-        listed |= files.keys()
-        for name, digest in files.items():
-            fault = _compare(tables / name, name, digest)
-            if fault is not None:
-                yield fault
-    for path in sorted(tables.glob("**/*.parquet")):
-        name = path.relative_to(tables).as_posix()
-        if name not in listed and not path.name.startswith(TEMPORARY_PREFIX):
-            yield TableFault(
-                name, "table_unlisted", "the file is in no manifest: it was not published by a run"
-            )
-
-
-def _compare(path: Path, name: str, digest: str) -> TableFault | None:
-    again = "`fit-fleet --force` with that night makes it anew from the logs"
-    try:
-        with path.open("rb") as stream:
-            found = hashlib.file_digest(stream, "sha256").hexdigest()
-    except FileNotFoundError:
-        return TableFault(name, "table_missing", f"the file is gone; {again}")
-    except OSError as error:
-        return TableFault(name, "table_altered", f"it cannot be read: {error.strerror}; {again}")
-    if found != digest:
-        return TableFault(name, "table_altered", f"it is not what was published; {again}")
-    return None
+def _digest(manifest: Manifest) -> str:
+    said: object = dict(manifest.files)
+    if manifest.coming:
+        said = [said, {name: list(some) for name, some in manifest.coming.items()}]
+    return hashlib.sha256(json.dumps(said, sort_keys=True).encode()).hexdigest()

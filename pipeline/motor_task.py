@@ -12,7 +12,7 @@ import pickle
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
@@ -20,10 +20,12 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 
+import polars as pl
 from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
+from pipeline.landing import scratch
 from pipeline.ledger import (
     FileRecord,
     Ledger,
@@ -48,9 +50,9 @@ from pipeline.night_rows import Row
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
 from pipeline.refit import REFITTED_TABLES, StoredNights, judged
-from pipeline.schema import FITS, NIGHT_TABLES
+from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
 from pipeline.settings_hashes import SettingsHashes, changed_settings, settings_of
-from pipeline.store import night_file, stage
+from pipeline.store import night_file, read_rows, stage
 
 log = logging.getLogger(__name__)
 
@@ -210,7 +212,7 @@ class PartTask:
     @property
     def name(self) -> str:
         """Its file below the staging folder."""
-        return f"parts/{self.motor.spec.motor_id}/{min(self.nights)}"
+        return f"parts/{self.motor.spec.motor_id}@{min(self.nights)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,9 +284,8 @@ def run_part(task: PartTask) -> PartOutcome:
     with threadpool_limits(1):
         try:
             made = _Nights(task.motor).make(task.nights)
-            path = task.staging / task.name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_bytes(pickle.dumps(made))
+            with scratch(task.staging / task.name) as stream:
+                pickle.dump(made, stream)
         except StoreError as error:
             return PartOutcome(motor_id, task.name, lost(task.motor, error.code, error.message))
         except Exception as error:  # as of a whole motor
@@ -566,9 +567,30 @@ class _Nights:
         for row in self.logs.rows():
             if row["night"] in by_table["input_files"]:
                 by_table["input_files"][row["night"]].append(row)
+        by_table["input_files"] |= self._places_left(by_table["input_files"])
         for table in NIGHT_TABLES:
             if nights := by_table[table.name]:
                 stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
+
+    def _places_left(self, staged: Mapping[dt.date, Sequence[Row]]) -> dict[dt.date, list[Row]]:
+        """Rows of `input_files` that stay where a file's row was before it had another first night.
+
+        Of nights that are not done: those that are lose the row as they are.
+        """
+        moved: defaultdict[dt.date, set[str]] = defaultdict(set)
+        for label, rows in staged.items():
+            for row in rows:
+                before = self.remembered.files.get(row["path"])
+                left = min(labels_of(before), default=label) if before else label
+                if left not in staged:
+                    moved[left].add(row["path"])
+        return {
+            label: read_rows(self.task.output, INPUT_FILES, [self.spec.motor_id], nights=[label])
+            .drop("run_id")
+            .filter(~pl.col("path").is_in(list(names)))
+            .to_dicts()
+            for label, names in sorted(moved.items())
+        }
 
     def _why_nothing(self, status: str) -> str | None:
         """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""

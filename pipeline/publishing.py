@@ -1,29 +1,37 @@
-"""Staged rows become tables: night by night, each file whole, its manifest last."""
+"""Staged rows become tables: night by night, each file whole, its manifest before and after it."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
-from pipeline.manifest import update_manifest
+from pipeline.errors import StoreError
+from pipeline.manifest import Manifest, announce, read_manifest, update_manifest
 from pipeline.schema import Table, frame
 from pipeline.store import (
-    Published,
+    NightFile,
     StagedRows,
-    publish_night,
-    publish_run_table,
+    encode_table,
+    prepare_file,
+    prepare_night,
+    read_rows,
+    run_file,
     table_folder,
-    write_table,
 )
 
 # What is still to be done with all rows of a night, given the motors whose rows are new.
 Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
+# Lets the next run make a night anew for all motors but some.
+Forget = Callable[[Path, dt.date, Collection[str]], None]
+Rows = Mapping[str, pl.DataFrame]
 # Manifest of the tables that are one file.
 WHOLE = "whole"
 
@@ -55,9 +63,10 @@ class Publisher:
         self,
         tables: Iterable[Table],
         motor_ids: Sequence[str],
+        forget: Forget,
         finish: Mapping[str, Finish] | None = None,
     ) -> None:
-        """Publish the staged rows of some motors.
+        """Publish the staged rows of some motors, the oldest night first.
 
         Parameters
         ----------
@@ -65,6 +74,9 @@ class Publisher:
             Which tables.
         motor_ids
             Whose rows.
+        forget
+            Called before a damaged file is replaced: from then on the rows that were in it are to
+            be made anew, whatever becomes of this run.
         finish
             By table, what is still to be done with a night's rows.
 
@@ -73,14 +85,14 @@ class Publisher:
         StoreError
             If a file cannot be written.
         """
-        done: defaultdict[dt.date, list[Published]] = defaultdict(list)
-        for table in tables:
-            staged = self.staged(table, motor_ids)
-            last = (finish or {}).get(table.name, _as_they_are)
-            for night in sorted({night for rows in staged.values() for night in rows.nights}):
-                done[night].append(self._night(table, night, staged, last))
-        for night, files in sorted(done.items()):
-            self._record(f"{night:%Y-%m}", night.isoformat(), files)
+        staged = {table: self.staged(table, motor_ids) for table in tables}
+        for table, motors in staged.items():
+            if "night" not in table.key:
+                self._vacate(table, motors, forget)
+        nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
+        for night in sorted(nights):
+            here = {table: _of_night(motors, night) for table, motors in staged.items()}
+            self._night(night, here, forget, finish or {})
 
     def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
         """The staged rows of a table by motor; a motor that has none is left out."""
@@ -88,20 +100,61 @@ class Publisher:
         paths = {motor_id: folder / f"{motor_id}.arrow" for motor_id in motor_ids}
         return {motor_id: StagedRows(path) for motor_id, path in paths.items() if path.exists()}
 
+    def _vacate(self, table: Table, staged: Mapping[str, StagedRows], forget: Forget) -> None:
+        """Take rows out of the nights that they leave, before they stand in an earlier one.
+
+        A key without the night would otherwise stand in two files for a moment.
+        """
+        key = list(table.key)
+        places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
+        for rows in staged.values():
+            for night in rows.nights:
+                found = rows.rows(night)
+                if found is not None and found.height:
+                    places[night].append(found.select(key))
+        for night in sorted({night for rows in staged.values() for night in rows.nights}):
+            earlier = [keys for other, some in places.items() if other < night for keys in some]
+            if not earlier:
+                continue
+            try:
+                present = read_rows(self.output, table, list(staged), nights=[night])
+            except StoreError:
+                continue  # nobody can read it, and it is replaced
+            kept = present.join(pl.concat(earlier), on=key, how="anti", maintain_order="left")
+            if kept.height < present.height:
+                left = present.join(kept, on=key, how="anti")["motor_id"].unique().sort()
+                rows_of = {
+                    motor_id: kept.filter(pl.col("motor_id") == motor_id).drop("run_id")
+                    for motor_id in left
+                }
+                self._night(night, {table: rows_of}, forget, {})
+
     def _night(
-        self, table: Table, night: dt.date, staged: Mapping[str, StagedRows], finish: Finish
-    ) -> Published:
-        new = {
-            motor_id: found
-            for motor_id, rows in staged.items()
-            if (found := rows.rows(night)) is not None
-        }
-        published = publish_night(
-            self.output, table, night, new, self.run_id, lambda rows: finish(rows, list(new))
-        )
-        if published.lost_rows:
-            self.lost.setdefault(night, set()).update(new)
-        return published
+        self,
+        night: dt.date,
+        new: Mapping[Table, Rows],
+        forget: Forget,
+        finish: Mapping[str, Finish],
+    ) -> None:
+        """Write all files of a night beside their places, say so, and put them there."""
+        manifest = read_manifest(self.output, f"{night:%Y-%m}", night.isoformat()) or Manifest()
+        files: list[NightFile] = []
+        with ExitStack() as undone:
+            for table, motors in new.items():
+                if not motors:
+                    continue
+                last = partial(_finished, finish.get(table.name), list(motors))
+                name = f"{table.name}/month={night:%Y-%m}/{night}.parquet"
+                file = prepare_night(
+                    self.output, table, night, motors, self.run_id, last, manifest.accepted(name)
+                )
+                undone.callback(file.drop)
+                files.append(file)
+                if file.lost_rows:
+                    self.lost.setdefault(night, set()).update(motors)
+                    forget(self.output, night, set(motors))
+            self._land(f"{night:%Y-%m}", night.isoformat(), files)
+            undone.pop_all()
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file.
@@ -112,8 +165,7 @@ class Publisher:
             If it cannot be written.
         """
         path = table_folder(self.output, table) / f"{table.name}.parquet"
-        published = Published(path, write_table(path, rows), lost_rows=False)
-        self._record(WHOLE, table.name, [published])
+        self._put(WHOLE, table.name, {path: rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
@@ -125,17 +177,48 @@ class Publisher:
         StoreError
             If one cannot be written.
         """
-        files = [
-            publish_run_table(self.output, table, started, frame(table, some))
+        files = {
+            run_file(self.output, table, started): frame(table, some)
             for table, some in rows.items()
-        ]
-        self._record(f"{started:%Y-%m}", files[0].path.stem, files)
+        }
+        self._put(f"{started:%Y-%m}", next(iter(files)).stem, files)
 
-    def _record(self, month: str, name: str, files: Sequence[Published]) -> None:
+    def _put(self, month: str, name: str, files: Mapping[Path, pl.DataFrame]) -> None:
+        """Publish files that are written as a whole, whatever is there."""
+        with ExitStack() as undone:
+            prepared = []
+            for path, rows in files.items():
+                prepared.append(prepare_file(path, encode_table(path.name, rows)))
+                undone.callback(prepared[-1].drop)
+            self._land(month, name, prepared)
+            undone.pop_all()
+
+    def _land(self, month: str, name: str, files: Sequence[NightFile]) -> None:
+        """Put files into their places, with what may be there in their manifest all the while."""
         root = self.output / "tables"
-        digests = {one.path.relative_to(root).as_posix(): one.sha256 for one in files}
-        update_manifest(self.output, month, name, digests)
+        paths = {file.path.relative_to(root).as_posix(): file for file in files}
+        # What is damaged must not be taken for what was there.
+        announce(
+            self.output,
+            month,
+            name,
+            {
+                path: (None if file.lost_rows else file.before, file.after)
+                for path, file in paths.items()
+            },
+        )
+        for file in files:
+            file.land()
+        update_manifest(
+            self.output, month, name, {path: file.after for path, file in paths.items()}
+        )
 
 
-def _as_they_are(rows: pl.DataFrame, _: Sequence[str]) -> pl.DataFrame:
-    return rows
+def _of_night(staged: Mapping[str, StagedRows], night: dt.date) -> Rows:
+    """New rows of a night by motor; a motor that did not do it is left out."""
+    found = {motor_id: rows.rows(night) for motor_id, rows in staged.items()}
+    return {motor_id: rows for motor_id, rows in found.items() if rows is not None}
+
+
+def _finished(finish: Finish | None, motor_ids: Sequence[str], rows: pl.DataFrame) -> pl.DataFrame:
+    return rows if finish is None else finish(rows, motor_ids)

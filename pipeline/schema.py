@@ -698,9 +698,22 @@ TRENDS = Table(
         Column("theil_sen_per_year", pl.Float64, "see unit, year", "Median of all pairs' slopes"),
         Column("theil_sen_outside", pl.Boolean, "", "It lies outside the slope's interval"),
         Column("n_slope", pl.Int64, "", "Nights behind the slope"),
+        Column(
+            "slope_start",
+            pl.Date,
+            "",
+            "First night of the line: since the baseline began or, where a change stands told, "
+            "since that began",
+        ),
         Column("provisional", pl.Boolean, "", "The slope rests on fewer than 60 nights"),
         Column("p_value", pl.Float64, "", "Of no slope, two-sided"),
         Column("q_value", pl.Float64, "", "The same, controlling false discoveries in the fleet"),
+        Column(
+            "is_trend",
+            pl.Boolean,
+            "",
+            "q_value is below trend.false_discovery_rate; null without one",
+        ),
         Column("cusum", pl.Float64, "sd", "One-sided CUSUM of the whitened deviations"),
         Column("cusum_limit", pl.Float64, "sd", "Beyond it the motor has changed"),
         Column(
@@ -766,7 +779,14 @@ ALARMS = Table(
         Column("to_state", pl.String, "", "State of the night"),
         Column("reason", pl.String, "", "In words, with figures and intervals"),
         Column("deviation_percent", pl.Float64, "%", "Of the night from the baseline"),
-        Column("way", pl.String, "", "level, change, both, recovered, recomputed or baseline"),
+        Column(
+            "way",
+            pl.String,
+            "",
+            "Into a warning or an alarm: level, change (cumulative sum), both, jump (a sudden "
+            "change that no event explains) or drift (of a sensor's zero); stale; common_cause; "
+            "baseline; recovered; recomputed: what was told before is not in the figures now",
+        ),
         Column("path", pl.String, "", "Path whose growth explains the change"),
         RUN_ID,
     ),

@@ -10,10 +10,8 @@ import datetime as dt
 import errno
 import hashlib
 import logging
-import os
-import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,12 +21,15 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
+from pipeline.landing import Prepared, move, prepare, put, read, scratch
 from pipeline.schema import SCHEMA_VERSION, Table, frame
 
 log = logging.getLogger(__name__)
 
 VERSION_KEY = "motor_leakage_schema_version"
-TEMPORARY_PREFIX = ".writing-"
+# Ending of a damaged file that a run has put aside.
+PUT_ASIDE = ".damaged"
+UNREADABLE = "unreadable"
 
 
 def table_folder(output: Path, table: Table) -> Path:
@@ -70,11 +71,22 @@ def write_table(path: Path, rows: pl.DataFrame) -> str:
     StoreError
         If it cannot be written; what was there before is then untouched.
     """
+    return put(path, encode_table(path.name, rows))
 
-    def write(name: str) -> None:
+
+def encode_table(name: str, rows: pl.DataFrame) -> bytes:
+    """Rows as a Parquet file, decoded again and compared; the same rows give the same bytes.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be encoded, or are decoded otherwise.
+    """
+    try:
         content = rows.to_arrow(compat_level=pl.CompatLevel.oldest())
+        stream = pa.BufferOutputStream()
         with pq.ParquetWriter(
-            name,
+            stream,
             content.schema,
             compression="zstd",
             write_page_checksum=True,
@@ -83,88 +95,18 @@ def write_table(path: Path, rows: pl.DataFrame) -> str:
             table.write_table(content)
             # Metadata of the schema would be left out with it.
             table.add_key_value_metadata({VERSION_KEY: str(SCHEMA_VERSION)})
-
-    def compare(name: str) -> None:
-        written = pl.from_arrow(
-            pq.read_table(name, page_checksum_verification=True, partitioning=None)
+        encoded = stream.getvalue()
+        decoded = pl.from_arrow(
+            pq.read_table(
+                pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
+            )
         )
-        assert isinstance(written, pl.DataFrame)
-        if not written.equals(rows, null_equal=True):
-            raise OSError(errno.EIO, "what was read back is not what was written")
-
-    return replace_whole(path, write, compare)
-
-
-def replace_whole(
-    path: Path,
-    write: Callable[[str], None],
-    compare: Callable[[str], None] = lambda _: None,
-    *,
-    durable: bool = True,
-) -> str:
-    """Write a file beside its final name, flush it, read it back, then rename it.
-
-    Parameters
-    ----------
-    path
-        The file; folders above it are made.
-    write
-        Writes the content to the name that it is given.
-    compare
-        Reads it again, and raises OSError where it is not what was to be written.
-    durable
-        Whether the file must outlive a power cut; one that can be made again need not.
-
-    Returns
-    -------
-    str
-        SHA-256 of the file, as it was read back.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written; what was there before is then untouched.
-    """
-    try:
-        name = _temporary_beside(path)
-        try:
-            write(name)
-            with Path(name).open("rb") as written:
-                if durable:
-                    os.fsync(written.fileno())
-                digest = hashlib.file_digest(written, "sha256").hexdigest()
-            compare(name)
-            Path(name).chmod(0o644)
-            Path(name).replace(path)
-        except BaseException:
-            with suppress(OSError):
-                Path(name).unlink()
-            raise
-        if durable:
-            _flush_folder(path.parent)
-    except (OSError, pa.ArrowException) as error:
-        raise StoreError("store_write", f"{path.name} cannot be written: {error}") from error
-    return digest
-
-
-def _temporary_beside(path: Path) -> str:
-    """Name of an empty file in the folder of a file that is to come."""
-    try:
-        handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
-    except FileNotFoundError:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
-    os.close(handle)
-    return name
-
-
-def _flush_folder(folder: Path) -> None:
-    """Make a rename outlive a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError("store_write", f"{name} cannot be written: {error}") from error
+    assert isinstance(decoded, pl.DataFrame)
+    if not decoded.equals(rows, null_equal=True):
+        raise StoreError("store_write", f"{name}: what is read back is not what was written")
+    return bytes(encoded)
 
 
 def read_table(path: Path, table: Table) -> pl.DataFrame:
@@ -177,7 +119,17 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         (``store_newer``).
     """
     try:
-        content = pq.read_table(path, page_checksum_verification=True, partitioning=None)
+        content = read(path)
+    except OSError as error:
+        raise _damaged(path, table, error) from error
+    return _decode(path, table, content)
+
+
+def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
+    try:
+        content = pq.read_table(
+            pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
+        )
         _require_known_version(path, content)
         rows = pl.from_arrow(content)
         assert isinstance(rows, pl.DataFrame)
@@ -190,9 +142,11 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
     # A damaged name is a UnicodeDecodeError, a ValueError.
     except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
-        raise StoreError(
-            "store_read", f"{path.name} of {table.name} is damaged: {error}"
-        ) from error
+        raise _damaged(path, table, error) from error
+
+
+def _damaged(path: Path, table: Table, error: Exception) -> StoreError:
+    return StoreError("store_read", f"{path.name} of {table.name} is damaged: {error}")
 
 
 def read_rows(
@@ -201,8 +155,9 @@ def read_rows(
     motor_ids: Sequence[str],
     columns: Sequence[str] = (),
     month: str = "*",
+    nights: Collection[dt.date] | None = None,
 ) -> pl.DataFrame:
-    """The published rows of some motors in all night files of a table, or in those of a month.
+    """The published rows of some motors in all night files of a table, or in some of them.
 
     Parameters
     ----------
@@ -214,6 +169,8 @@ def read_rows(
         Which columns; all if none. Those that an older file had not are null.
     month
         YYYY-MM; all by default.
+    nights
+        Labels; None: all.
 
     Returns
     -------
@@ -227,7 +184,11 @@ def read_rows(
     """
     chosen = list(columns or table.schema)
     empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
-    paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+    if nights is None:
+        paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+    else:
+        files = (night_file(output, table, night) for night in sorted(nights))
+        paths = [str(path) for path in files if path.exists()]
     if not paths:
         return empty.select(chosen)
     # A flipped bit would otherwise be a step in a trend.
@@ -235,8 +196,8 @@ def read_rows(
     layout = ds.ParquetFileFormat(default_fragment_scan_options=checked)
     wanted = ds.field("motor_id").isin(list(motor_ids))
     try:
-        files = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
-        rows = pl.from_arrow(files.to_table(columns=chosen, filter=wanted, use_threads=False))
+        content = ds.dataset(paths, schema=empty.to_arrow().schema, format=layout)
+        rows = pl.from_arrow(content.to_table(columns=chosen, filter=wanted, use_threads=False))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
     assert isinstance(rows, pl.DataFrame)
@@ -264,19 +225,29 @@ def _require_columns(names: Sequence[str], table: Table) -> None:
 
 
 class StagedRows:
-    """The rows of one motor and table, a record batch a night, as its task left them."""
+    """The rows of one motor and table, a record batch a night, as its task left them.
+
+    The file is open only while it is read: a fleet has more of them than a process may open.
+    """
 
     def __init__(self, path: Path) -> None:
-        self._file = pa.ipc.open_file(pa.memory_map(str(path)))
-        nights = self._file.schema.metadata[b"nights"].decode()
+        self._path = path
+        with self._opened() as file:
+            nights = file.schema.metadata[b"nights"].decode()
         self.nights = [dt.date.fromisoformat(text) for text in nights.split()]
+
+    @contextmanager
+    def _opened(self) -> Iterator[pa.ipc.RecordBatchFileReader]:
+        with pa.memory_map(str(self._path)) as content, pa.ipc.open_file(content) as file:
+            yield file
 
     def rows(self, night: dt.date) -> pl.DataFrame | None:
         """Rows of a night, or None where this motor did not do it."""
         if night not in self.nights:
             return None
-        batch = self._file.get_batch(self.nights.index(night))
-        rows = pl.from_arrow(pa.Table.from_batches([batch]))
+        with self._opened() as file:
+            batch = file.get_batch(self.nights.index(night))
+            rows = pl.from_arrow(pa.Table.from_batches([batch]))
         assert isinstance(rows, pl.DataFrame)
         return rows
 
@@ -295,8 +266,7 @@ def stage(
     label = " ".join(night.isoformat() for night in sorted(nights))
     schema = frames[0].schema.with_metadata({b"nights": label.encode()})
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with pa.ipc.new_file(str(path), schema) as staged:
+        with scratch(path) as stream, pa.ipc.new_file(stream, schema) as staged:
             for rows in frames:
                 # An empty table has no batch of its own, yet its night must keep its place.
                 whole = rows.combine_chunks().to_batches() or [
@@ -308,34 +278,59 @@ def stage(
 
 
 @dataclass(frozen=True, slots=True)
-class Published:
-    """A night's file after it was published.
+class NightFile:
+    """A night's file of a table, before it is put into its place.
 
     Attributes
     ----------
     path
-        The file.
-    sha256
-        Of its content; None where the night has no rows, and no file.
+        Its place.
+    before
+        SHA-256 of what is there; None where there is nothing.
+    after
+        SHA-256 of what is to be there; None where there was no file and there are no rows.
     lost_rows
-        Whether the file that was there was damaged and put aside as ``.damaged``: the rows of the
-        motors that were not published with it have to be made anew.
+        Whether what is there is damaged, or what was there is gone: the rows of the motors that
+        are not published with it have to be made anew.
+    prepared
+        The new file; None where what is there stays.
     """
 
     path: Path
-    sha256: str | None
-    lost_rows: bool
+    before: str | None
+    after: str | None
+    lost_rows: bool = False
+    prepared: Prepared | None = None
+
+    def land(self) -> None:
+        """Put it into its place; what is damaged there is put aside, to be looked at.
+
+        Raises
+        ------
+        StoreError
+            If that fails; there is then what was there before, or already the new file.
+        """
+        if self.lost_rows and self.before is not None:
+            move(self.path, self.path.with_suffix(PUT_ASIDE))
+        if self.prepared is not None:
+            self.prepared.land()
+
+    def drop(self) -> None:
+        """Leave what is in its place as it is."""
+        if self.prepared is not None:
+            self.prepared.drop()
 
 
-def publish_night(
+def prepare_night(
     output: Path,
     table: Table,
     night: dt.date,
     staged: Mapping[str, pl.DataFrame],
     run_id: str,
     finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
-) -> Published:
-    """Put the rows of some motors into a night's file; those of the others stay.
+    accepted: Collection[str | None] = (),
+) -> NightFile:
+    """Make a night's file with the new rows of some motors; those of the others stay.
 
     Parameters
     ----------
@@ -349,63 +344,108 @@ def publish_night(
         The run that writes them.
     finish
         What is still to be done with all rows of the night together.
+    accepted
+        Each SHA-256 that the file there may have, None for no file; empty: nobody knows.
 
     Returns
     -------
-    Published
-        What is there now, and whether rows of other motors were lost.
+    NightFile
+        Written and read back, and not in its place yet. A file keeps its place without rows: a
+        reader who has just listed it must not find it gone.
 
     Raises
     ------
     StoreError
-        If the new file cannot be written.
+        If the new file cannot be written, or the one there not be read.
     """
     path = night_file(output, table, night)
+    before, rows_before = _present(path, table, accepted)
+    lost_rows = rows_before is None if before is not None else _is_gone(path, accepted)
     parts = [frame(table, [])]
-    existed = path.exists()
-    before = _present_rows(path, table)
-    if before is not None:
-        parts.append(before.filter(~pl.col("motor_id").is_in(list(staged))))
+    if rows_before is not None:
+        parts.append(rows_before.filter(~pl.col("motor_id").is_in(list(staged))))
     parts += [
         rows.with_columns(pl.lit(run_id).alias("run_id")).select(table.schema.keys())
         for rows in staged.values()
     ]
     rows = finish(pl.concat(parts).sort(table.key))
-    digest = None
-    if rows.height:
-        digest = write_table(path, rows)
-    elif path.exists():
-        path.unlink()
-        _flush_folder(path.parent)
-    return Published(path, digest, lost_rows=existed and before is None)
+    if before is None and not rows.height:
+        return NightFile(path, None, None, lost_rows)
+    content = encode_table(path.name, rows)
+    after = hashlib.sha256(content).hexdigest()
+    if after == before:
+        return NightFile(path, before, after)
+    return NightFile(path, before, after, lost_rows, prepare(path, content))
 
 
-def _present_rows(path: Path, table: Table) -> pl.DataFrame | None:
-    """Rows of a night's file as it is; None where there is none, or none that can be trusted."""
-    if not path.exists():
-        return None
+def prepare_file(path: Path, content: bytes) -> NightFile:
+    """Make a file that is written as a whole: what is there goes, whatever it is.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
     try:
-        return read_table(path, table)
-    except StoreError as error:
-        if error.code != "store_read":
-            raise
-        log.warning("%s; it is put aside, and the next run makes that night anew", error)
-        path.replace(path.with_suffix(".damaged"))
-        return None
+        before = hashlib.sha256(read(path)).hexdigest()
+    except (FileNotFoundError, NotADirectoryError):
+        before = None
+    except OSError:
+        before = UNREADABLE
+    after = hashlib.sha256(content).hexdigest()
+    if after == before:
+        return NightFile(path, before, after)
+    return NightFile(path, before, after, prepared=prepare(path, content))
 
 
-def publish_run_table(
-    output: Path, table: Table, started: dt.datetime, rows: pl.DataFrame
-) -> Published:
-    """Write one of the tables that have a file a run."""
+def _present(
+    path: Path, table: Table, accepted: Collection[str | None]
+) -> tuple[str | None, pl.DataFrame | None]:
+    """Hash and rows of a night's file as it is; None where there is none, or none to be trusted.
+
+    A file is damaged if it reads as such twice: what went wrong on the way from the disk is none of
+    its faults.
+    """
+    for attempt in range(2):
+        digest = UNREADABLE
+        try:
+            content = read(path)
+            digest = hashlib.sha256(content).hexdigest()
+            _require_accepted(path, table, digest, accepted)
+            return digest, _decode(path, table, content)
+        except (FileNotFoundError, NotADirectoryError):
+            return None, None
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise StoreError(
+                    "store_read", f"{path.name} of {table.name} cannot be read: {error.strerror}"
+                ) from error
+            fault = _damaged(path, table, error)
+        except StoreError as error:
+            if error.code != "store_read":
+                raise
+            fault = error
+        if attempt:
+            log.warning("%s; it is put aside, and the next run makes that night anew", fault)
+    return digest, None
+
+
+def _require_accepted(
+    path: Path, table: Table, digest: str, accepted: Collection[str | None]
+) -> None:
+    if accepted and digest not in accepted:
+        raise _damaged(path, table, ValueError("it is not what its manifest says"))
+
+
+def _is_gone(path: Path, accepted: Collection[str | None]) -> bool:
+    """Whether there should be a file that is not there."""
+    gone = bool(accepted) and None not in accepted
+    if gone:
+        log.warning("%s is gone; the next run makes that night anew", path.name)
+    return gone
+
+
+def run_file(output: Path, table: Table, started: dt.datetime) -> Path:
+    """File of a run, of the tables that have one for each run."""
     name = f"{started:%Y%m%dT%H%M%S%fZ}.parquet"
-    path = table_folder(output, table) / f"month={started:%Y-%m}" / name
-    return Published(path, write_table(path, rows), lost_rows=False)
-
-
-def remove_leftovers(folders: Sequence[Path]) -> None:
-    """Delete temporary files that a killed run left behind."""
-    for folder in folders:
-        for path in folder.glob(f"**/{TEMPORARY_PREFIX}*"):
-            with suppress(OSError):
-                path.unlink()
+    return table_folder(output, table) / f"month={started:%Y-%m}" / name

@@ -325,8 +325,8 @@ class Trend(Section):
     merge_nights: int = Field(
         7,
         ge=1,
-        description="Nights with too few samples alone are fitted together with up to this many "
-        "before them; 1: never",
+        description="Nights in a row that have too few samples alone are fitted together, at most "
+        "so many; 1: never",
     )
 
     @model_validator(mode="after")

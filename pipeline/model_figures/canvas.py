@@ -19,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from pipeline.store import replace_whole
+from pipeline.landing import put
 
 ImageFormat = Literal["png", "svg"]
 Dashes: TypeAlias = str | tuple[int, tuple[int, ...]]
@@ -158,4 +158,4 @@ def save(figure: Figure, path: Path, image_format: ImageFormat) -> None:
     """
     # What stands in the file by default: date, and version of matplotlib.
     metadata = {"Software": None} if image_format == "png" else {"Date": None, "Creator": None}
-    replace_whole(path, lambda name: figure.savefig(name, format=image_format, metadata=metadata))
+    put(path, lambda stream: figure.savefig(stream, format=image_format, metadata=metadata))

@@ -15,6 +15,7 @@ import polars as pl
 from joblib import Parallel, delayed, parallel_config
 
 from pipeline.errors import StoreError, UsageError
+from pipeline.landing import remove_leftovers
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
@@ -34,7 +35,7 @@ from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
 from pipeline.report.tables import SHOWN_TABLES, History, night_paths, read_history, read_night
 from pipeline.report.trends import standings
 from pipeline.schema import FITS, SCHEMA_VERSION
-from pipeline.store import remove_leftovers, table_folder
+from pipeline.store import table_folder
 
 INDEX = "index.html"
 CHART_LIBRARY = "assets/plotly.min.js"

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store import TEMPORARY_PREFIX, replace_whole
+from pipeline.landing import TEMPORARY_PREFIX, flush_all, put, read
 
 FILE = "manifest.json"
 FORMAT = 1
@@ -68,7 +68,7 @@ def read_manifest(folder: Path) -> Manifest | None:
             )
         return None
     try:
-        document = json.loads(path.read_bytes())
+        document = json.loads(read(path))
         if document["format"] != FORMAT:
             return Manifest("", files=_files(document))
         return Manifest(document["program"], dict(document["nights"]), _files(document))
@@ -98,7 +98,9 @@ def write_manifest(folder: Path, manifest: Manifest) -> None:
         "files": dict(sorted(manifest.files.items())),
     }
     text = json.dumps(document, separators=(",", ":"))
-    replace_whole(folder / FILE, lambda name: _write(name, text.encode()))
+    # One flush for all pages, not one for each: first they, then what tells that they are there.
+    flush_all()
+    put(folder / FILE, text.encode())
 
 
 def write_changed(
@@ -127,8 +129,7 @@ def write_changed(
     """
     entry = (content_hash(content), len(content))
     if entry != before or not is_as_left(folder, name, entry):
-        # Not flushed to the disk one by one: after a power cut sizes tell what is to be redone.
-        replace_whole(folder / name, lambda path: _write(path, content), durable=False)
+        put(folder / name, content, durable=False)
     return entry
 
 
@@ -151,7 +152,3 @@ def remove_stale(folder: Path, before: Manifest, now: Manifest) -> int:
                 path.unlink()
                 path.parent.rmdir()
     return len(stale)
-
-
-def _write(name: str, content: bytes) -> None:
-    Path(name).write_bytes(content)

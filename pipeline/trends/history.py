@@ -1,128 +1,114 @@
-"""What the tables say of motors' nights, as arrays: all that trends are made from."""
+"""A motor's nights in order, as the tables have them: all that trends are made from."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from pipeline.config import MotorSpec
+from pipeline.motor_night import NO_NEW_DATA
 from pipeline.nights import nights_between
 from pipeline.schema import FITS, OPERATION, PARAMETERS
 from pipeline.store import read_rows
-
-Array = NDArray[np.float64]
-
-FIT_COLUMNS = (
-    "motor_id",
-    "night",
-    "is_primary",
-    "status",
-    "reason",
-    "flushing_mode",
-    "columns",
-    "coefficients",
-    "coefficient_covariance",
-    "night_factor",
-    "n_kept",
-    "interval_status",
-    "reference_leakage_l_per_min",
-    "reference_leakage_lower",
-    "reference_leakage_upper",
-    "reference_verdict",
-    "reference_reason",
-    "outside_fitted_range",
-    "reference_pressure_bar",
-    "reference_temperature_c",
-    "reference_speed_rpm",
-    "own_pressure_bar",
-    "own_temperature_c",
-    "own_speed_rpm",
-    "validation_fit_percent",
-    "oil",
-    "model_hash",
-    "mean_charge_over_case_bar",
+from pipeline.trends.night_records import (
+    FIT_COLUMNS,
+    GATED,
+    OPERATION_COLUMNS,
+    PARAMETER_COLUMNS,
+    Layout,
+    NightWords,
+    Records,
+    blank_records,
+    records_of,
 )
-PARAMETER_COLUMNS = (
-    "motor_id",
-    "night",
-    "flushing_mode",
-    "parameter",
-    "value",
-    "lower",
-    "upper",
-    "verdict",
-    "reason",
-)
-OPERATION_COLUMNS = tuple(name for name in OPERATION.schema if name not in ("run_id", "oil"))
+
+Nights = NDArray[np.int64]
+NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
 
 
-@dataclass(frozen=True, slots=True)
-class Estimates:
-    """A parameter over a motor's nights; shape (n,) each.
-
-    Attributes
-    ----------
-    value
-        nan where there is none.
-    lower, upper
-        95 % interval; nan where there is none.
-    verdict, reason
-        Of each night; empty where there is none.
-    """
-
-    value: Array
-    lower: Array
-    upper: Array
-    verdict: tuple[str, ...]
-    reason: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class History:
-    """A motor's nights in order, as the tables have them.
+    """A motor's nights.
 
     Attributes
     ----------
-    motor_id
-        The motor.
-    nights
-        Labels of all nights that have a row, increasing.
-    fits
-        Primary fits, one row a night.
-    parameters
-        Parameters of the primary fits by name.
-    operation
-        One row a night; null where the night had no samples.
+    spec, layout
+        The motor, and what its records hold.
+    records
+        One a night, increasing, shape (n,).
+    words
+        By place: why figures of a night do not count. Of nights that are not to be published anew
+        there may be none.
     """
 
-    motor_id: str
-    nights: tuple[dt.date, ...]
-    fits: pl.DataFrame
-    parameters: Mapping[str, Estimates]
-    operation: pl.DataFrame
+    spec: MotorSpec
+    layout: Layout
+    records: Records
+    words: Mapping[int, NightWords]
 
-    def column(self, name: str) -> Array:
-        """A figure of the fits over the nights, nan where there is none; shape (n,)."""
-        values: Array = self.fits[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
-        return values
+    def __len__(self) -> int:
+        return len(self.records)
 
-    def operated(self, name: str) -> Array:
-        """A figure of `operation` over the nights, nan where there is none; shape (n,)."""
-        values: Array = self.operation[name].cast(pl.Float64).fill_null(np.nan).to_numpy()
-        return values
+    @cached_property
+    def kept(self) -> dict[Any, Any]:
+        """What was computed of the motor's model, so as not to do it night by night."""
+        return {}
 
-    def words(self, name: str) -> list[str]:
-        """A text of the fits over the nights, empty where there is none."""
-        return self.fits[name].fill_null("").to_list()
+    @cached_property
+    def nights(self) -> tuple[dt.date, ...]:
+        """Labels."""
+        return tuple(self.records["night"].astype("M8[D]").tolist())
+
+    @cached_property
+    def numbers(self) -> Nights:
+        """Days since the first night, shape (n,)."""
+        days: Nights = self.records["night"].astype(np.int64)
+        since: Nights = days - days[0]
+        return since
+
+    @cached_property
+    def fitted(self) -> NDArray[np.bool_]:
+        """Nights with a fit that says something, shape (n,)."""
+        fitted: NDArray[np.bool_] = self.records["fitted"]
+        return fitted
+
+    @cached_property
+    def statuses(self) -> list[str]:
+        """Why a night says nothing at all; empty where it does."""
+        return [
+            "" if fitted else self._words(place).status
+            for place, fitted in enumerate(self.fitted.tolist())
+        ]
+
+    def place_of(self, number: int) -> int:
+        """Place of a night by its number."""
+        return int(np.searchsorted(self.numbers, number))
+
+    def first_from(self, date: dt.date) -> int | None:
+        """Place of the first night from a date on; None where there is none yet."""
+        place = int(np.searchsorted(self.records["night"], np.datetime64(date)))
+        return place if place < len(self) else None
+
+    def why(self, place: int, coefficient: int | None = None) -> str:
+        """Why a coefficient does not count in a night, or (None) the reference leakage."""
+        words = self._words(place)
+        return words.reference if coefficient is None else words.coefficients[coefficient]
+
+    def _words(self, place: int) -> NightWords:
+        found = self.words.get(place)
+        return found or NightWords(GATED, GATED, (GATED,) * len(self.layout.coefficients))
 
 
 def read_histories(
-    output: Path, motor_ids: Sequence[str], tonight: dt.date | None = None
+    output: Path, specs: Sequence[MotorSpec], tonight: dt.date | None = None
 ) -> dict[str, History]:
     """The published nights of some motors.
 
@@ -130,7 +116,7 @@ def read_histories(
     ----------
     output
         Output folder.
-    motor_ids
+    specs
         Which motors; one without rows is left out.
     tonight
         Nights up to this one are part of the history though they have no row yet, so that a motor
@@ -145,50 +131,55 @@ def read_histories(
     StoreError
         If a table file is damaged.
     """
-    fits = read_rows(output, FITS, motor_ids, FIT_COLUMNS).filter("is_primary")
-    parameters = read_rows(output, PARAMETERS, motor_ids, PARAMETER_COLUMNS)
-    operation = read_rows(output, OPERATION, motor_ids, OPERATION_COLUMNS)
-    by_motor = fits.sort("night").partition_by("motor_id", as_dict=True)
-    histories = {}
-    for (motor_id,), found in sorted(by_motor.items()):
-        own = _continued(found, tonight)
-        nights = own.select("night", "flushing_mode")
-        ran = nights.join(
-            operation.filter(pl.col("motor_id") == motor_id),
-            on="night",
-            how="left",
-            maintain_order="left",
-        )
-        estimated = parameters.filter(pl.col("motor_id") == motor_id).join(
-            nights, on=["night", "flushing_mode"], how="semi"
-        )
-        labels = tuple(own["night"].to_list())
-        histories[str(motor_id)] = History(
-            str(motor_id), labels, own, _estimates(estimated, nights), ran
-        )
-    return histories
+    ids = [spec.motor_id for spec in specs]
+    fits = read_rows(output, FITS, ids, FIT_COLUMNS)
+    parameters = read_rows(output, PARAMETERS, ids, PARAMETER_COLUMNS)
+    operation = read_rows(output, OPERATION, ids, OPERATION_COLUMNS)
+    return histories_of(specs, fits, parameters, operation, tonight)
 
 
-def _continued(fits: pl.DataFrame, tonight: dt.date | None) -> pl.DataFrame:
-    """A motor's nights with those up to tonight that have no row."""
-    last = fits["night"][-1]
+def histories_of(
+    specs: Sequence[MotorSpec],
+    fits: pl.DataFrame,
+    parameters: pl.DataFrame,
+    operation: pl.DataFrame,
+    tonight: dt.date | None = None,
+) -> dict[str, History]:
+    """Histories of some motors from rows of `fits`, `parameters` and `operation`."""
+    by_motor = [
+        {str(key[0]): part for key, part in rows.partition_by("motor_id", as_dict=True).items()}
+        for rows in (fits.filter("is_primary").sort("night"), parameters, operation)
+    ]
+    found = {}
+    for spec in specs:
+        own = by_motor[0].get(spec.motor_id)
+        if own is None:
+            continue
+        layout = Layout.of(spec, own["night"][0])
+        records, words = records_of(
+            spec,
+            layout,
+            own,
+            by_motor[1].get(spec.motor_id, parameters.clear()),
+            by_motor[2].get(spec.motor_id, operation.clear()),
+        )
+        found[spec.motor_id] = continued(
+            History(spec, layout, records, dict(enumerate(words))), tonight
+        )
+    return found
+
+
+def continued(history: History, tonight: dt.date | None) -> History:
+    """A history with those nights up to tonight that have no row."""
+    last = history.nights[-1]
     missing = [] if tonight is None or tonight <= last else nights_between(last, tonight)[1:]
     if not missing:
-        return fits
-    reason = "no log covers this night"
-    rows = [{"night": night, "status": "no_new_data", "reason": reason} for night in missing]
-    return pl.concat([fits, pl.DataFrame(rows, schema=dict(fits.schema), orient="row")])
-
-
-def _estimates(parameters: pl.DataFrame, nights: pl.DataFrame) -> dict[str, Estimates]:
-    result = {}
-    for (name,), rows in sorted(parameters.partition_by("parameter", as_dict=True).items()):
-        aligned = nights.select("night").join(rows, on="night", how="left", maintain_order="left")
-        value, lower, upper = (
-            aligned[column].fill_null(np.nan).to_numpy() for column in ("value", "lower", "upper")
-        )
-        verdict, reason = (
-            tuple(aligned[column].fill_null("").to_list()) for column in ("verdict", "reason")
-        )
-        result[str(name)] = Estimates(value, lower, upper, verdict, reason)
-    return result
+        return history
+    nothing = NightWords(NO_LOG, NO_LOG, (NO_LOG,) * len(history.layout.coefficients))
+    n = len(history)
+    return History(
+        history.spec,
+        history.layout,
+        np.concatenate([history.records, blank_records(history.layout, missing)]),
+        {**history.words, **{n + place: nothing for place in range(len(missing))}},
+    )

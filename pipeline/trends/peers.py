@@ -1,8 +1,12 @@
-"""Motors of one oil circuit: what moves all of them, indicator by indicator."""
+"""Motors of one oil circuit: what moves all of them, indicator by indicator.
+
+What a motor's baseline is, is known from its thirtieth good night on. What another motor did is
+taken into account from the night on which it was known, and for the nights before that as far as it
+was known when the two could first be compared: a night's state must not hang on later nights.
+"""
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -10,16 +14,42 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.baseline import BaselineSettings, fit_baseline
-from leakage.peers import peer_deviations
+from leakage.peers import recent_median
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.segments import Segment
-from pipeline.trends.watch import RATIOS, night_numbers
 
 Array = NDArray[np.float64]
+Places = NDArray[np.int64]
 
-# Good nights that say how far a coefficient has moved.
-NIGHTS_OF_PATHS = 5
+# Of a night whose figure was never put against a baseline.
+NEVER = np.iinfo(np.int64).max
+
+
+@dataclass(frozen=True, slots=True)
+class LogChange:
+    """How far an indicator of a motor had moved; shape (n,) each.
+
+    Attributes
+    ----------
+    change
+        ln of the indicator over the mean of the first good nights of its segment; nan where there
+        is none.
+    known_at
+        Place of the night on which that mean was known; very large where it never was.
+    segments
+        Nights by baseline.
+    """
+
+    change: Array
+    known_at: Places
+    segments: tuple[Segment, ...]
+
+    @property
+    def told(self) -> Array:
+        """The changes that were known in their own night, shape (n,)."""
+        known: Array = np.where(self.known_at <= np.arange(len(self.change)), self.change, np.nan)
+        return known
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,33 +59,40 @@ class Peers:
     Attributes
     ----------
     others
-        Median of their log changes; nan where none is known.
+        Median of their log changes; nan where none is known, or nothing could be compared.
     deviation
-        The motor's own log change less that.
+        The motor's own log change less that, where both were known in the night.
     n_others
         How many were known.
+    comparable
+        By first place of each segment of the motor, the place from which on there was anything to
+        compare with.
     """
 
     others: Array
     deviation: Array
-    n_others: NDArray[np.int64]
+    n_others: Places
+    comparable: Mapping[int, int]
+
+    def known_from(self, segment: Segment) -> int:
+        """Place from which on a segment's nights could be compared; its end where never."""
+        return min(self.comparable[segment.first], segment.end)
 
 
-def log_change(
-    history: History, indicator: Indicator, parts: tuple[Segment, ...], baseline_nights: int
-) -> Array:
-    """ln of an indicator over the mean of the first good nights of each segment, shape (n,)."""
-    series = indicator.value + 1.0 if indicator.name in RATIOS else indicator.value
-    numbers = night_numbers(history)
-    result = np.full(len(series), np.nan)
-    settings = BaselineSettings(nights=baseline_nights, provisional_nights=baseline_nights)
+def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...]) -> LogChange:
+    """How far an indicator had moved from the first good nights of each segment."""
+    series, needed = indicator.watched, history.spec.settings.trend.provisional_nights
+    change = np.full(len(series), np.nan)
+    known_at = np.full(len(series), NEVER, dtype=np.int64)
+    settings = BaselineSettings(nights=needed, provisional_nights=needed)
     for part in parts:
         here = slice(part.first, part.end)
-        baseline = fit_baseline(numbers[here], series[here], settings)
+        baseline = fit_baseline(history.numbers[here], series[here], settings)
         if baseline.status != "insufficient" and baseline.mean > 0:
-            with np.errstate(invalid="ignore"):
-                result[here] = np.log(series[here] / baseline.mean)
-    return result
+            with np.errstate(invalid="ignore", divide="ignore"):
+                change[here] = np.log(series[here] / baseline.mean)
+            known_at[here] = history.place_of(baseline.last_night)
+    return LogChange(np.where(np.isfinite(change), change, np.nan), known_at, parts)
 
 
 def moved_apart(changes: Sequence[Array], percent: float) -> NDArray[np.bool_]:
@@ -81,65 +118,86 @@ def moved_apart(changes: Sequence[Array], percent: float) -> NDArray[np.bool_]:
     (np.True_, np.False_)
     """
     n = len(changes[0]) if changes else 0
-    moved = np.array([_recent_median(one) for one in changes]).reshape(len(changes), n)
+    moved = np.array([recent_median(one) for one in changes]).reshape(len(changes), n)
     moved = 100.0 * np.expm1(moved)
     known = np.isfinite(moved).sum(axis=0) > 1
     highest, lowest = (
         np.max(np.where(np.isfinite(moved), moved, -np.inf), axis=0, initial=-np.inf),
         np.min(np.where(np.isfinite(moved), moved, np.inf), axis=0, initial=np.inf),
     )
+    largest = np.maximum(np.abs(highest), np.abs(lowest))
     apart = np.zeros(n, dtype=np.bool_)
-    apart[known] = (highest - lowest)[known] > np.maximum(percent, highest[known] / 2)
+    apart[known] = (highest - lowest)[known] > np.maximum(percent, largest[known] / 2)
     return apart
 
 
-def _recent_median(values: Array) -> Array:
-    """Median of the last five good nights up to each, nan before there is one."""
-    good = np.flatnonzero(np.isfinite(values))
-    result = np.full(len(values), np.nan)
-    for number, place in enumerate(good):
-        recent = values[good[max(number - NIGHTS_OF_PATHS + 1, 0) : number + 1]]
-        end = good[number + 1] if number + 1 < len(good) else len(values)
-        result[place:end] = np.median(recent)
-    return result
-
-
 def peers_of_circuit(
-    nights: Mapping[str, tuple[dt.date, ...]],
-    steady: Mapping[str, Array],
-    own: Mapping[str, Array],
+    histories: Mapping[str, History],
+    changes: Mapping[str, LogChange],
+    apart: Mapping[str, NDArray[np.bool_]],
 ) -> dict[str, Peers]:
     """Each motor of a circuit against the others, for one indicator.
 
     Parameters
     ----------
-    nights
-        Labels of each motor's nights.
-    steady
-        Its log changes, from :func:`log_change`, where they may speak for the oil.
-    own
-        Its log changes on all nights.
+    histories
+        The motors.
+    changes
+        Log changes of those that have the indicator.
+    apart
+        Nights on which a motor's own paths had moved by different amounts: it wears, and what it
+        does then says nothing of the oil.
 
     Returns
     -------
     dict of str to Peers
         Empty for a circuit of one.
     """
-    motors = sorted(steady)
+    motors = sorted(changes)
     if len(motors) < 2:
         return {}
-    labels = sorted({label for motor in motors for label in nights[motor]})
-    place = {label: number for number, label in enumerate(labels)}
-    rows = {motor: np.array([place[label] for label in nights[motor]]) for motor in motors}
-    table = np.full((len(labels), len(motors)), np.nan)
+    labels = np.unique(np.concatenate([histories[motor].records["night"] for motor in motors]))
+    rows = {motor: np.searchsorted(labels, histories[motor].records["night"]) for motor in motors}
+    values = np.full((len(labels), len(motors)), np.nan)
+    known_at = np.full((len(labels), len(motors)), NEVER, dtype=np.int64)
     for column, motor in enumerate(motors):
-        table[rows[motor], column] = steady[motor]
-    found = peer_deviations(table)
+        one, own = changes[motor], rows[motor]
+        values[own, column] = np.where(apart[motor], np.nan, one.change)
+        there = one.known_at < NEVER
+        known_at[own[there], column] = own[one.known_at[there]]
     return {
-        motor: Peers(
-            found.others[rows[motor], column],
-            own[motor] - found.others[rows[motor], column],
-            found.n_others[rows[motor], column],
+        motor: _against(
+            changes[motor],
+            rows[motor],
+            np.delete(values, column, 1),
+            np.delete(known_at, column, 1),
         )
         for column, motor in enumerate(motors)
     }
+
+
+def _against(own: LogChange, rows: Places, values: Array, known_at: Places) -> Peers:
+    """A motor against the others; their figures by night of the circuit, one column a motor."""
+    values, known_at = values[rows], known_at[rows]
+    here = rows[:, None]
+    # Whose baseline is known in a night at all, whether or not it has a figure then.
+    ready: NDArray[np.bool_] = np.any(known_at <= here, axis=1)
+    cut = rows.copy()
+    comparable = {}
+    for part in own.segments:
+        inside = np.arange(part.first, part.end)
+        possible = inside[(own.known_at[inside] <= inside) & ready[inside]]
+        first = int(possible[0]) if len(possible) else NEVER
+        comparable[part.first] = first
+        if first < NEVER:
+            cut[part.first : first] = rows[first]
+        else:
+            cut[inside] = -1
+    counted = np.where(known_at <= cut[:, None], values, np.nan)
+    n_others = np.isfinite(counted).sum(axis=1)
+    others = np.full(len(rows), np.nan)
+    some = n_others > 0
+    others[some] = np.nanmedian(counted[some], axis=1)
+    # What was known in its own night; earlier nights only serve the baseline.
+    own_told = np.where(cut == rows, own.told, np.nan)
+    return Peers(others, own_told - others, n_others, comparable)

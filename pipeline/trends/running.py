@@ -1,4 +1,4 @@
-"""Running hours, confounders and sensor zeros of a motor's nights."""
+"""Running hours of a motor's nights, and how far a night saw what its baseline saw."""
 
 from __future__ import annotations
 
@@ -7,16 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.sensor_zero import ZeroDrift, zero_drift
-from pipeline.config import MotorSpec
 from pipeline.trends.history import History
-from pipeline.trends.watch import night_numbers
+from pipeline.trends.night_records import HISTOGRAMS
 
 Array = NDArray[np.float64]
 
 # Nights before, whose mean share a night without a log takes.
 NIGHTS_BEFORE = 30
-HOURS_OF_A_NIGHT = 24.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,23 +34,16 @@ class RunningHours:
 
 def running_hours(history: History) -> RunningHours:
     """Running hours at the end of each night; nights without a log take what the 30 before had."""
-    own = history.operated("running_hours")
-    numbers = night_numbers(history)
-    total, estimated = np.zeros(len(own)), np.zeros(len(own), dtype=np.bool_)
-    known: list[float] = []
-    so_far, guessed, last = 0.0, False, -1
-    for place, (number, hours) in enumerate(zip(numbers.tolist(), own.tolist(), strict=True)):
-        usual = float(np.mean(known[-NIGHTS_BEFORE:])) if known else 0.0
-        missing = number - last - 1
-        so_far += missing * usual
-        guessed |= missing > 0 or np.isnan(hours)
-        if np.isnan(hours):
-            so_far += usual
-        else:
-            so_far += hours
-            known.append(hours)
-        total[place], estimated[place], last = so_far, guessed, number
-    return RunningHours(total, estimated)
+    hours: Array = history.records["running_hours"]
+    logged = np.isfinite(hours)
+    sums = np.concatenate([[0.0], np.cumsum(hours[logged])])
+    # Logged nights before each night, and the mean of the last thirty of them.
+    before = np.cumsum(logged) - logged
+    first = np.maximum(before - NIGHTS_BEFORE, 0)
+    usual = (sums[before] - sums[first]) / np.maximum(before - first, 1)
+    absent = np.diff(history.numbers, prepend=-1) - 1
+    total = np.cumsum(np.where(logged, np.nan_to_num(hours), usual) + absent * usual)
+    return RunningHours(total, np.logical_or.accumulate(~logged | (absent > 0)))
 
 
 def coverage(history: History, place: int, first: int, last: int) -> float | None:
@@ -75,86 +65,11 @@ def coverage(history: History, place: int, first: int, last: int) -> float | Non
         the three; None without samples.
     """
     overlaps = []
-    for name in ("pressure_histogram", "temperature_histogram", "speed_histogram"):
-        column = history.operation[name]
-        here = column[place]
-        before = [one for one in column[first : last + 1].to_list() if one is not None]
-        if here is None or not before:
+    for name in HISTOGRAMS:
+        column = history.records[name]
+        here = column[place].astype(np.float64)
+        before = column[first : last + 1].sum(axis=0, dtype=np.float64)
+        if not here.any() or not before.any():
             return None
-        p = np.array(here, dtype=np.float64)
-        q = np.sum(np.array(before, dtype=np.float64), axis=0)
-        if not p.sum() or not q.sum():
-            return None
-        overlaps.append(float(np.minimum(p / p.sum(), q / q.sum()).sum()))
+        overlaps.append(float(np.minimum(here / here.sum(), before / before.sum()).sum()))
     return min(overlaps)
-
-
-@dataclass(frozen=True, slots=True)
-class SensorHealth:
-    """What the zeros at halts say of the sensors up to a night.
-
-    Attributes
-    ----------
-    status
-        ok, drifted or unknown.
-    words
-        Which sensor, how far; empty where none drifted.
-    """
-
-    status: str
-    words: str
-
-
-def sensor_health(spec: MotorSpec, history: History, place: int, first: int) -> SensorHealth:
-    """Whether the zero of the pressure or of the flow has moved between two nights.
-
-    Parameters
-    ----------
-    spec
-        The motor; the tolerances of its channels say which move matters.
-    history
-        Its nights.
-    place, first
-        Tonight, and the first night that counts: the start of its baseline.
-    """
-    drifts = [
-        _drift(spec, history, place, first, name, unit, channels)
-        for name, unit, channels in (
-            ("pressure_zero", "bar", PRESSURES),
-            ("flow_zero", "l_per_min", ("leakage_flow",)),
-        )
-    ]
-    words = [
-        f"the zero of the {what} sensor has moved by {one.change:+.3g} {unit} "
-        f"[{one.change_lower:.3g}, {one.change_upper:.3g}]"
-        for one, what, unit in zip(drifts, ("pressure", "flow"), ("bar", "l/min"), strict=True)
-        if one.status == "drifts"
-    ]
-    if words:
-        return SensorHealth("drifted", "; ".join(words) + ": check it before the motor")
-    known = any(one.status == "steady" for one in drifts)
-    return SensorHealth("ok" if known else "unknown", "")
-
-
-PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
-
-
-def _drift(
-    spec: MotorSpec,
-    history: History,
-    place: int,
-    first: int,
-    name: str,
-    unit: str,
-    channels: tuple[str, ...],
-) -> ZeroDrift:
-    numbers = night_numbers(history)[first : place + 1]
-    zeros = history.operated(f"{name}_{unit}")[first : place + 1]
-    errors = history.operated(f"{name}_standard_error_{unit}")[first : place + 1]
-    declared = [spec.file.channels[one] for one in channels if one in spec.file.channels]
-    tolerance = float(np.hypot.reduce([one.offset_tolerance for one in declared]))
-    resolution = max(one.resolution for one in declared)
-    if name == "flow_zero" and spec.file.flushing.mode == "estimated":
-        # What is flushed moves with it: nobody can tell which of the two has changed.
-        zeros = np.full(len(zeros), np.nan)
-    return zero_drift(numbers, zeros, np.nan_to_num(errors), max(tolerance, resolution))

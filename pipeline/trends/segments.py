@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
-from pipeline.config import MotorSpec
+import numpy as np
+
 from pipeline.decisions import Decision
+from pipeline.nights import night as night_labelled
 from pipeline.trends.history import History
+from pipeline.windows import HandSet
 
 EVENT_WORDS = {
     "overhaul": "overhaul",
@@ -17,6 +19,8 @@ EVENT_WORDS = {
     "flushing_change": "change of flushing",
     "motor_exchanged": "motor exchanged",
 }
+# What begins with a motor's first night.
+FIRST_NIGHTS = "first nights"
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,70 +41,68 @@ class Segment:
 
 
 def segments(
-    spec: MotorSpec, history: History, decisions: Sequence[Decision], indicator: str
+    history: History, decisions: Sequence[Decision], indicator: str = ""
 ) -> tuple[Segment, ...]:
     """The nights of an indicator by the baseline that they are compared with.
 
     Parameters
     ----------
-    spec
-        The motor; its events are dated.
     history
-        Its nights.
+        The motor's nights; its events are dated in its file.
     decisions
         What people said of it; resets count.
     indicator
-        A reset may be of one indicator alone.
+        A reset may be of one indicator alone; empty for what all of them begin anew with.
 
     Returns
     -------
     tuple of Segment
         In order of time; together they are all nights.
     """
-    starts: dict[int, str] = {0: "first nights"}
-    nights = history.nights
-    for place, reason in _changed_settings(spec, history):
-        starts.setdefault(place, reason)
-    for event in sorted(spec.file.events, key=lambda one: one.date):
-        first = _first_from(nights, event.date)
-        if first is not None:
-            note = f": {event.note}" if event.note else ""
-            starts[first] = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
+    starts: dict[int, list[str]] = {}
+    for place, reason in _changed_settings(history):
+        starts.setdefault(place, []).append(reason)
+    for event in sorted(history.spec.file.events, key=lambda one: one.date):
+        note = f": {event.note}" if event.note else ""
+        words = f"{EVENT_WORDS[event.kind]} on {event.date}{note}"
+        # What happened before the first night is nothing that its nights show.
+        if event.date >= history.nights[0]:
+            _begin(starts, history.first_from(event.date), words)
     for one in decisions:
         if one.kind == "baseline_reset" and one.indicator in ("", indicator):
-            first = _first_from(nights, one.night)
-            if first is not None:
-                starts[first] = f"reset from {one.night}" + (f": {one.note}" if one.note else "")
-    borders = [*sorted(starts), len(nights)]
-    return tuple(
-        Segment(first, end, starts[first]) for first, end in pairwise(borders) if end > first
-    )
+            note = f": {one.note}" if one.note else ""
+            _begin(starts, history.first_from(one.night), f"reset from {one.night}{note}")
+    starts.setdefault(0, [FIRST_NIGHTS])
+    borders = [*sorted(starts), len(history)]
+    return tuple(Segment(first, end, "; ".join(starts[first])) for first, end in pairwise(borders))
 
 
-def _first_from(nights: Sequence[dt.date], date: dt.date) -> int | None:
-    return next((place for place, night in enumerate(nights) if night >= date), None)
+def _begin(starts: dict[int, list[str]], place: int | None, words: str) -> None:
+    if place is not None:
+        starts.setdefault(place, []).append(words)
 
 
-def _changed_settings(spec: MotorSpec, history: History) -> list[tuple[int, str]]:
-    """Nights whose statistics were shaped by other settings than those before, the oil apart.
+def _changed_settings(history: History) -> list[tuple[int, str]]:
+    """Nights whose statistics were shaped by other settings than those before.
 
     A changed setting makes all nights anew whose logs are there; where they are not, the figures
-    before and after cannot be compared.
+    before and after cannot be compared. The oil is dated by an event of its own, and periods set by
+    hand are of their night alone.
     """
-    found: list[tuple[int, str]] = []
-    known: tuple[str, str, str] | None = None
-    rows = zip(
-        history.words("model_hash"),
-        history.words("flushing_mode"),
-        history.nights,
-        strict=True,
-    )
-    for place, (model_hash, mode, night) in enumerate(rows):
-        if not model_hash:
+    models, modes = history.records["model"], history.records["mode"]
+    known = np.flatnonzero(models != b"")
+    changes = (models[known[1:]] != models[known[:-1]]) | (modes[known[1:]] != modes[known[:-1]])
+    if not changes.any():
+        return []
+    spec, found = history.spec, []
+    before: tuple[bytes, bytes, str] | None = None
+    for place in known.tolist():
+        label = history.nights[place]
+        if HandSet.of(spec.file.periods, night_labelled(label, spec.settings.nights)):
             continue
-        now = (model_hash, mode, spec.file.oil_on(night))
-        if known is not None and now != known and now[2] == known[2]:
-            what = "flushing is fitted in another way" if now[1] != known[1] else "other settings"
-            found.append((place, f"{what} from {night}"))
-        known = now
+        now = (bytes(models[place]), bytes(modes[place]), spec.file.oil_on(label))
+        if before is not None and now != before and now[2] == before[2]:
+            how = "flushing is fitted in another way" if now[1] != before[1] else "other settings"
+            found.append((place, f"{how} from {label}"))
+        before = now
     return found

@@ -12,6 +12,8 @@ NAMES = {
     DEVIATION: "drain flow against the baseline's model",
     "peer_deviation": "drain flow against the other motors of the circuit",
     "C_f": "flushing",
+    "pressure_zero": "zero of the pressure sensor",
+    "flow_zero": "zero of the flow sensor",
 }
 MONTHS = (
     "January",
@@ -90,11 +92,13 @@ def path_words(found: Attribution | None) -> str:
     """Which path explains the change, for people; empty where nothing is to be said."""
     if found is None or found.status in ("no_change", "no_path"):
         return ""
-    names = [name.replace("_", " ") for name in found.paths]
+    names = [f"the {name.replace('_', ' ')}" for name in found.paths]
+    percent = 100 * (found.probability or 0.0)
+    probable = "over 99" if percent > 99 else f"{percent:.0f}"
     if found.status == "path":
-        percent = 100 * (found.probability or 0.0)
-        probable = "over 99" if percent > 99 else f"{percent:.0f}"
-        return f"mostly by the {names[0]} ({probable} % probable)"
+        return f"mostly by {names[0]} ({probable} % probable)"
+    if found.status == "several":
+        return f"by {' and '.join(names)}, which have all grown ({probable} % probable)"
     if found.status == "together":
         return f"by {' and '.join(names)} together: {found.reason.replace('_', ' ')}"
     return f"which path cannot be told: {found.reason.replace('_', ' ')}"

@@ -127,9 +127,10 @@ def test_wear_does_not_become_its_own_baseline() -> None:
     nights = np.arange(200)
     values = healthy(200, 11) * (1 + np.maximum(nights - 30, 0) * 0.003)
     found = monitor(nights, values)
-    assert len(found.own.baselines) == 1
-    kept = found.own.baselines[0]
-    assert (kept.status, kept.n) == ("frozen", 30)
+    provisional, kept = found.own.baselines
+    assert (provisional.status, kept.status, kept.n) == ("provisional", "frozen", 30)
+    assert found.own.served_from == (30, 60)
+    assert kept.mean == provisional.mean
     assert kept.reason == "kept at 30 good nights: a change was told before there were 60"
     assert found.states[-1] == "alarm"
 
@@ -139,7 +140,7 @@ def test_a_slope_that_is_not_told_does_not_become_the_baseline_either() -> None:
     values = healthy(200, 12, sd=0.001) * (1 + np.maximum(nights - 30, 0) * 0.0006)
     silent = MonitorSettings(cusum_leads_to="nothing")
     found = track(nights, values, silent)
-    assert found.baselines[0].reason == "kept at 30 good nights: 60 have a slope"
+    assert found.baselines[-1].reason == "kept at 30 good nights: 60 have a slope"
 
 
 def test_the_whole_oil_circuit_is_a_common_cause() -> None:

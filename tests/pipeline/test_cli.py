@@ -197,7 +197,7 @@ def test_4_where_the_disk_is_full(
         raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
 
     fleet = own_fleet(PARQUET)
-    monkeypatch.setattr(pipeline.publishing, "publish_night", full)
+    monkeypatch.setattr(pipeline.publishing, "prepare_night", full)
     code, _, err = call("fit-fleet", fleet)
     assert code == 4
     assert "No space left on device" in err
@@ -218,7 +218,7 @@ def test_130_and_143_while_publishing(
 
     fleet = own_fleet(PARQUET)
     with monkeypatch.context() as patched:
-        patched.setattr(pipeline.publishing, "publish_night", interrupted)
+        patched.setattr(pipeline.publishing, "prepare_night", interrupted)
         assert call("fit-fleet", fleet)[0] == code
     assert call("fit-fleet", fleet)[0] == 0
     fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")

@@ -29,7 +29,7 @@ from pipeline.errors import LockedError, StoreError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
-from pipeline.store import Published, night_file, publish_night, read_table
+from pipeline.store import NightFile, night_file, prepare_night, read_table
 from tests.conftest import OwnFleet
 
 FIRST = dt.date(2026, 1, 2)
@@ -251,6 +251,7 @@ def test_a_second_run_finds_nothing_new_and_changes_no_table(own_fleet: OwnFleet
 
 def test_touching_a_file_is_no_news(own_fleet: OwnFleet) -> None:
     fleet = own_fleet(PARQUET, fitted=True)
+    run(fleet)  # its oil circuit has lost a motor: trends anew
     before = table_files(output_of(fleet))
     os.utime(log_file(fleet, PARQUET, NIGHTS[1]), ns=(1, 1))
     assert run(fleet).n_nights == 0
@@ -641,14 +642,14 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     fleet = own_fleet(PARQUET)
     calls = 0
 
-    def interrupted(*arguments: Any) -> Published:
+    def interrupted(*arguments: Any) -> NightFile:
         nonlocal calls
         calls += 1
         if calls > after:
             raise KeyboardInterrupt
-        return publish_night(*arguments)
+        return prepare_night(*arguments)
 
-    monkeypatch.setattr(pipeline.publishing, "publish_night", interrupted)
+    monkeypatch.setattr(pipeline.publishing, "prepare_night", interrupted)
     with pytest.raises(KeyboardInterrupt):
         run(fleet)
     monkeypatch.undo()

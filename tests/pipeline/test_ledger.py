@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -189,7 +190,7 @@ class TestDamage:
         def fail(*_: object) -> None:
             raise OSError(28, "No space left on device")
 
-        monkeypatch.setattr(Path, "replace", fail)
+        monkeypatch.setattr(os, "replace", fail)
         with pytest.raises(StoreError):
             write_whole(tmp_path, "A", Ledger())
         assert read_ledger(tmp_path, "A") == SOME

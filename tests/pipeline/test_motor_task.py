@@ -451,6 +451,7 @@ def test_a_fault_of_ours_in_one_night_costs_that_night(
 def test_a_task_that_cannot_stage_is_lost_as_a_whole(workshop: Workshop) -> None:
     workshop.log(NIGHT)
     task = workshop.task()
+    task.staging.rmdir()
     task.staging.write_text("in the way")
     outcome = run_motor(task)
     assert (outcome.status, outcome.error_code) == ("failed", "store_write")

@@ -67,6 +67,7 @@ def outcomes(workshop: Workshop, folder: Path, size: int) -> tuple[MotorOutcome,
         seen.extend(tasks)
         yield from map(function, tasks)
 
+    folder.mkdir()
     task = replace(workshop.task(), staging=folder, nights_a_part=size)
     (outcome,) = run_motors(watched, run_motor, [task], never_lost)
     return outcome, seen
@@ -104,6 +105,7 @@ def check_the_same(workshop: Workshop, tmp_path: Path, size: int = 1) -> MotorOu
 
 @pytest.fixture
 def workshop(tmp_path: Path) -> Workshop:
+    (tmp_path / "staging").mkdir()
     return Workshop.at(tmp_path / "shop")
 
 

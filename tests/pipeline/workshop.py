@@ -85,7 +85,9 @@ class Workshop:
 
     def task(self) -> MotorTask:
         (spec,) = load_fleet(self.folder / "configs" / "fleet.toml").motors
-        return MotorTask(spec, self.output, self.folder / "staging")
+        staging = self.folder / "staging"
+        staging.mkdir(exist_ok=True)
+        return MotorTask(spec, self.output, staging)
 
     def night(self, label: dt.date, seed: int = 1) -> tuple[Operation, dict[str, Any]]:
         """A night with a little noise, the same for the same seed."""

@@ -118,6 +118,7 @@ def fitted(motor: str, night: dt.date, ratio: float) -> dict[str, Any]:
         "coefficient_covariance": [(0.005 * k) ** 2, 0.0, 0.0],
         "night_factor": factor(z)[np.triu_indices(4)].tolist(),
         "n_kept": 50,
+        "n_interval_blocks": 50,
         "interval_status": "ok",
         "reference_leakage_l_per_min": leakage,
         "reference_leakage_lower": leakage - half,

@@ -15,8 +15,8 @@ import pytest
 from polars.testing import assert_frame_equal
 
 from pipeline.decisions import Decision, record_decision
-from pipeline.manifest import verify_tables
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TREND_TABLES, TRENDS
+from pipeline.verification import verify_tables
 from tests.pipeline.trends.nights import K, Nights, courses, label
 
 UTC = dt.UTC

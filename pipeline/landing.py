@@ -1,0 +1,366 @@
+"""How bytes come to lie on the disk: whole or not at all, flushed, and read back.
+
+All that the program writes into its output goes through here, and nothing else in it opens a file
+to write. Everything is done with a few calls of `os`, so that each can be made to fail in tests.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import hashlib
+import io
+import os
+import secrets
+import stat
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from pipeline.errors import StoreError
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
+
+TEMPORARY_PREFIX = ".writing-"
+# Tables hold no secrets, and analysts are other users.
+MODE = 0o644
+BUFFER = 1 << 20
+
+Write = Callable[[BinaryIO], object]
+
+
+class _Descriptor(io.RawIOBase):
+    """A file that is being written, and the hash of what it was given."""
+
+    def __init__(self, handle: int) -> None:
+        super().__init__()
+        self.handle = handle
+        self.hash = hashlib.sha256()
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, data: Buffer, /) -> int:
+        """Write all of it: a disk may take less at a time."""
+        rest = memoryview(data).cast("B")
+        size = len(rest)
+        self.hash.update(rest)
+        while len(rest):
+            taken = os.write(self.handle, rest)
+            if taken == 0:
+                raise OSError(errno.EIO, "nothing was written")
+            rest = rest[taken:]
+        return size
+
+
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A file that is written beside its place, flushed and read back, and not in its place yet.
+
+    Attributes
+    ----------
+    path
+        Its place.
+    temporary
+        Where it is now.
+    sha256
+        Of its content.
+    durable
+        Whether it must outlive a power cut.
+    """
+
+    path: Path
+    temporary: Path
+    sha256: str
+    durable: bool = True
+
+    def land(self) -> None:
+        """Put it into its place.
+
+        Raises
+        ------
+        StoreError
+            If that fails; there is then what was there before, or already the new file.
+        """
+        with _told(self.path):
+            try:
+                os.replace(self.temporary, self.path)
+            except BaseException:
+                self.drop()
+                raise
+            if self.durable:
+                flush_folder(self.path.parent)
+
+    def drop(self) -> None:
+        """Leave what is in its place as it is."""
+        with suppress(OSError):
+            os.unlink(self.temporary)
+
+
+def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepared:
+    """Write a file beside its place, flush it, and read it back.
+
+    Parameters
+    ----------
+    path
+        Its place; folders above it are made.
+    write
+        Its content, or what writes it to the stream that it is given.
+    durable
+        Whether it must outlive a power cut; one that can be made again need not.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written, or is not read back as it was written; nothing is left of it.
+    """
+    temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
+    with _told(path):
+        make_folders(path.parent)
+        try:
+            sha256 = _written(temporary, write, durable=durable)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(temporary)
+            raise
+    return Prepared(path, temporary, sha256, durable)
+
+
+def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
+    """Write a new file and read it back; returns its SHA-256."""
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, MODE)
+    try:
+        os.fchmod(handle, MODE)
+        file = _Descriptor(handle)
+        with io.BufferedWriter(file, BUFFER) as stream:
+            stream.write(write) if isinstance(write, bytes) else write(stream)
+        if durable:
+            os.fsync(handle)
+            # What is read back is to come from the disk, as far as it can be had from there.
+            if hasattr(os, "posix_fadvise"):
+                os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
+        _require_same(_hash_of(handle), file.hash.digest())
+    finally:
+        os.close(handle)
+    return file.hash.hexdigest()
+
+
+def _require_same(found: bytes, expected: bytes) -> None:
+    if found != expected:
+        raise OSError(errno.EIO, "what was read back is not what was written")
+
+
+def _hash_of(handle: int) -> bytes:
+    found, place = hashlib.sha256(), 0
+    while part := os.pread(handle, BUFFER, place):
+        found.update(part)
+        place += len(part)
+    return found.digest()
+
+
+def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
+    """Write a file whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The file; folders above it are made.
+    write
+        Its content, or what writes it to the stream that it is given.
+    durable
+        Whether it must outlive a power cut; one that can be made again need not.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; what was there before is then untouched. If only the last flush,
+        of its folder, fails, the new file may be there already.
+    """
+    prepared = prepare(path, write, durable=durable)
+    prepared.land()
+    return prepared.sha256
+
+
+@contextmanager
+def scratch(path: Path) -> Iterator[BinaryIO]:
+    """A file of a run's own that need not outlive it; its folder is made, those above must be.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written.
+    """
+    with suppress(FileExistsError):
+        os.mkdir(path.parent)
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, MODE)
+    try:
+        with io.BufferedWriter(_Descriptor(handle), BUFFER) as stream:
+            yield stream
+    finally:
+        os.close(handle)
+
+
+def append(path: Path, line: bytes) -> None:
+    """Append to a file, flush it and read it back; what was cut off before it ends in a line break.
+
+    Others may append and read meanwhile.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; nothing of the line is left then, as far as can be.
+    """
+    with _told(path):
+        make_folders(path.parent)
+        handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, MODE)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            size = os.fstat(handle).st_size
+            torn = size > 0 and os.pread(handle, 1, size - 1) != b"\n"
+            content = b"\n" + line if torn else line
+            try:
+                _Descriptor(handle).write(memoryview(content))
+                os.fsync(handle)
+                _require_same(os.pread(handle, len(content), size), content)
+                if size == 0:
+                    flush_folder(path.parent)
+            except BaseException:
+                with suppress(OSError):
+                    os.ftruncate(handle, size)
+                raise
+        finally:
+            os.close(handle)
+
+
+def make_folders(folder: Path) -> None:
+    """Make a folder and those above it that are absent, so that they outlive a power cut.
+
+    Raises
+    ------
+    OSError
+        If one cannot be made.
+    """
+    absent = []
+    while not folder.exists():
+        absent.append(folder)
+        folder = folder.parent
+    if not folder.is_dir():
+        raise NotADirectoryError(errno.ENOTDIR, "there is a file in the way", str(folder))
+    for one in reversed(absent):
+        with suppress(FileExistsError):
+            os.mkdir(one)
+        flush_folder(one.parent)
+
+
+def flush_folder(folder: Path) -> None:
+    """Make the names in a folder outlive a power cut.
+
+    Raises
+    ------
+    OSError
+        If they cannot be flushed.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def flush_all() -> None:
+    """Make all that was written so far outlive a power cut."""
+    os.sync()
+
+
+def move(path: Path, place: Path) -> None:
+    """Give a file another name in its folder; what had that name is gone.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be renamed.
+    """
+    with _told(place):
+        os.replace(path, place)
+        flush_folder(place.parent)
+
+
+def remove(path: Path) -> None:
+    """Remove a file if it is there.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be removed.
+    """
+    with _told(path, "removed"), suppress(FileNotFoundError):
+        os.unlink(path)
+        flush_folder(path.parent)
+
+
+def remove_all(folder: Path) -> None:
+    """Remove a folder of scratch files with all that is in it, as far as that can be done."""
+    with suppress(OSError):
+        if not stat.S_ISDIR(os.lstat(folder).st_mode):
+            return
+        for entry in os.scandir(folder):
+            if entry.is_dir(follow_symlinks=False):
+                remove_all(Path(entry.path))
+            else:
+                with suppress(OSError):
+                    os.unlink(entry.path)
+        os.rmdir(folder)
+
+
+def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
+    """Remove temporary files that a killed run left in some folders, and in those below them."""
+    for folder in folders:
+        for path in folder.glob(f"{'**/' if below else ''}{TEMPORARY_PREFIX}*"):
+            with suppress(OSError):
+                os.unlink(path)
+
+
+def read(path: Path) -> bytes:
+    """Content of a file; what fails once is tried again.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    try:
+        return _read(path)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        return _read(path)
+
+
+def _read(path: Path) -> bytes:
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        parts, place = [], 0
+        while part := os.pread(handle, BUFFER, place):
+            parts.append(part)
+            place += len(part)
+    finally:
+        os.close(handle)
+    return b"".join(parts)
+
+
+@contextmanager
+def _told(path: Path, what: str = "written") -> Iterator[None]:
+    """A failed call of the system as an error with a code."""
+    try:
+        yield
+    except OSError as error:
+        why = error.strerror or error
+        raise StoreError("store_write", f"{path.name} cannot be {what}: {why}") from error

@@ -1,0 +1,36 @@
+"""Small JSON documents that tell whether they are whole: a flipped digit would else be believed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any
+
+
+def seal(document: Mapping[str, Any]) -> bytes:
+    """A document as JSON, with the hash of all that it says.
+
+    Examples
+    --------
+    >>> unseal(seal({"last_night": "2026-03-02"}))
+    {'last_night': '2026-03-02'}
+    >>> unseal(seal({"last_night": "2026-03-02"}).replace(b"03-02", b"03-03")) is None
+    True
+    """
+    whole = {**document, "sha256": _digest(document)}
+    return json.dumps(whole, separators=(",", ":"), sort_keys=True).encode()
+
+
+def unseal(content: bytes) -> dict[str, Any] | None:
+    """What a document says; None where it is damaged."""
+    try:
+        document = json.loads(content)
+        found: dict[str, Any] = {name: one for name, one in document.items() if name != "sha256"}
+        return found if document["sha256"] == _digest(found) else None
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _digest(document: Mapping[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(dict(document), sort_keys=True).encode()).hexdigest()

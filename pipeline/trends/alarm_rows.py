@@ -1,0 +1,153 @@
+"""Rows of `alarms`: every change of state, with its reason; what was raised is never deleted."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pipeline.trends.attribution import path_behind, path_named
+from pipeline.trends.reasons import way_of, why_state
+from pipeline.trends.standing import RAISED, Standing
+
+Row = dict[str, Any]
+
+RECOMPUTED = "recomputed"
+INSUFFICIENT = "insufficient"
+
+
+def alarm_rows(
+    standing: Standing, places: Sequence[int], published: Sequence[Row] = ()
+) -> list[Row]:
+    """Changes of state in some nights, together with what had been raised in them before.
+
+    Parameters
+    ----------
+    standing
+        How the motor stands.
+    places
+        Nights to be made anew, increasing.
+    published
+        The motor's rows so far, without `run_id`.
+
+    Returns
+    -------
+    list of dict
+        Rows of these nights. What was raised and is not in the figures as they are now stays, and
+        is closed: an indicator's last row always says the state that it is in.
+    """
+    rows: list[Row] = []
+    by_indicator: dict[str, dict[dt.date, Row]] = {}
+    for row in published:
+        by_indicator.setdefault(row["indicator"], {})[row["night"]] = row
+    names = [*standing.states, *sorted(by_indicator.keys() - standing.states.keys())]
+    for name in names:
+        rows += _of_indicator(standing, name, places, by_indicator.get(name, {}))
+    return rows
+
+
+def _of_indicator(
+    standing: Standing, name: str, places: Sequence[int], published: Mapping[dt.date, Row]
+) -> list[Row]:
+    states = standing.states.get(name, (INSUFFICIENT,) * len(standing.history))
+    first = standing.label(places[0])
+    before = [night for night in published if night < first]
+    told = str(published[max(before)]["to_state"]) if before else INSUFFICIENT
+    last_raised = max(
+        (night for night in before if published[night]["to_state"] in RAISED), default=None
+    )
+    rows = []
+    for place in places:
+        state, earlier = states[place], states[place - 1] if place else INSUFFICIENT
+        label = standing.label(place)
+        old = published.get(label)
+        raised = old if old is not None and old["to_state"] in RAISED else None
+        row = None
+        if state != earlier:
+            row = _change(standing, name, place, earlier, state)
+            if raised is not None and raised["to_state"] != state:
+                row["reason"] += f"; before its data changed: {raised['reason']}"
+        elif raised is not None:
+            row = raised
+        elif told != state:
+            row = _closing(standing, name, place, told, state, last_raised)
+        if row is not None:
+            rows.append(row)
+            told = row["to_state"]
+            last_raised = label if told in RAISED else last_raised
+    return rows
+
+
+def _change(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+    """The row of a change of state."""
+    row = {
+        **standing.key(place),
+        "time": standing.end_of(place),
+        "indicator": name,
+        "from_state": before,
+        "to_state": after,
+        "deviation_percent": None,
+        "path": None,
+    }
+    if name in standing.zeros:
+        return row | _of_sensor(standing, name, place, before, after)
+    segment, found, _ = standing.watched[name].at(place)
+    deviation = found.own.deviation[place - segment.first]
+    row["deviation_percent"] = 100.0 * float(deviation) if deviation == deviation else None
+    if after == "ok":
+        return row | {"reason": _why_ok(before), "way": _way_to_ok(before)}
+    if after == INSUFFICIENT:
+        return row | {"reason": f"a new baseline begins: {segment.reason}", "way": "baseline"}
+    path = path_behind(standing, name, place)
+    return row | {
+        "reason": why_state(standing, name, place, path),
+        "way": way_of(standing, name, place) if after in RAISED else after,
+        "path": path_named(standing, name, place, path),
+    }
+
+
+def _of_sensor(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+    zero = standing.zeros[name]
+    if after == "warning":
+        return {"reason": zero.words(place), "way": "drift"}
+    if after == INSUFFICIENT:
+        reason = next(part.reason for part in zero.segments if place < part.end)
+        return {"reason": f"a new baseline begins: {reason}", "way": "baseline"}
+    if before == INSUFFICIENT:
+        return {"reason": "its zero is known", "way": "baseline"}
+    return {"reason": "its zero is back where it was", "way": "recovered"}
+
+
+def _why_ok(before: str) -> str:
+    return {
+        INSUFFICIENT: "a baseline was taken",
+        "stale": "there is a trusted figure again",
+        "common_cause": "the oil circuit is back where it was",
+    }.get(before, "back below its levels")
+
+
+def _way_to_ok(before: str) -> str:
+    return "baseline" if before == INSUFFICIENT else "recovered"
+
+
+def _closing(
+    standing: Standing,
+    name: str,
+    place: int,
+    told: str,
+    state: str,
+    last_raised: dt.date | None,
+) -> Row:
+    """The row that says which state an indicator is in, where published rows say another."""
+    what = "what was told before" if last_raised is None else f"what was raised on {last_raised}"
+    return {
+        **standing.key(place),
+        "time": standing.end_of(place),
+        "indicator": name,
+        "from_state": told,
+        "to_state": state,
+        "reason": f"recomputed: {what} is not in the figures as they are now",
+        "deviation_percent": None,
+        "way": RECOMPUTED,
+        "path": None,
+    }

@@ -1,0 +1,136 @@
+"""The drain flow of a night against what the model of the baseline lets expect.
+
+It needs no fit of the night, only its statistics, so it follows motors of which no coefficient can
+be told.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage import LeakageError, Parametrisation
+from leakage.baseline import LEAKAGE_FLOOR
+from leakage.block_statistics import merge
+from leakage.certificate import certify
+from pipeline.trends.history import History
+from pipeline.trends.indicators import DEVIATION, NO_BASELINE, Indicator
+from pipeline.trends.segments import Segment
+
+Array = NDArray[np.float64]
+
+NO_STATISTICS = "the night's statistics are of another kind than the baseline's"
+NO_FLOW = "no flow beyond the flushing, measured or expected"
+
+
+def factors_of(history: History, places: NDArray[np.intp] | slice) -> Array:
+    """Triangular factors of all kept samples of some nights, shape (m, c, c)."""
+    size = len(history.layout.columns)
+    upper = history.records["factor"][places]
+    factors = np.zeros((len(upper), size, size))
+    factors[(slice(None), *_triangle(size))] = upper
+    return factors
+
+
+def column_sums(history: History, places: NDArray[np.intp] | slice) -> Array:
+    """Sums of the statistics' columns over the kept samples of some nights, shape (m, c).
+
+    The column of ones times all columns: R'R of it.
+    """
+    factors = factors_of(history, places)
+    ones = factors[:, :, -3]
+    sums: Array = np.zeros(factors.shape[::2])
+    # Row by row, so that a night's sums do not hang on how many nights there are.
+    for row in range(factors.shape[1]):
+        sums += ones[:, row, None] * factors[:, row]
+    return sums
+
+
+def baseline_model(history: History, places: NDArray[np.intp]) -> Array | None:
+    """θ fitted to some nights together, from their statistics; shape (p + 1,).
+
+    None where none has statistics, or they do not determine a minimum.
+    """
+    factors = factors_of(history, places)
+    factors = factors[np.isfinite(factors).all(axis=(1, 2))]
+    if not len(factors):
+        return None
+    motor = history.spec.motor(history.nights[int(places[-1])], history.spec.file.flushing.mode)
+    bounds = Parametrisation.of(motor).coefficient_bounds()
+    try:
+        theta: Array = certify(merge(factors), *bounds).coefficients
+    except LeakageError:
+        return None
+    return theta
+
+
+def expected_flow(sums: Array, theta: Array) -> tuple[Array, Array]:
+    """Measured and expected flow of some nights [l/min × samples], flushing taken off both.
+
+    Parameters
+    ----------
+    sums
+        From :func:`column_sums`, shape (m, c).
+    theta
+        Model, shape (p + 1,); the flushing is its last coefficient.
+    """
+    measured = sums[:, -1] - theta[-1] * sums[:, -3]
+    expected = sums[:, -2].copy()
+    for column, coefficient in enumerate(theta[:-1].tolist()):
+        expected += coefficient * sums[:, column]
+    return measured, expected
+
+
+def log_ratio(history: History, segment: Segment, theta: Array) -> Array:
+    """ln (measured / expected flow) of a segment's nights; nan where there is no figure."""
+    here = slice(segment.first, segment.end)
+    measured, expected = expected_flow(column_sums(history, here), theta)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = np.log(measured / expected)
+        some = history.fitted[here] & (measured > 0.0) & (expected > 0.0)
+    result: Array = np.where(some, ratio, np.nan)
+    return result
+
+
+def deviation(history: History, parts: list[tuple[Segment, int, Array | None]]) -> Indicator:
+    """The indicator from the logarithms of its segments, each with the place where it is known."""
+    n = len(history)
+    value, told = np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
+    gated = [status or NO_BASELINE for status in history.statuses]
+    for segment, known_from, ratio in parts:
+        told[known_from : segment.end] = True
+        if ratio is None:
+            continue
+        here = slice(segment.first, segment.end)
+        value[here] = np.expm1(ratio)
+        same = np.isfinite(history.records["factor"][here]).all(axis=1)
+        for place in range(segment.first, segment.end):
+            if not history.statuses[place]:
+                inside = place - segment.first
+                gated[place] = "" if np.isfinite(ratio[inside]) else _why(bool(same[inside]))
+    nothing = np.full(n, np.nan)
+    return Indicator(
+        DEVIATION,
+        "1",
+        "",
+        value,
+        nothing,
+        nothing,
+        tuple(gated),
+        LEAKAGE_FLOOR,
+        np.zeros(n, dtype=np.bool_),
+        told,
+        history.records["n_nights"],
+    )
+
+
+def _why(has_statistics: bool) -> str:
+    return NO_FLOW if has_statistics else NO_STATISTICS
+
+
+@lru_cache(maxsize=16)
+def _triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    first, second = np.triu_indices(size)
+    return first, second

@@ -1,0 +1,335 @@
+"""What trends need of a motor's night, as one record of numbers of fixed size.
+
+Trends look at all nights of a motor every night; words and what else the tables hold matter for the
+nights that are published only.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from leakage.identifiability import LEAST_MINUTES_INTERVAL
+from pipeline.config import MotorSpec
+from pipeline.motor_night import INSUFFICIENT_DATA, OK
+
+Array = NDArray[np.float64]
+# A structured array, one record a night.
+Records = NDArray[Any]
+
+FLUSHING = "C_f"
+TRUSTED = ("identified", "fixed")
+HISTOGRAMS = ("pressure_histogram", "temperature_histogram", "speed_histogram")
+BINS = (20, 28, 15)
+OPERATED = (
+    "running_hours",
+    "mean_temperature_c",
+    "share_reversed",
+    "pressure_zero_bar",
+    "pressure_zero_standard_error_bar",
+    "flow_zero_l_per_min",
+    "flow_zero_standard_error_l_per_min",
+)
+REFERENCE = "reference_leakage_l_per_min", "reference_leakage_lower", "reference_leakage_upper"
+REFERENCE_CONDITIONS = "reference_pressure_bar", "reference_temperature_c", "reference_speed_rpm"
+OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
+SINGLE = {
+    "charge": "mean_charge_over_case_bar",
+    "period_s": "sample_period_s",
+    "memory_s": "correlation_time_s",
+    "inflation": "weight_inflation",
+    "blocks": "n_interval_blocks",
+}
+FIT_COLUMNS = (
+    "motor_id",
+    "night",
+    "is_primary",
+    "status",
+    "reason",
+    "flushing_mode",
+    "columns",
+    "coefficients",
+    "coefficient_covariance",
+    "night_factor",
+    "n_training",
+    "interval_status",
+    "reference_verdict",
+    "reference_reason",
+    "model_hash",
+    *REFERENCE,
+    *REFERENCE_CONDITIONS,
+    *OWN,
+    *SINGLE.values(),
+)
+PARAMETER_COLUMNS = (
+    "motor_id",
+    "night",
+    "flushing_mode",
+    "parameter",
+    "value",
+    "lower",
+    "upper",
+    "verdict",
+    "reason",
+)
+OPERATION_COLUMNS = ("motor_id", "night", "kept_hours", *OPERATED, *HISTOGRAMS)
+# Words stand in for those of a night that is not published anew, which nobody sees.
+GATED = "gated"
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Which coefficients a motor's nights have.
+
+    Attributes
+    ----------
+    paths
+        Paths with a free coefficient, in the order of the statistics' columns.
+    coefficients
+        Names of those coefficients, and of the flushing where it is estimated.
+    columns
+        Columns of the statistics.
+    """
+
+    paths: tuple[str, ...]
+    coefficients: tuple[str, ...]
+    columns: tuple[str, ...]
+
+    @classmethod
+    def of(cls, spec: MotorSpec, night: dt.date) -> Layout:
+        """The layout of a motor; which night does not matter."""
+        motor = spec.motor(night, spec.file.flushing.mode)
+        names = tuple(path.coefficient_name for path in motor.column_paths)
+        flushing = (FLUSHING,) if spec.file.flushing.mode == "estimated" else ()
+        return cls(
+            tuple(path.name for path in motor.column_paths), names + flushing, tuple(motor.columns)
+        )
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of a record."""
+        n, theta = len(self.coefficients), len(self.columns) - 2
+        return np.dtype(
+            [
+                ("night", "M8[D]"),
+                ("fitted", "?"),
+                ("poor", "?"),
+                ("outside", "?"),
+                ("used", "?"),
+                ("kind", "S16"),
+                ("minutes", "f8"),
+                ("n_nights", "i2"),
+                ("mode", "S9"),
+                ("model", "S16"),
+                ("kept_hours", "f8"),
+                ("reference", "f8", 3),
+                ("figures", "f8", (n, 3)),
+                ("theta", "f8", theta),
+                ("covariance", "f8", triangle(theta)),
+                ("factor", "f8", triangle(len(self.columns))),
+                ("own", "f8", 3),
+                *((name, "f8") for name in SINGLE),
+                *((name, "f8") for name in OPERATED),
+                *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),
+            ]
+        )
+
+    @property
+    def digest(self) -> str:
+        """Hash of what a record means."""
+        text = "|".join((str(self.dtype.descr), *self.coefficients, *self.columns))
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, slots=True)
+class NightWords:
+    """Why figures of a night do not count; empty where they do.
+
+    Attributes
+    ----------
+    status
+        Of all of them.
+    reference
+        Of the leakage at the reference conditions.
+    coefficients
+        Of each coefficient of the layout.
+    """
+
+    status: str
+    reference: str
+    coefficients: tuple[str, ...]
+
+
+def triangle(size: int) -> int:
+    """Numbers of an upper triangle.
+
+    Examples
+    --------
+    >>> triangle(6)
+    21
+    """
+    return size * (size + 1) // 2
+
+
+def blank_records(layout: Layout, nights: Sequence[dt.date]) -> Records:
+    """Records of nights of which nothing is known."""
+    records = np.zeros(len(nights), dtype=layout.dtype)
+    for name, (kind, *_) in (layout.dtype.fields or {}).items():
+        if kind.base == np.float64:
+            records[name] = np.nan
+    records["night"] = np.array(nights, dtype="M8[D]")
+    records["n_nights"] = 1
+    return records
+
+
+def records_of(
+    spec: MotorSpec,
+    layout: Layout,
+    fits: pl.DataFrame,
+    parameters: pl.DataFrame,
+    operation: pl.DataFrame,
+) -> tuple[Records, list[NightWords]]:
+    """Records of a motor's nights, from their rows.
+
+    Parameters
+    ----------
+    spec, layout
+        The motor.
+    fits
+        Its primary fits, one row a night, by night.
+    parameters, operation
+        Rows of these nights, in any order; `parameters` may have other parameters as well.
+
+    Returns
+    -------
+    tuple
+        One record and the words of each row of `fits`.
+    """
+    records = blank_records(layout, fits["night"].to_list())
+    minutes = _numbers(fits, "n_training") * _numbers(fits, "sample_period_s") / 60.0
+    ok = (fits["status"] == OK).to_numpy()
+    short = ok & (minutes < LEAST_MINUTES_INTERVAL)
+    records["fitted"] = ok & ~short
+    records["minutes"] = minutes
+    records["poor"] = short | (fits["status"] == INSUFFICIENT_DATA).to_numpy()
+    records["mode"] = fits["flushing_mode"].fill_null("").to_numpy()
+    records["model"] = fits["model_hash"].fill_null("").to_numpy()
+    records["kind"] = records["model"]
+    for name, column in SINGLE.items():
+        records[name] = _numbers(fits, column)
+    for place, column in enumerate(OWN):
+        records["own"][:, place] = _numbers(fits, column)
+    same = (fits["columns"].fill_null([]) == list(layout.columns)).to_numpy()
+    for name, column, size in (
+        ("theta", "coefficients", len(layout.columns) - 2),
+        ("covariance", "coefficient_covariance", triangle(len(layout.columns) - 2)),
+        ("factor", "night_factor", triangle(len(layout.columns))),
+    ):
+        records[name] = np.where(same[:, None], _vectors(fits[column], size), np.nan)
+    _fill_operation(records, fits, operation)
+    statuses = _status_words(fits, short)
+    reference = _fill_reference(spec, records, fits)
+    coefficients = _fill_figures(layout, records, fits, parameters)
+    words = [
+        NightWords(status, status or why, tuple(status or one for one in each))
+        for status, why, each in zip(statuses, reference, coefficients, strict=True)
+    ]
+    return records, words
+
+
+def _numbers(rows: pl.DataFrame, column: str) -> Array:
+    values: Array = rows[column].cast(pl.Float64).fill_null(np.nan).to_numpy()
+    return values
+
+
+def _vectors(lists: pl.Series, size: int) -> Array:
+    """A column of lists as an array, nan where a list is absent or of another length."""
+    result = np.full((len(lists), size), np.nan)
+    whole = (lists.list.len().fill_null(0) == size).to_numpy()
+    if whole.any():
+        result[whole] = lists.filter(pl.Series(whole)).explode().to_numpy().reshape(-1, size)
+    return result
+
+
+def _fill_operation(records: Records, fits: pl.DataFrame, operation: pl.DataFrame) -> None:
+    rows = fits.select("night").join(operation, on="night", how="left", maintain_order="left")
+    for name in ("kept_hours", *OPERATED):
+        records[name] = _numbers(rows, name)
+    for name, bins in zip(HISTOGRAMS, BINS, strict=True):
+        records[name] = np.nan_to_num(_vectors(rows[name].cast(pl.List(pl.Float64)), bins))
+
+
+def _status_words(fits: pl.DataFrame, short: NDArray[np.bool_]) -> list[str]:
+    """Why a night has no fit that says anything; empty where it has one."""
+    words = []
+    columns = (fits[name].to_list() for name in ("status", "reason", "interval_status"))
+    for status, reason, interval, poor in zip(*columns, short.tolist(), strict=True):
+        if status == OK:
+            words.append(interval if poor else "")
+        else:
+            words.append(": ".join(one for one in (status.replace("_", " "), reason) if one))
+    return words
+
+
+def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> list[str]:
+    """Leakage at the reference conditions, where it can be trusted; otherwise why not."""
+    asked = spec.settings.reference
+    now = (asked.pressure_bar, asked.temperature_c, asked.speed_rpm)
+    before = np.column_stack([_numbers(fits, name) for name in REFERENCE_CONDITIONS])
+    elsewhere = np.isfinite(before).all(axis=1) & (before != now).any(axis=1)
+    verdicts = fits["reference_verdict"].fill_null("").to_list()
+    reasons = fits["reference_reason"].fill_null("").to_list()
+    records["outside"] = [verdict == "outside_fitted_range" for verdict in verdicts]
+    for place, column in enumerate(REFERENCE):
+        records["reference"][:, place] = _numbers(fits, column)
+    words = []
+    for verdict, reason, other in zip(verdicts, reasons, elsewhere.tolist(), strict=True):
+        if other:
+            words.append("fitted for other reference conditions, and its statistics are not there")
+        else:
+            words.append(_gate(verdict, reason))
+    trusted = records["fitted"] & np.array([not one for one in words], dtype=np.bool_)
+    records["reference"][~trusted] = np.nan
+    return words
+
+
+def _fill_figures(
+    layout: Layout, records: Records, fits: pl.DataFrame, parameters: pl.DataFrame
+) -> list[tuple[str, ...]]:
+    """Each coefficient where it is identified; otherwise why not."""
+    columns = []
+    for place, name in enumerate(layout.coefficients):
+        rows = fits.select("night", "flushing_mode").join(
+            parameters.filter(pl.col("parameter") == name),
+            on=("night", "flushing_mode"),
+            how="left",
+            maintain_order="left",
+        )
+        for end, column in enumerate(("value", "lower", "upper")):
+            records["figures"][:, place, end] = _numbers(rows, column)
+        verdicts, reasons = (
+            rows[column].fill_null("").to_list() for column in ("verdict", "reason")
+        )
+        # Nothing was estimated where a coefficient is held fixed.
+        words = [
+            _gate("" if verdict == "fixed" else verdict, reason)
+            for verdict, reason in zip(verdicts, reasons, strict=True)
+        ]
+        trusted = records["fitted"] & np.array([not one for one in words], dtype=np.bool_)
+        records["figures"][~trusted, place] = np.nan
+        columns.append(words)
+    return list(zip(*columns, strict=True)) if columns else [()] * fits.height
+
+
+def _gate(verdict: str, reason: str) -> str:
+    """Why a figure does not count, by its verdict."""
+    if verdict in TRUSTED:
+        return ""
+    return reason or verdict.replace("_", " ") or "no figure"

@@ -1,0 +1,213 @@
+"""The motor's own reference conditions, frozen with its baseline, and its leakage there.
+
+Many motors never see the fleet's conditions; each sees its own.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from leakage import LeakageError, OperatingConditions, regressors
+from leakage.baseline import LEAKAGE_FLOOR
+from leakage.identifiability import WIDEST_LEAKAGE
+from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
+from pipeline.trends.history import History
+from pipeline.trends.indicators import NO_BASELINE, OWN_REFERENCE, Indicator
+from pipeline.trends.night_records import HISTOGRAMS, triangle
+from pipeline.trends.segments import Segment
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+LEVEL = 0.95
+EDGES = (PRESSURE_EDGES_BAR, TEMPERATURE_EDGES_C, SPEED_EDGES_RPM)
+OUTSIDE = "the motor's own reference conditions lie outside what the night saw"
+NO_INTERVAL = "no intervals in this night"
+
+
+@dataclass(frozen=True, slots=True)
+class OwnConditions:
+    """Conditions at which a motor's own reference leakage is told."""
+
+    pressure_bar: float
+    temperature_c: float
+    speed_rpm: float
+    charge_over_case_bar: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class OwnLeakage:
+    """Leakage at the own conditions of a segment's nights; shape (m,) each.
+
+    Attributes
+    ----------
+    value, half
+        Leakage and half-width of its interval [l/min]; nan where gated.
+    gated
+        Why a night does not count; empty where it does.
+    outside
+        Whether the conditions lie outside what a night's samples saw.
+    """
+
+    value: Array
+    half: Array
+    gated: tuple[str, ...]
+    outside: Mask
+
+
+def own_conditions(history: History, places: NDArray[np.intp]) -> OwnConditions | None:
+    """Medians of the mean conditions of some nights; None where there are none."""
+    figures = history.records["own"][places]
+    figures = figures[np.isfinite(figures).all(axis=1)]
+    if not len(figures):
+        return None
+    charge = history.records["charge"][places]
+    charge = charge[np.isfinite(charge)]
+    pressure, temperature, speed = np.median(figures, axis=0).tolist()
+    above_case = float(np.median(charge)) if len(charge) else None
+    return OwnConditions(pressure, temperature, speed, above_case)
+
+
+def own_leakage(history: History, segment: Segment, own: OwnConditions) -> OwnLeakage:
+    """Leakage of a segment's nights at the motor's own conditions, flushing excluded.
+
+    From θ and its covariance, as the published intervals are those of other conditions; Student's t
+    with as many degrees of freedom as the night has blocks beyond its coefficients.
+    """
+    here = slice(segment.first, segment.end)
+    records = history.records[here]
+    contrast, known, words = _regressors(history, segment, own)
+    value = _row_sums(records["theta"] * contrast) + known
+    variance = _quadratic_forms(records["covariance"], contrast)
+    freedom = records["blocks"] - records["theta"].shape[1]
+    quantile = stdtrit(np.fmax(freedom, 1.0), 0.5 + LEVEL / 2)
+    half = quantile * np.sqrt(np.maximum(variance, 0.0))
+    outside = history.fitted[here] & ~_seen(history, here, own)
+    gated = [status or why for status, why in zip(history.statuses[here], words, strict=True)]
+    for place in np.flatnonzero(history.fitted[here]).tolist():
+        if gated[place]:
+            continue
+        if not np.isfinite(half[place]):
+            gated[place] = NO_INTERVAL
+        elif outside[place]:
+            gated[place] = OUTSIDE
+        elif not half[place] <= WIDEST_LEAKAGE * abs(value[place]):
+            percent = 100 * half[place] / abs(value[place])
+            gated[place] = (
+                f"known to ± {percent:.1f} % only; {100 * WIDEST_LEAKAGE:.0f} % are needed"
+            )
+    counts = np.array([not one for one in gated], dtype=np.bool_)
+    return OwnLeakage(
+        np.where(counts, value, np.nan), np.where(counts, half, np.nan), tuple(gated), outside
+    )
+
+
+def _regressors(
+    history: History, segment: Segment, own: OwnConditions
+) -> tuple[Array, Array, list[str]]:
+    """Contrast of θ and known flow of each night, or why the model does not hold there."""
+    n, theta = segment.end - segment.first, len(history.layout.columns) - 2
+    contrast, known = np.full((n, theta), np.nan), np.full(n, np.nan)
+    words = [""] * n
+    by_oil: defaultdict[str, list[int]] = defaultdict(list)
+    for place in np.flatnonzero(history.fitted[segment.first : segment.end]).tolist():
+        by_oil[history.spec.file.oil_on(history.nights[segment.first + place])].append(place)
+    for places in by_oil.values():
+        row = regressor_row(history, segment.first + places[0], own)
+        if isinstance(row, str):
+            for place in places:
+                words[place] = row
+        else:
+            contrast[places] = np.append(row[:-2], 0.0)
+            known[places] = row[-1]
+    return contrast, known, words
+
+
+def regressor_row(history: History, place: int, own: OwnConditions) -> Array | str:
+    """Columns of the statistics at some conditions in a night, without the measured flow.
+
+    A text where the model does not hold there, which says why. The night's oil decides: what else
+    shapes them is the same for all nights.
+    """
+    spec, key = history.spec, (history.spec.file.oil_on(history.nights[place]), own)
+    if key not in history.kept:
+        try:
+            motor = spec.motor(history.nights[place], spec.file.flushing.mode)
+            at = OperatingConditions.from_bar(
+                own.pressure_bar, own.temperature_c, own.speed_rpm, own.charge_over_case_bar
+            )
+            history.kept[key] = regressors(motor, at)[0]
+        except LeakageError as error:
+            history.kept[key] = str(error)
+    row: Array | str = history.kept[key]
+    return row
+
+
+def _row_sums(products: Array) -> Array:
+    """Sum of each row, in the same way however many rows there are: to the last bit."""
+    total: Array = np.add.reduce(np.ascontiguousarray(products), axis=1)
+    return total
+
+
+def _quadratic_forms(upper: Array, contrast: Array) -> Array:
+    """c'Cc of each night, from the upper triangle of C row by row."""
+    first, second = _triangle(contrast.shape[1])
+    weights = contrast[:, first] * contrast[:, second] * np.where(first == second, 1.0, 2.0)
+    return _row_sums(upper * weights)
+
+
+@lru_cache(maxsize=16)
+def _triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    first, second = np.triu_indices(size)
+    assert len(first) == triangle(size)
+    return first, second
+
+
+def _seen(history: History, here: slice, own: OwnConditions) -> Mask:
+    """Nights whose samples lie on both sides of some conditions, by their histograms."""
+    seen = np.ones(here.stop - here.start, dtype=np.bool_)
+    for name, edges, value in zip(
+        HISTOGRAMS, EDGES, (own.pressure_bar, own.temperature_c, own.speed_rpm), strict=True
+    ):
+        filled = history.records[name][here] > 0
+        borders = np.array(edges)
+        lowest = borders[filled.argmax(axis=1)]
+        highest = borders[filled.shape[1] - filled[:, ::-1].argmax(axis=1)]
+        seen &= filled.any(axis=1) & (lowest <= value) & (value <= highest)
+    return seen
+
+
+def joined_own_leakage(
+    history: History,
+    parts: list[tuple[Segment, int, OwnLeakage | None]],
+) -> Indicator:
+    """The indicator from its segments, each with the place from which on it is known."""
+    n = len(history)
+    value, half = np.full(n, np.nan), np.full(n, np.nan)
+    outside, told = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
+    gated = [status or NO_BASELINE for status in history.statuses]
+    for segment, known_from, part in parts:
+        told[known_from : segment.end] = True
+        if part is not None:
+            here = slice(segment.first, segment.end)
+            value[here], half[here], outside[here] = part.value, part.half, part.outside
+            gated[here] = part.gated
+    return Indicator(
+        OWN_REFERENCE,
+        "l/min",
+        "",
+        value,
+        value - half,
+        value + half,
+        tuple(gated),
+        LEAKAGE_FLOOR,
+        outside,
+        told,
+        history.records["n_nights"],
+    )

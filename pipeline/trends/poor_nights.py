@@ -1,0 +1,383 @@
+"""Nights too poor to say anything alone, fitted together from the statistics of their blocks.
+
+Each night is used once, and the figure is of the last of them: a night's figures hang on no later
+night. A night that says something alone ends the row, as what lies before it is older news.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from leakage import Fit, LeakageError, OperatingConditions
+from leakage.block_statistics import merge
+from leakage.identifiability import (
+    LEAST_MINUTES_COEFFICIENT,
+    LEAST_MINUTES_INTERVAL,
+    Excitation,
+)
+from pipeline.block_fit import BlockFit, fit_blocks
+from pipeline.decisions import Decision
+from pipeline.night_rows import upper_triangle
+from pipeline.trends.history import History
+from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
+from pipeline.trends.segments import segments
+from pipeline.windows import TRAINING
+
+BLOCK_COLUMNS = (
+    "motor_id",
+    "night",
+    "block_start",
+    "block_end",
+    "part",
+    "n",
+    "columns",
+    "statistics",
+    "model_hash",
+    *(
+        f"{end}_{name}"
+        for name in ("pressure_bar", "temperature_c", "speed_rpm")
+        for end in ("mean", "minimum", "maximum")
+    ),
+)
+CHANNELS = ("pressure_bar", "temperature_c", "speed_rpm")
+# Reads the blocks of a motor's nights, in order of time.
+ReadBlocks = Callable[[Sequence[dt.date]], pl.DataFrame]
+
+
+def with_poor_nights(
+    history: History, decisions: Sequence[Decision], read_blocks: ReadBlocks
+) -> History:
+    """A history in which nights that are too poor alone are fitted together.
+
+    Parameters
+    ----------
+    history
+        The motor's nights.
+    decisions
+        What people said of it: nights before and after a reset are not fitted together.
+    read_blocks
+        Rows of `block_statistics` of some nights, with `BLOCK_COLUMNS`.
+
+    Returns
+    -------
+    History
+        The last night of each group has the figures of the whole group, and says how many nights
+        that are.
+    """
+    most = history.spec.settings.trend.merge_nights
+    borders = {part.first for part in segments(history, decisions)}
+    rows = _rows_of_poor(history, borders)
+    unknown = [
+        place for row in rows for place in row if np.isnan(history.records["minutes"][place])
+    ]
+    if most < 2 or not rows:
+        return history
+    blocks = _Blocks(history, read_blocks)
+    records, words = history.records.copy(), dict(history.words)
+    for place in unknown:
+        _describe(history, records, place, blocks.of(place, unknown))
+    for row in rows:
+        for group in groups_of(row, records["minutes"], records["kind"], most):
+            records["used"][list(group)] = True
+            found = _fit(history, records, group, blocks)
+            last = group[-1]
+            if isinstance(found, str):
+                before = words.get(last)
+                if before is not None:
+                    words[last] = _together(before, f"{len(group)} nights together: {found}")
+            else:
+                records[last], words[last] = found
+    return replace(history, records=records, words=words)
+
+
+def groups_of(
+    row: Sequence[int], minutes: Array, kinds: NDArray[np.bytes_], most: int
+) -> list[tuple[int, ...]]:
+    """Nights of a row of poor ones that are fitted together.
+
+    Parameters
+    ----------
+    row
+        Places of the nights, increasing.
+    minutes, kinds
+        Samples for training of each night, as time, and the hash of what shaped its statistics;
+        nights without any have no hash.
+    most
+        Nights of a group.
+
+    Returns
+    -------
+    list of tuple
+        A group is complete with an hour, which verdicts on coefficients need; or, where that takes
+        too many nights, with the half hour that an interval needs.
+
+    Examples
+    --------
+    >>> kinds = np.array([b"a"] * 6)
+    >>> groups_of(range(6), np.full(6, 25.0), kinds, 7)
+    [(0, 1, 2), (3, 4, 5)]
+    >>> groups_of(range(6), np.full(6, 12.0), kinds, 3)
+    [(0, 1, 2), (3, 4, 5)]
+    """
+    groups: list[tuple[int, ...]] = []
+    pool: list[int] = []
+    for place in row:
+        if not kinds[place]:
+            continue
+        if pool and kinds[place] != kinds[pool[-1]]:
+            pool = []
+        pool = [*pool, place][-most:]
+        total = float(minutes[pool].sum())
+        enough = LEAST_MINUTES_INTERVAL if len(pool) == most else LEAST_MINUTES_COEFFICIENT
+        if len(pool) > 1 and total >= enough:
+            groups.append(tuple(pool))
+            pool = []
+    return groups
+
+
+def _rows_of_poor(history: History, borders: set[int]) -> list[list[int]]:
+    """Rows of two or more poor nights: with no fitted one, no event and no long silence between."""
+    records, numbers = history.records, history.numbers
+    longest = history.spec.settings.alarms.stale_after_nights
+    rows: list[list[int]] = [[]]
+    for place in np.flatnonzero(records["fitted"] | records["poor"]).tolist():
+        row = rows[-1]
+        apart = bool(row) and (
+            any(row[-1] < border <= place for border in borders)
+            or numbers[place] - numbers[row[-1]] > longest
+        )
+        if records["fitted"][place] or apart:
+            rows.append([])
+        if records["poor"][place] and not records["used"][place]:
+            rows[-1].append(place)
+    return [row for row in rows if len(row) > 1]
+
+
+@dataclass(slots=True)
+class _Blocks:
+    """Blocks of a motor's nights, read when they are needed."""
+
+    history: History
+    read: ReadBlocks
+    _nights: dict[dt.date, pl.DataFrame] | None = None
+
+    def of(self, place: int, wanted: Sequence[int]) -> pl.DataFrame | None:
+        """Blocks of a night; the first time, of all nights that are wanted."""
+        label = self.history.nights[place]
+        if self._nights is None or label not in self._nights:
+            labels = [self.history.nights[one] for one in {place, *wanted}]
+            rows = self.read(labels).sort("block_start")
+            by_night = rows.partition_by("night", as_dict=True, maintain_order=True)
+            found = {label: rows.clear() for label in labels}
+            found |= {key[0]: part for key, part in by_night.items()}
+            self._nights = {**(self._nights or {}), **found}
+        return self._nights[label]
+
+
+def _describe(history: History, records: Records, place: int, blocks: pl.DataFrame | None) -> None:
+    """Minutes and kind of a night that has no fit of its own."""
+    columns = list(history.layout.columns)
+    hashes = set() if blocks is None else set(blocks["model_hash"].to_list())
+    if blocks is None or len(hashes) != 1 or blocks["columns"].to_list() != [columns] * len(blocks):
+        records["minutes"][place] = 0.0
+        return
+    period = _period_s(records, place, int(blocks["n"].sum()))
+    training = int(blocks.filter(pl.col("part") == TRAINING)["n"].sum())
+    records["minutes"][place] = training * period / 60.0
+    records["kind"][place] = hashes.pop()
+
+
+def _period_s(records: Records, place: int, n_kept: int) -> float:
+    """Period of the time base in a night: the last known one, else by its samples and hours."""
+    known = records["period_s"][: place + 1]
+    known = known[np.isfinite(known)]
+    if len(known):
+        return float(known[-1])
+    return 3600.0 * float(records["kept_hours"][place]) / n_kept
+
+
+def _fit(
+    history: History, records: Records, group: Sequence[int], blocks: _Blocks
+) -> tuple[Any, NightWords] | str:
+    """Record and words of the last night of a group, fitted together; a text where it cannot be."""
+    parts = [blocks.of(place, group) for place in group]
+    whole = pl.concat([part for part in parts if part is not None])
+    training = whole.filter(pl.col("part") == TRAINING)
+    spec, label = history.spec, history.nights[group[-1]]
+    factors = _factors(training, len(history.layout.columns))
+    own = _own_conditions(training)
+    charge = _last_known(records["charge"][: group[-1] + 1])
+    reference = spec.settings.reference
+    minutes = float(records["minutes"][list(group)].sum())
+    memory_s = records["memory_s"][list(group)]
+    try:
+        found = fit_blocks(
+            spec,
+            label,
+            spec.file.flushing.mode,
+            factors,
+            lambda fit: _excitation(training, factors, fit, minutes, memory_s),
+            (
+                OperatingConditions.from_bar(
+                    reference.pressure_bar, reference.temperature_c, reference.speed_rpm, charge
+                ),
+                OperatingConditions.from_bar(*own, charge),
+            ),
+            float(np.nanmax([1.0, *records["inflation"][list(group)]])),
+            search=False,
+            bootstrap=False,
+        )
+    except LeakageError as error:
+        return str(error)
+    if found.identification.interval_status != "ok":
+        return found.identification.interval_status
+    record = records[group[-1]].copy()
+    _fill(record, found, own, charge, minutes)
+    record["n_nights"], record["mode"] = len(group), spec.file.flushing.mode
+    record["model"] = records["kind"][group[-1]]
+    record["factor"] = upper_triangle(merge(_factors(whole, len(history.layout.columns))))
+    for name in HISTOGRAMS:
+        record[name] = records[name][list(group)].sum(axis=0)
+    return record, _words(found)
+
+
+def _fill(
+    record: Any,
+    found: BlockFit,
+    own: tuple[float, float, float],
+    charge: float | None,
+    minutes: float,
+) -> None:
+    """What a fit says, into a record."""
+    distribution = found.identification.distribution
+    assert distribution is not None
+    theta = found.fit.coefficients
+    covariance = np.zeros((len(theta), len(theta)))
+    covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
+    record["fitted"], record["poor"] = True, False
+    record["theta"], record["covariance"] = theta, upper_triangle(covariance)
+    record["blocks"], record["minutes"] = found.identification.n_blocks, minutes
+    record["own"], record["charge"] = own, np.nan if charge is None else charge
+    record["outside"] = found.reference.verdict == "outside_fitted_range"
+    record["reference"], record["figures"] = np.nan, np.nan
+    if found.reference.verdict in TRUSTED:
+        interval = found.reference.interval
+        half = np.nan if interval is None else interval.half_width
+        leakage = found.reference.leakage_l_per_min
+        record["reference"] = leakage, leakage - half, leakage + half
+    for place in range(len(record["figures"])):
+        judgement = found.identification.coefficients[place]
+        if judgement.verdict == "identified" and judgement.interval is not None:
+            half = judgement.interval.half_width
+            record["figures"][place] = theta[place], theta[place] - half, theta[place] + half
+
+
+def _words(found: BlockFit) -> NightWords:
+    """Why figures of a fit do not count."""
+    reference = found.reference
+    trusted = reference.verdict in TRUSTED
+    return NightWords(
+        "",
+        "" if trusted else reference.reason or reference.verdict.replace("_", " "),
+        tuple(
+            "" if one.verdict == "identified" else one.reason or one.verdict.replace("_", " ")
+            for one in found.identification.coefficients
+        ),
+    )
+
+
+def _together(words: NightWords, more: str) -> NightWords:
+    """The words of a night that says nothing with others either."""
+
+    def joined(one: str) -> str:
+        return f"{one}; {more}"
+
+    return NightWords(
+        joined(words.status),
+        joined(words.reference),
+        tuple(joined(one) for one in words.coefficients),
+    )
+
+
+def _factors(blocks: pl.DataFrame, size: int) -> Array:
+    """Triangular factors of blocks, shape (b, c, c)."""
+    factors = np.zeros((blocks.height, size, size))
+    if blocks.height:
+        upper = blocks["statistics"].explode().to_numpy().reshape(blocks.height, -1)
+        factors[(slice(None), *np.triu_indices(size))] = upper
+    return factors
+
+
+def _own_conditions(training: pl.DataFrame) -> tuple[float, float, float]:
+    """Mean pressure, temperature and speed of the training samples."""
+    weights = training["n"].cast(pl.Float64).to_numpy()
+    pressure, temperature, speed = (
+        float(np.average(training[f"mean_{name}"].to_numpy(), weights=weights)) for name in CHANNELS
+    )
+    return pressure, temperature, speed
+
+
+def _last_known(values: Array) -> float | None:
+    known = values[np.isfinite(values)]
+    return float(known[-1]) if len(known) else None
+
+
+def _excitation(
+    training: pl.DataFrame, factors: Array, fit: Fit, minutes: float, memory_s: Array
+) -> Excitation:
+    """What the training samples of several nights saw."""
+
+    def limits(name: str) -> tuple[float, float]:
+        low, high = training[f"minimum_{name}"].to_numpy(), training[f"maximum_{name}"].to_numpy()
+        return float(low.min()), float(high.max())
+
+    lengths = (training["block_end"] - training["block_start"]).dt.total_milliseconds().to_numpy()
+    block_s = float(np.median(lengths)) / 1e3
+    known = memory_s[np.isfinite(memory_s)]
+    if len(known) < len(memory_s):
+        known = np.append(known, memory_of_blocks(factors, fit.coefficients, block_s))
+    return Excitation(
+        minutes=minutes,
+        pressure_bar=limits("pressure_bar"),
+        temperature_c=limits("temperature_c"),
+        speed_rpm=limits("speed_rpm"),
+        correlation_time_s=float(known.max()),
+        block_s=block_s,
+    )
+
+
+def memory_of_blocks(factors: Array, coefficients: Array, block_s: float) -> float:
+    r"""Time over which prediction errors forget, from blocks alone [s].
+
+    Means over a block of length L scatter by :math:`\sigma^2 2 \tau / L` where errors of scatter σ
+    forget over τ ≪ L; both are known from the blocks' factors.
+
+    Parameters
+    ----------
+    factors
+        Triangular factors of the blocks, shape (b, c, c).
+    coefficients
+        θ of their fit, shape (p + 1,).
+    block_s
+        Length of a block [s].
+
+    Returns
+    -------
+    float
+        0 without errors.
+    """
+    error = factors @ np.concatenate([coefficients, (1.0, -1.0)])
+    n = np.sum(factors[:, :, -3] ** 2, axis=1)
+    error, ones, n = error[n > 0.5], factors[n > 0.5, :, -3], n[n > 0.5]
+    mean = np.sum(ones * error, axis=1) / n
+    variance = float(np.sum(error**2) / n.sum())
+    if variance <= 0.0 or len(n) < 2:
+        return 0.0
+    return block_s * float(np.average(mean**2, weights=n)) / (2.0 * variance)

@@ -1,0 +1,155 @@
+"""How a motor stands, night by night: what the rows of all trend tables are made from."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.alarms import OF_SEVERITY
+from pipeline.nights import night as night_labelled
+from pipeline.trends.eras import Era
+from pipeline.trends.history import History
+from pipeline.trends.indicators import DEVIATION
+from pipeline.trends.peers import Peers
+from pipeline.trends.running import RunningHours, running_hours
+from pipeline.trends.sudden import Sudden
+from pipeline.trends.watch import Watched
+from pipeline.trends.zeros import Zero, health
+
+Array = NDArray[np.float64]
+
+RAISED = ("warning", "alarm")
+CHANGED = (*RAISED, "common_cause")
+DAYS_A_YEAR = 365.25
+UTC_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What is known of a motor's nights.
+
+    Parameters
+    ----------
+    history, eras
+        Its nights, and what is frozen with each baseline.
+    watched
+        By indicator.
+    peers
+        By indicator, what the other motors of its oil circuit did; empty for a motor on its own.
+    apart
+        Nights on which its paths had moved by different amounts, shape (n,).
+    sudden
+        Sudden changes that no event explains.
+    zeros
+        Of its sensors.
+    """
+
+    history: History
+    eras: tuple[Era, ...]
+    watched: Mapping[str, Watched]
+    peers: Mapping[str, Peers]
+    apart: NDArray[np.bool_]
+    sudden: tuple[Sudden, ...]
+    zeros: Mapping[str, Zero]
+
+    @cached_property
+    def hours(self) -> RunningHours:
+        """Running hours."""
+        return running_hours(self.history)
+
+    @cached_property
+    def years(self) -> Array:
+        """Years since the first night, shape (n,)."""
+        years: Array = self.history.numbers / DAYS_A_YEAR
+        return years
+
+    @cached_property
+    def states(self) -> dict[str, tuple[str, ...]]:
+        """State of each night, by indicator."""
+        found = {name: self._states(one) for name, one in self.watched.items()}
+        found[DEVIATION] = self._with_sudden(found[DEVIATION])
+        return {name: tuple(states) for name, states in found.items()} | {
+            name: zero.state for name, zero in self.zeros.items()
+        }
+
+    def _states(self, watched: Watched) -> list[str]:
+        """What moved one path alone is no common cause, whatever the other motors did."""
+        states: list[str] = []
+        for segment, found in zip(watched.segments, watched.monitoring, strict=True):
+            part: list[str] = list(found.states)
+            for inside in np.flatnonzero(self.apart[segment.first : segment.end]).tolist():
+                if part[inside] == "common_cause":
+                    part[inside] = OF_SEVERITY[int(found.own.severity[inside])]
+            states += part
+        return states
+
+    def _with_sudden(self, states: list[str]) -> list[str]:
+        """A baseline that no longer holds is a warning: under it, wear would not show."""
+        states = list(states)
+        for one in self.sudden:
+            says = "common_cause" if one.kind == "circuit" else "warning"
+            for place in range(one.told, one.until):
+                if states[place] == "ok":
+                    states[place] = says
+        return states
+
+    def sudden_at(self, place: int) -> Sudden | None:
+        """The sudden change that stands in a night, the latest of several; None without one."""
+        standing = [one for one in self.sudden if one.stands(place)]
+        latest = max((one.place for one in standing), default=0)
+        return next((one for one in standing if one.place == latest), None)
+
+    def era(self, place: int) -> Era:
+        """The era of a night."""
+        return next(one for one in self.eras if place < one.segment.end)
+
+    def label(self, place: int) -> dt.date:
+        """Label of a night."""
+        return self.history.nights[place]
+
+    def key(self, place: int) -> dict[str, object]:
+        """Motor and night, as they begin every row."""
+        return {"motor_id": self.history.spec.motor_id, "night": self.label(place)}
+
+    def end_of(self, place: int) -> dt.datetime:
+        """End of a night, UTC."""
+        night = night_labelled(self.label(place), self.history.spec.settings.nights)
+        return UTC_EPOCH + dt.timedelta(microseconds=night.end_us)
+
+    def health(self, place: int) -> str:
+        """What the zeros at halts say of the sensors."""
+        return health(tuple(self.zeros.values()), place)
+
+    def onset(self, name: str, place: int) -> int | None:
+        """Place of the night on which the change began that an indicator tells; None: none told."""
+        segment, found, _ = self.watched[name].at(place)
+        onset = int(found.own.onset[place - segment.first])
+        return segment.first + onset if onset >= 0 else None
+
+    def earliest_onset(self, place: int) -> int:
+        """Place of the night on which the change began that some raised indicator tells."""
+        begins = [
+            onset
+            for name in self.watched
+            if self.states[name][place] in CHANGED
+            and (onset := self.onset(name, place)) is not None
+        ]
+        return min([place, *begins])
+
+    def line_start(self, name: str, place: int) -> int:
+        """Place of the first night of the line that tells the slope as of a night.
+
+        Where a change stands told, the nights since it began: a line across a step, or across
+        nights before a wear began, is none. Where nothing is told, the nights since the baseline
+        began.
+        """
+        segment, _, _ = self.watched[name].at(place)
+        onset = self.onset(name, place)
+        began = [one.place for one in self.sudden if one.stands(place)]
+        began += [] if onset is None else [onset]
+        return max([segment.first, *began])

@@ -1,0 +1,223 @@
+"""Rows of `trends`: every indicator of a night, against its baseline and over time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from leakage.baseline import Baseline
+from leakage.cusum import cusum_limit
+from leakage.slope import Slope, fit_slope
+from leakage.time_to_limit import TimeToLimit, time_to_limit
+from pipeline.trends.attribution import path_behind, path_named, reference_flows
+from pipeline.trends.indicators import (
+    DEVIATION,
+    NO_BASELINE,
+    PEER_DEVIATION,
+    Indicator,
+    gap_change,
+    scaled,
+)
+from pipeline.trends.reasons import why_no_baseline, why_state
+from pipeline.trends.running import coverage
+from pipeline.trends.standing import DAYS_A_YEAR, RAISED, Standing
+from pipeline.trends.zeros import HALF, NO_HALT, Zero
+
+Row = dict[str, Any]
+
+
+def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
+    """Rows of `trends` of some nights."""
+    for place in places:
+        shared = _shared(standing, place)
+        for name in standing.watched:
+            yield shared | _watched_row(standing, name, place)
+            yield from (shared | row for row in _derived(standing, name, place))
+        if DEVIATION in standing.peers:
+            yield shared | _peer_row(standing, place)
+        for zero in standing.zeros.values():
+            if np.isfinite(zero.value[: place + 1]).any():
+                yield shared | _zero_row(zero, place)
+
+
+def _shared(standing: Standing, place: int) -> Row:
+    """What all rows of a night have in common."""
+    history, era = standing.history, standing.era(place)
+    # Before there is a baseline, the nights so far stand in for it.
+    last = min(era.known_from, era.segment.end - 1, place)
+    record = history.records[place]
+    return {
+        **standing.key(place),
+        "running_hours": float(standing.hours.total[place]),
+        "running_hours_estimated": bool(standing.hours.estimated[place]),
+        "oil": history.spec.file.oil_on(standing.label(place)),
+        "mean_temperature_c": _finite(record["mean_temperature_c"]),
+        "share_reversed": _finite(record["share_reversed"]),
+        "flushing_mode": record["mode"].decode() or None,
+        "coverage": coverage(history, place, era.segment.first, last),
+        "sensor_health": standing.health(place),
+    }
+
+
+def _watched_row(standing: Standing, name: str, place: int) -> Row:
+    watched = standing.watched[name]
+    segment, found, baseline = watched.at(place)
+    inside = place - segment.first
+    state, indicator = standing.states[name][place], watched.indicator
+    row = _figures(indicator, place)
+    row |= {"state": state, "state_reason": None}
+    if baseline is None:
+        row["state_reason"] = why_no_baseline(standing, name, place)
+        return row | _line(standing, name, place, None)
+    limit = cusum_limit(watched.settings.false_alarms_per_year, baseline)
+    row |= {
+        "baseline_start": standing.label(standing.history.place_of(baseline.first_night)),
+        "baseline_mean": baseline.mean - indicator.shift,
+        "deviation_percent": _finite(100.0 * found.own.deviation[inside]),
+        "cusum": _finite(found.own.evidence[inside] * limit),
+        "cusum_limit": limit,
+        "warning_limit": baseline.mean * (1.0 + watched.settings.levels.warning) - indicator.shift,
+        "alarm_limit": baseline.mean * (1.0 + watched.settings.levels.alarm) - indicator.shift,
+    }
+    if state != "ok":
+        path = path_behind(standing, name, place)
+        row["state_reason"] = why_state(standing, name, place, path)
+        row["path"] = path_named(standing, name, place, path)
+        if path is not None:
+            row["path_probability"] = path.probability if row["path"] else None
+            row["path_reason"] = path.reason or None
+    return row | _line(standing, name, place, baseline)
+
+
+def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) -> Row:
+    """Slopes and time to limit as of a night."""
+    watched, trend = standing.watched[name], standing.history.spec.settings.trend
+    if not watched.indicator.told[place]:
+        return {"n_slope": 0, "provisional": False, "days_to_limit_status": "insufficient"}
+    first = standing.line_start(name, place)
+    here = slice(first, place + 1)
+    numbers, series, years = standing.history.numbers[here], watched.series[here], standing.years
+    line = fit_slope(numbers, series, years[here], coverage=trend.confidence)
+    hours = standing.hours.total[here] / 1000.0
+    by_hours = fit_slope(numbers, series, hours, coverage=trend.confidence)
+    row = {
+        "n_slope": line.n,
+        "slope_start": standing.label(first) if line.slope is not None else None,
+        "provisional": line.status == "provisional",
+        "p_value": line.p_value,
+        "theil_sen_per_year": line.theil_sen,
+        "theil_sen_outside": line.theil_sen_outside if line.slope is not None else None,
+        **_slope_columns("per_year", line),
+        **_slope_columns("per_1000_h", by_hours),
+        "days_to_limit_status": "insufficient",
+    }
+    if baseline is None or line.slope is None:
+        return row
+    limit = watched.settings.limits.alarm
+    if limit is None:
+        limit = baseline.mean * (1.0 + watched.settings.levels.alarm)
+    found = time_to_limit(
+        line, limit, float(years[place]), trend.horizon_years, coverage=trend.confidence
+    )
+    return row | {"limit": limit - watched.indicator.shift} | _days(found)
+
+
+def _derived(standing: Standing, name: str, place: int) -> Iterator[Row]:
+    """The same of a loss factor as people are shown it: leakage of its path, change of its gap."""
+    watched = standing.watched[name]
+    path = watched.indicator.path
+    if not path:
+        return
+    _, _, baseline = watched.at(place)
+    state = {"state": standing.states[name][place]}
+    factor = reference_flows(standing, place).get(path)
+    if factor is not None:
+        row = _figures(scaled(watched.indicator, f"leakage_{path}", "l/min", factor), place)
+        if baseline is not None:
+            row["baseline_mean"] = baseline.mean * factor
+        yield row | state
+    if baseline is not None and name.startswith("K_"):
+        row = _figures(gap_change(watched.indicator, f"gap_change_{path}", baseline.mean), place)
+        yield row | state | {"baseline_mean": 0.0}
+
+
+def _peer_row(standing: Standing, place: int) -> Row:
+    peers, watched = standing.peers[DEVIATION], standing.watched[DEVIATION]
+    segment, found, _ = watched.at(place)
+    inside = place - segment.first
+    value = _finite(np.expm1(peers.deviation[place]))
+    corrected, state = found.corrected, "insufficient"
+    usable = place >= peers.known_from(segment)
+    if corrected is not None and usable and corrected.has_baseline[inside]:
+        state = ("ok", "warning", "alarm")[int(corrected.severity[inside])]
+    alone = int(peers.n_others[place]) == 1 and state in RAISED
+    return {
+        "indicator": PEER_DEVIATION,
+        "unit": "1",
+        "value": value,
+        "n_nights": int(standing.history.records["n_nights"][place]),
+        "gated_reason": None if value is not None else "no figure of the circuit's motors",
+        "state": state,
+        "state_reason": "with one other motor: they diverge, nobody can tell which"
+        if alone
+        else None,
+    }
+
+
+def _zero_row(zero: Zero, place: int) -> Row:
+    value, half = zero.value[place], HALF * zero.error[place]
+    return {
+        "indicator": zero.name,
+        "unit": zero.unit,
+        "value": _finite(value),
+        "lower": _finite(value - half),
+        "upper": _finite(value + half),
+        "n_nights": 1,
+        "gated_reason": None if np.isfinite(value) else NO_HALT,
+        "outside_fitted_range": False,
+        "baseline_mean": _finite(zero.first[place]),
+        "state": zero.state[place],
+        "state_reason": zero.words(place) or None,
+    }
+
+
+def _figures(indicator: Indicator, place: int) -> Row:
+    """Figures of a night, as far as they were known in it."""
+    told = bool(indicator.told[place])
+    gated = indicator.gated[place]
+    return {
+        "indicator": indicator.name,
+        "unit": indicator.unit,
+        "value": _finite(indicator.value[place]) if told else None,
+        "lower": _finite(indicator.lower[place]) if told else None,
+        "upper": _finite(indicator.upper[place]) if told else None,
+        "n_nights": int(indicator.n_nights[place]),
+        "gated_reason": (gated if told else NO_BASELINE) or None,
+        "outside_fitted_range": told and bool(indicator.outside[place]),
+    }
+
+
+def _slope_columns(name: str, line: Slope) -> Row:
+    return {
+        f"slope_{name}": line.slope,
+        f"slope_{name}_lower": line.lower,
+        f"slope_{name}_upper": line.upper,
+    }
+
+
+def _days(found: TimeToLimit) -> Row:
+    def days(years: float | None) -> float | None:
+        return None if years is None else years * DAYS_A_YEAR
+
+    return {
+        "days_to_limit": days(found.time),
+        "days_to_limit_lower": days(found.lower),
+        "days_to_limit_upper": days(found.upper),
+        "days_to_limit_status": found.status,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""The disk fails, the process dies, others read: what is published stays whole."""

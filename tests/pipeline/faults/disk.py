@@ -1,0 +1,132 @@
+"""A disk that fails: every call that our one door to the disk makes can be made to fail."""
+
+from __future__ import annotations
+
+import errno
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import pytest
+
+from pipeline import landing
+
+# The calls of `pipeline.landing`, and how each of them fails on a disk.
+CALLS = {
+    "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "fchmod": (errno.EIO,),
+    "write": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "fsync": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "pread": (errno.EIO,),
+    "replace": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "mkdir": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "unlink": (errno.EIO,),
+    "rmdir": (errno.EIO,),
+    "ftruncate": (errno.EIO,),
+}
+# `short`: a write takes half of what it is given, and what comes next finds the disk full.
+# `flipped`: what is read is not what was written. `killed`: the process dies before the call.
+Kind = Literal["EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed"]
+KINDS: tuple[Kind, ...] = ("EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed")
+
+
+class Killed(BaseException):
+    """The process is dead: nothing of it reaches the disk any more, no cleaning up either."""
+
+
+@dataclass(slots=True)
+class Disk:
+    """The calls of a run, of which one fails.
+
+    Parameters
+    ----------
+    kind
+        How it fails.
+    point
+        Which one fails: the number of the call, from 1, among those that can fail so; 0: none.
+    lasting
+        Whether all that come after it fail as well, until the run is over.
+    die
+        What is done where the process is to die.
+
+    Attributes
+    ----------
+    calls
+        How often each call was made.
+    struck
+        Name of the call that failed first; empty while none did.
+    """
+
+    kind: Kind
+    point: int
+    lasting: bool = False
+    die: Callable[[], None] | None = None
+    calls: Counter[str] = field(default_factory=Counter)
+    seen: int = 0
+    struck: str = ""
+
+    def __getattr__(self, name: str) -> Any:
+        real = getattr(os, name)
+        if name not in CALLS:
+            return real
+
+        def call(*arguments: Any, **settings: Any) -> Any:
+            self.calls[name] += 1
+            if self.kind == "flipped" and name == "pread":
+                content = real(*arguments)
+                return _flipped(content) if content and self._fails(name) else content
+            if self._fails(name):
+                return self._fail(real, arguments)
+            return real(*arguments, **settings)
+
+        return call
+
+    def _fails(self, name: str) -> bool:
+        if not self._can_fail(name):
+            return False
+        self.seen += 1
+        due = self.seen == self.point or (bool(self.struck) and self.lasting)
+        if due and not self.struck:
+            self.struck = name
+        return due
+
+    def _can_fail(self, name: str) -> bool:
+        if self.kind == "killed":
+            return True
+        if self.kind == "short":
+            # What comes after the short write finds the disk full, once or until the end.
+            return name == "write"
+        if self.kind == "flipped":
+            return name == "pread"
+        return getattr(errno, self.kind) in CALLS[name]
+
+    def _fail(self, real: Any, arguments: tuple[Any, ...]) -> Any:
+        if self.kind == "killed":
+            self.lasting = True
+            if self.die is not None:
+                self.die()
+            raise Killed
+        if self.kind == "short":
+            handle, content = arguments
+            if self.seen > self.point or len(content) < 2:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            self.lasting = True
+            return real(handle, content[: len(content) // 2])
+        number = getattr(errno, self.kind)
+        raise OSError(number, os.strerror(number))
+
+
+def _flipped(content: bytes) -> bytes:
+    place = len(content) // 2
+    return content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
+
+
+@contextmanager
+def on(disk: Disk) -> Iterator[Disk]:
+    """Let the program write to a disk."""
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(landing, "os", disk)
+        yield disk

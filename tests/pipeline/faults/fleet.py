@@ -1,0 +1,212 @@
+"""Two motors and two nights: as published before, as they come to be, and what a run leaves."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import shutil
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+import pipeline.motor_task
+from pipeline.config import load_fleet
+from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.ledger import read_ledger
+from pipeline.motor_night import NightOutcome, fit_night
+from pipeline.schema import TABLES, TREND_TABLES, Table
+from pipeline.store import read_table
+from pipeline.trends.record import read_record
+from pipeline.verification import verify_tables
+from tests.pipeline.simulated import NIGHT, Operation, motor_toml, operate, write_configs, write_log
+from tests.pipeline.workshop import MINI, QUICK
+
+MOTORS = ("M1", "M2")
+LATER = NIGHT + dt.timedelta(days=1)
+MINUTES = 24.0
+# Tables of a run itself: they say when and how long.
+OF_RUNS = {"runs", "motor_outcomes"}
+Tables = dict[str, pl.DataFrame]
+
+
+@dataclass(frozen=True, slots=True)
+class TinyFleet:
+    """Logs and config, and outputs as runs leave them.
+
+    Attributes
+    ----------
+    folder
+        Holds `configs` and `logs`.
+    before, after
+        Outputs: with the first night of both motors; and after a run that nothing disturbed, for
+        which a log of the first night was corrected and those of the second came.
+    """
+
+    folder: Path
+
+    @property
+    def before(self) -> Path:
+        return self.folder / "before"
+
+    @property
+    def after(self) -> Path:
+        return self.folder / "after"
+
+    @classmethod
+    def at(cls, folder: Path) -> TinyFleet:
+        """Make it, and both outputs."""
+        made = cls(folder)
+        write_configs(
+            folder,
+            {one: motor_toml(one, "MINI") for one in MOTORS},
+            {"MINI": MINI},
+            QUICK,
+        )
+        for number, motor in enumerate(MOTORS):
+            made.log(motor, NIGHT, seed=number)
+        made.run(made.before)
+        made.log("M1", NIGHT, seed=7)
+        for number, motor in enumerate(MOTORS):
+            made.log(motor, LATER, seed=10 + number)
+        shutil.copytree(made.before, made.after)
+        made.run(made.after)
+        return made
+
+    def log(self, motor: str, night: dt.date, seed: int) -> Path:
+        """Write a log with a little noise, the same for the same seed."""
+        operation: Operation = operate(night, MINUTES, seed)
+        specs = {spec.motor_id: spec for spec in load_fleet(self.fleet).motors}
+        noise = np.random.default_rng(seed).normal(0.0, 0.01, len(operation.time_us))
+        flow = operation.flow(specs[motor].motor(night, "none")) + noise
+        path = self.folder / "logs" / motor / f"{night}.parquet"
+        write_log(path, operation.time_us, operation.channels(flow))
+        return path
+
+    @property
+    def fleet(self) -> Path:
+        return self.folder / "configs" / "fleet.toml"
+
+    def request(self, output: Path, **execution: Any) -> RunRequest:
+        fleet = load_fleet(self.fleet)
+        how = fleet.execution.model_copy(update=execution)
+        return RunRequest(replace(fleet, output=output, execution=how))
+
+    def run(self, output: Path, **execution: Any) -> RunResult:
+        return run_fleet(self.request(output, **execution))
+
+    def copy(self, output: Path) -> Path:
+        """The output of before, to be run on."""
+        shutil.rmtree(output, ignore_errors=True)
+        return shutil.copytree(self.before, output)
+
+
+@contextmanager
+def remembered_fits() -> Iterator[None]:
+    """A night's fit hangs on its inputs alone: each is done once, however many runs there are."""
+    known: dict[object, NightOutcome] = {}
+
+    def fit(spec: Any, night: Any, channels: Mapping[str, Any], before: Any) -> NightOutcome:
+        content = tuple(
+            (name, one.time_us.tobytes(), one.value.tobytes())
+            for name, one in sorted(channels.items())
+        )
+        key = (spec.motor_id, night, content, repr(sorted(before.items())))
+        if key not in known:
+            known[key] = fit_night(spec, night, channels, before)
+        return known[key]
+
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(pipeline.motor_task, "fit_night", fit)
+        yield
+
+
+def tables_in(output: Path) -> Tables:
+    """Rows of every table file by its path, without the run that wrote them."""
+    found = {}
+    root = output / "tables"
+    for table in TABLES:
+        for path in sorted((root / table.name).rglob("*.parquet")):
+            found[path.relative_to(root).as_posix()] = _rows(path, path.read_bytes(), table)
+    return found
+
+
+_READ: dict[tuple[str, bytes], pl.DataFrame] = {}
+
+
+def _rows(path: Path, content: bytes, table: Table) -> pl.DataFrame:
+    """Rows of a file; the same bytes are decoded once."""
+    key = (table.name, hashlib.sha256(content).digest())
+    if key not in _READ:
+        _READ[key] = read_table(path, table).drop("run_id", strict=False)
+    return _READ[key]
+
+
+def same(one: pl.DataFrame | None, two: pl.DataFrame | None) -> bool:
+    """Whether two files hold the same rows; one without rows is as good as none."""
+    if one is None or two is None:
+        return all(rows is None or not rows.height for rows in (one, two))
+    return one.equals(two, null_equal=True)
+
+
+def check_old_or_new(output: Path, fleet: TinyFleet, failed: Collection[str] = ()) -> None:
+    """Every table file is whole, as it was or as it comes to be, and provable; no key twice.
+
+    Of a motor that has failed alone nothing is new, while the others' rows in the same files are;
+    but the trends of the night then say that there is nothing of it.
+    """
+    now, before, after = (tables_in(one) for one in (output, fleet.before, fleet.after))
+    for name in sorted(now.keys() | before.keys() | after.keys()):
+        table = name.split("/")[0]
+        if table in OF_RUNS:
+            continue
+        for motor in MOTORS if failed else (None,):
+            if motor in failed and table in {one.name for one in TREND_TABLES}:
+                continue
+            states = [_of_motor(state.get(name), motor) for state in (now, before, after)]
+            assert any(same(states[0], one) for one in states[1:]), name
+    assert list(verify_tables(output)) == []
+    for table in TABLES:
+        check_keys(now, table)
+
+
+def _of_motor(rows: pl.DataFrame | None, motor: str | None) -> pl.DataFrame | None:
+    if rows is None or motor is None or "motor_id" not in rows.columns:
+        return rows
+    return rows.filter(pl.col("motor_id") == motor)
+
+
+def check_keys(tables: Tables, table: Table) -> None:
+    key = [name for name in table.key if name != "run_id"]
+    parts = [rows.select(key) for name, rows in tables.items() if name.split("/")[0] == table.name]
+    if parts and key:
+        assert pl.concat(parts).is_unique().all(), table.name
+
+
+def check_repaired(output: Path, fleet: TinyFleet) -> None:
+    """All is as if nothing had been."""
+    check_tables(output, fleet)
+    for motor in MOTORS:
+        assert read_ledger(output, motor) == read_ledger(fleet.after, motor)
+        assert read_record(output, motor) == read_record(fleet.after, motor)
+    assert list(verify_tables(output)) == []
+    assert temporary(output) == []
+
+
+def check_tables(output: Path, fleet: TinyFleet) -> None:
+    """All tables are those of a run that nothing disturbed."""
+    now, after = tables_in(output), tables_in(fleet.after)
+    for name in sorted(now.keys() | after.keys()):
+        if name.split("/")[0] not in OF_RUNS:
+            assert same(now.get(name), after.get(name)), name
+
+
+def temporary(output: Path) -> list[Path]:
+    """What should not outlive a run."""
+    strangers = {path.name for path in output.iterdir()} - {"tables", "ledger", "manifest", "lock"}
+    return [*map(Path, sorted(strangers)), *output.rglob(".writing-*"), *output.rglob("*.damaged")]

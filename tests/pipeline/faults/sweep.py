@@ -1,0 +1,89 @@
+"""Runs of which one call fails, each in turn: what is left, and what the next run makes of it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pipeline.errors import StoreError
+from tests.pipeline.faults.disk import Disk, Killed, Kind, on
+from tests.pipeline.faults.fleet import (
+    TinyFleet,
+    check_old_or_new,
+    check_repaired,
+    check_tables,
+    remembered_fits,
+    temporary,
+)
+
+
+@dataclass(slots=True)
+class Tally:
+    """What came of the points that were tried.
+
+    Attributes
+    ----------
+    survived
+        Points by the call that failed: files were whole, old or new, and the next run repaired
+        all.
+    ends
+        Points by how the run ended: with an error, killed, with a motor that failed, or as if
+        nothing had been.
+    """
+
+    survived: Counter[str] = field(default_factory=Counter)
+    ends: Counter[str] = field(default_factory=Counter)
+
+    def __iadd__(self, other: Tally) -> Tally:
+        self.survived += other.survived
+        self.ends += other.ends
+        return self
+
+
+def count_points(fleet: TinyFleet, output: Path, kind: Kind) -> int:
+    """How many calls of a run can fail in a way: it passes with none of them failing."""
+    fleet.copy(output)
+    with remembered_fits(), on(Disk(kind, 0)) as disk:
+        fleet.run(output)
+    assert not disk.struck
+    check_repaired(output, fleet)
+    return disk.seen
+
+
+def try_points(
+    fleet: TinyFleet, output: Path, kind: Kind, points: Iterable[int], *, lasting: bool = False
+) -> Tally:
+    """Let a run fail at each point, look at what it leaves, and let the next one repair it."""
+    tally = Tally()
+    with remembered_fits():
+        for point in points:
+            fleet.copy(output)
+            disk = Disk(kind, point, lasting)
+            end, failed = _run_on(disk, fleet, output)
+            assert disk.struck, f"{kind}: there is no point {point}"
+            check_old_or_new(output, fleet, failed)
+            if kind != "killed" and not lasting and disk.struck not in ("unlink", "rmdir"):
+                assert temporary(output) == []
+            fleet.run(output)
+            check_repaired(output, fleet)
+            tally.survived[disk.struck] += 1
+            tally.ends[end] += 1
+    return tally
+
+
+def _run_on(disk: Disk, fleet: TinyFleet, output: Path) -> tuple[str, list[str]]:
+    """How a run on a disk ended, and which motors failed."""
+    try:
+        with on(disk):
+            result = fleet.run(output)
+    except StoreError:
+        return "error", []
+    except Killed:
+        return "killed", []
+    failed = [outcome.motor_id for outcome in result.failed]
+    if not failed:
+        # A run that says that all went well has published all.
+        check_tables(output, fleet)
+    return "motor failed" if failed else "as if nothing had been", failed

@@ -1,0 +1,180 @@
+"""Every call to the disk fails once: what is published stays whole, and the next run repairs all.
+
+As SQLite is tested ("How SQLite Is Tested", I/O error testing): the Nth call fails, for N = 1, 2,
+3, … until a run passes in which none does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline import landing
+from tests.pipeline.faults import disk
+from tests.pipeline.faults.disk import CALLS, KINDS, Disk, Kind, on
+from tests.pipeline.faults.fleet import TinyFleet
+from tests.pipeline.faults.sweep import count_points, try_points
+
+SEED = 7
+# Tried in every run of the tests; `full` tries all.
+POINTS: dict[Kind, int] = {
+    "EIO": 3, "ENOSPC": 2, "EDQUOT": 1, "short": 1, "flipped": 2, "killed": 3
+}  # fmt: skip
+SLICES = 4
+# A dead process closes nothing; that of the test finds the open files later, and tells.
+DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+EACH_KIND = [pytest.param(kind, marks=DEAD if kind == "killed" else ()) for kind in KINDS]
+
+
+def some_points(n: int, count: int, part: int = 0) -> list[int]:
+    """So many of n points, the same in every run."""
+    chosen = np.random.default_rng([SEED, part]).choice(n, count, replace=False)
+    return sorted(int(one) + 1 for one in chosen)
+
+
+@pytest.mark.parametrize("kind", EACH_KIND)
+def test_some_points(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
+    output = tmp_path / "out"
+    n = count_points(tiny_fleet, output, kind)
+    points = some_points(n, POINTS[kind], KINDS.index(kind))
+    tally = try_points(tiny_fleet, output, kind, points)
+    assert tally.survived.total() == len(points)
+
+
+def test_a_disk_that_stays_full(tiny_fleet: TinyFleet, tmp_path: Path) -> None:
+    output = tmp_path / "out"
+    n = count_points(tiny_fleet, output, "ENOSPC")
+    points = some_points(n, 2)
+    tally = try_points(tiny_fleet, output, "ENOSPC", points, lasting=True)
+    assert tally.survived.total() == len(points)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("part", range(SLICES))
+@pytest.mark.parametrize(
+    ("kind", "lasting"),
+    [
+        *(pytest.param(kind, False, marks=DEAD if kind == "killed" else ()) for kind in KINDS),
+        ("EIO", True),
+        ("ENOSPC", True),
+    ],
+)
+def test_every_point(
+    tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind, lasting: bool, part: int
+) -> None:
+    output = tmp_path / "out"
+    n = count_points(tiny_fleet, output, kind)
+    points = range(1 + part, n + 1, SLICES)
+    tally = try_points(tiny_fleet, output, kind, points, lasting=lasting)
+    sys.stdout.write(
+        f"{kind}{', lasting' * lasting}, {part + 1} of {SLICES}: {tally.survived.total()} points "
+        f"tried and survived; {dict(tally.ends)}; {dict(tally.survived)}\n"
+    )
+    assert tally.survived.total() == len(points)
+    # The next point is none: a run passes without a fault.
+    tiny_fleet.copy(output)
+    with on(Disk(kind, n + 1, lasting)) as sound:
+        tiny_fleet.run(output)
+    assert not sound.struck
+
+
+def test_nothing_reaches_the_disk_but_through_the_one_door(
+    tiny_fleet: TinyFleet, tmp_path: Path
+) -> None:
+    """Whatever has content in the output, staged rows too, went through calls that can be failed.
+
+    Compiled libraries open files without Python knowing of it, so it is contents that are compared;
+    and Python is asked to report what it opens, renames and removes itself.
+    """
+    output = tiny_fleet.copy(tmp_path / "out")
+    before = contents(output)
+    written: dict[int, Any] = {}
+    hashes: set[str] = set()
+
+    class Watched(Disk):
+        """Notes the hash of all that is written to a file until it is closed."""
+
+        def __getattr__(self, name: str) -> Any:
+            real = super().__getattr__(name)
+
+            def write(handle: int, data: Any) -> int:
+                taken = real(handle, data)
+                written.setdefault(handle, hashlib.sha256()).update(bytes(data)[:taken])
+                return int(taken)
+
+            def close(handle: int) -> None:
+                if handle in written:
+                    hashes.add(written.pop(handle).hexdigest())
+                real(handle)
+
+            return {"write": write, "close": close}.get(name, real)
+
+    doors = {landing.__file__, disk.__file__, __file__}
+    strangers: list[tuple[str, str]] = []
+    listening = True
+
+    def listen(event: str, arguments: tuple[Any, ...]) -> None:
+        if not listening or event not in WRITING or not str(arguments[0]).startswith(str(output)):
+            return
+        if event == "open" and not _writes(*arguments[1:]):
+            return
+        if sys._getframe(1).f_code.co_filename not in doors:
+            strangers.append((event, str(arguments[0])))
+
+    staged: list[str] = []
+
+    def remove_all(folder: Path) -> None:
+        staged.extend(contents(folder).values())
+        landing_remove_all(folder)
+
+    landing_remove_all = landing.remove_all
+    sys.addaudithook(listen)  # there is no way to take it away again, only to close its ears
+    with pytest.MonkeyPatch.context() as patched, on(Watched("EIO", 0)):
+        patched.setattr("pipeline.fleet.remove_all", remove_all)
+        tiny_fleet.run(output)
+    listening = False
+    after = contents(output)
+    # Who holds the lock is written into a file that was there.
+    new = {name: one for name, one in after.items() if before.get(name) != one and name != "lock"}
+    assert len(new) > 20
+    assert set(new.values()) <= hashes
+    assert len(staged) > 10
+    assert set(staged) <= hashes
+    assert set(strangers) <= {("open", str(output / "lock"))}
+
+
+WRITING = {"open", "os.rename", "os.remove", "os.mkdir", "os.rmdir", "os.link", "os.symlink"}
+
+
+def _writes(mode: str | None, flags: int) -> bool:
+    return bool(set(mode or "") & set("wax+")) or bool(
+        flags & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC)
+    )
+
+
+def contents(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+
+
+def test_every_call_of_the_door_can_be_failed() -> None:
+    """What it calls of `os` is either made to fail, or changes nothing on the disk."""
+    harmless = {
+        "close", "fstat", "lstat", "scandir", "posix_fadvise", "sync",
+        "O_APPEND", "O_CLOEXEC", "O_CREAT", "O_EXCL", "O_RDONLY", "O_RDWR", "O_TRUNC", "O_WRONLY",
+        "POSIX_FADV_DONTNEED",
+    }  # fmt: skip
+    source = Path(landing.__file__).read_text("utf-8")
+    used = {name.split("(")[0].split(")")[0] for name in source.split("os.")[1:]}
+    used = {"".join(c for c in name.split()[0] if c.isalnum() or c == "_") for name in used}
+    assert set(CALLS) <= used
+    assert used - harmless - set(CALLS) <= {"path", "stat"}
