@@ -254,7 +254,7 @@ def fit(
     label = _night(night, "NIGHT")
     assert label is not None
     with TemporaryDirectory() as folder:
-        fleet = _load(config, Path(folder), None)
+        fleet = replace(_load(config, Path(folder), None), object_store="")
         request = RunRequest(fleet, _known_motors([motor], fleet), since=label, until=label)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]
@@ -603,7 +603,7 @@ def _load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = T
     from pipeline.config import ConfigError, Fault
 
     fleet = _loaded(config)
-    if logs and not fleet.log_root.is_dir():
+    if logs and not fleet.log_url and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])
     if output is not None:

@@ -60,6 +60,7 @@ from pipeline.trends.stage import (
     trend_tasks,
     with_q_values,
 )
+from pipeline.working_copy import working_copy
 
 log = logging.getLogger(__name__)
 
@@ -163,11 +164,16 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     EngineError
         If there is nothing that tasks could run on.
     """
-    output = request.fleet.output
-    with _locked(output), _staging(output) as staging:
+    fleet, output = request.fleet, request.fleet.output
+    with (
+        _locked(output),
+        working_copy(fleet.object_store, output),
+        _staging(output) as staging,
+    ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
-        with open_engine(request.fleet.execution, (request.fleet.log_root, staging)) as run_tasks:
+        folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
+        with open_engine(fleet.execution, folders) as run_tasks:
             return _run(request, staging, progress, run_tasks)
 
 

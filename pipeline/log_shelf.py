@@ -12,13 +12,11 @@ from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import FileRecord
+from pipeline.log_source import logs_of
 from pipeline.logs import (
-    change_of,
     covered,
     failed,
-    find_logs,
     growing,
-    inspect_log,
     labels_of,
     place_failed,
     reaches_us,
@@ -74,22 +72,20 @@ class LogShelf:
         self._spec = spec
         self._before = before
         self._read_with = reading_hash(spec)
-        self._paths, self.absent = find_logs(spec)
+        self._source = logs_of(spec)
+        self.absent = self._source.absent
         if looked_at is None:
             looked_at = place_failed(
                 {
                     name: replace(
-                        inspect_log(name, path, self._known(name), spec),
+                        self._source.look_at(name, self._known(name)),
                         read_with=self._read_with,
                     )
-                    for name, path in self._paths.items()
+                    for name in self._source.names
                 },
                 before,
                 spec,
             )
-        else:
-            # One that is gone meanwhile is to fail as any that cannot be read.
-            self._paths = {name: spec.log_root / name for name in looked_at} | self._paths
         self.files = dict(looked_at)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
@@ -176,11 +172,11 @@ class LogShelf:
             return None
         content: RawLog | None = None
         try:
-            content = read_log(self._paths[name], self._spec.file.log_source())
+            content = read_log(self._source.path(name), self._spec.file.log_source())
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None
-        why = change_of(record, self._paths[name])
+        why = self._source.change_of(record)
         if why is not None:
             found, content = growing(record, why), None
         self.files[name] = found

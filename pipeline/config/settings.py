@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
+# The name of a bucket, and a folder in it.
+URL_OR_NOTHING = r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$"
 RelativeFolder = Annotated[str, Field(min_length=1)]
 
 
@@ -37,10 +39,18 @@ class Folders(Section):
     motor_types: RelativeFolder = Field("motor_types", description="Folder of the motor types")
     oils: RelativeFolder = Field("oils", description="Folder of the oils")
     logs: RelativeFolder = Field(
-        "../logs", description="Root of the logs; the paths in `input_files` are relative to it"
+        "../logs",
+        description="Root of the logs, a folder or a URL such as s3://bucket/logs; the paths in "
+        "`input_files` are relative to it",
     )
     output: str | None = Field(
         None, description="Output folder; without it `out/` where the command was started"
+    )
+    object_store: str = Field(
+        "",
+        pattern=URL_OR_NOTHING,
+        description="Where the output is published, such as s3://bucket/fleet (or az://, gs://); "
+        "the output folder is then its working copy (`scale.md`); empty: the folder is all",
     )
 
 
