@@ -17,6 +17,7 @@ BENCHMARKS = (
     "multi_start",
     "report",
     "residual_tests",
+    "scale",
     "table_reading",
 )
 

@@ -56,13 +56,18 @@ class StrangeWorkerError(Exception):
 
 def own_versions() -> dict[str, str]:
     """Versions of this process: Python, the packages that shape figures, and a hash of the code."""
+    return {**_package_versions(), "code of motor-leakage": _code_hash()}
+
+
+@cache
+def _package_versions() -> Mapping[str, str]:
     found = {"python": platform.python_version()}
     for name in PACKAGES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = "absent"
-    return found | {"code of motor-leakage": _code_hash()}
+    return found
 
 
 @cache
