@@ -20,6 +20,7 @@ BENCHMARKS = (
     "night_cost",
     "report",
     "residual_tests",
+    "scale",
     "table_reading",
 )
 
