@@ -495,6 +495,25 @@ def model(
 
 
 @app.command()
+def pull(
+    config: ConfigFile,
+    output: Annotated[
+        Path | None, typer.Option(help="Working copy, instead of the config's output.")
+    ] = None,
+) -> None:
+    """Bring the output folder up to date with the object store that it is published to.
+
+    Example: motor-leakage pull demo/configs/fleet.toml
+    """
+    from pipeline.fleet import refresh
+
+    fleet = _load(config, output, None, logs=False)
+    if not fleet.object_store:
+        raise UsageError("no_object_store", "folders.object_store is not set; nothing to pull from")
+    typer.echo(f"{refresh(fleet)} files of {fleet.object_store} in {fleet.output}")
+
+
+@app.command()
 def status(
     config: ConfigFile,
     output: Annotated[

@@ -150,11 +150,16 @@ class _Flight:
 
     def _submit(self) -> None:
         """Fill up what is in flight; suspects go last, and each alone."""
-        while self.waiting and len(self.under_way) < self._most(self.waiting[0]):
+        while self._may_send():
             self._send(self.waiting.popleft())
         if self.suspects and not self.under_way:
             self.alone = True
             self._send(self.suspects.popleft())
+
+    def _may_send(self) -> bool:
+        if not self.waiting or (self.alone and self.under_way):
+            return False
+        return len(self.under_way) < self._most(self.waiting[0])
 
     def _most(self, number: int) -> int:
         """How many tasks may be in flight; of those that carry much, no more than are done."""

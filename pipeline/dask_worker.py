@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import platform
+import signal
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -36,10 +38,13 @@ class Surroundings:
         By name, from :func:`own_versions`.
     folders
         Folders that it must see: of the logs, and of the output.
+    limit_s
+        Longest time for a task [s]; then the worker ends itself. None: no limit.
     """
 
     versions: Mapping[str, str]
     folders: tuple[Path, ...] = ()
+    limit_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,8 +115,9 @@ def do_task(
     if strange := differences(expected):
         raise StrangeWorkerError(own_address(), "; ".join(strange))
     if not hasattr(task, "staging"):
-        return Done(function(task), {})
-    with tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
+        with _limited(expected.limit_s):
+            return Done(function(task), {})
+    with _limited(expected.limit_s), tempfile.TemporaryDirectory(prefix="motor-leakage-") as name:
         folder = Path(name)
         put(brought, folder)
         result = function(replace(task, staging=folder))
@@ -121,6 +127,17 @@ def do_task(
             if path.is_file() and path.relative_to(folder).as_posix() not in brought
         }
     return Done(result, staged)
+
+
+@contextmanager
+def _limited(limit_s: float | None) -> Iterator[None]:
+    """End this process when the time is up: a task that hangs cannot be stopped otherwise."""
+    # Nobody handles SIGALRM in a worker, and what it does then is to end the process.
+    signal.setitimer(signal.ITIMER_REAL, limit_s or 0.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 
 def put(contents: Mapping[str, bytes], folder: Path) -> None:

@@ -10,6 +10,10 @@ from typing import Protocol, TypeVar
 from pipeline.config import Execution
 from pipeline.workers import run_tasks
 
+# Over a cluster a task that takes longer than this a night hangs.
+LONGEST_NIGHT_S = 1800.0
+NIGHTS_A_YEAR = 366
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -46,7 +50,9 @@ def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[
         from pipeline.dask_engine import DaskEngine
         from pipeline.dask_worker import Surroundings, own_versions
 
-        expected = Surroundings(own_versions(), tuple(folders))
+        # A task has a part's nights at most, unless none is split.
+        limit_s = LONGEST_NIGHT_S * (execution.nights_a_part or NIGHTS_A_YEAR)
+        expected = Surroundings(own_versions(), tuple(folders), limit_s)
         with connected(execution, expected) as client:
             yield DaskEngine(client, execution, expected).run_tasks
         return

@@ -33,6 +33,7 @@ from pipeline.motor_night import FAILED
 from pipeline.motor_task import MotorOutcome, MotorTask, Step, lost, plan_motor, run_motor
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
+from pipeline.object_store import ObjectStore
 from pipeline.publishing import Publisher
 from pipeline.schema import (
     ALARMS,
@@ -60,7 +61,7 @@ from pipeline.trends.stage import (
     trend_tasks,
     with_q_values,
 )
-from pipeline.working_copy import working_copy
+from pipeline.working_copy import pull, working_copy
 
 log = logging.getLogger(__name__)
 
@@ -175,6 +176,25 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
         with open_engine(fleet.execution, folders) as run_tasks:
             return _run(request, staging, progress, run_tasks)
+
+
+def refresh(fleet: Fleet) -> int:
+    """Bring the working copy of what is published in an object store up to date.
+
+    Returns
+    -------
+    int
+        How many files are published.
+
+    Raises
+    ------
+    LockedError
+        If a run works in it.
+    StoreError
+        If it cannot be read.
+    """
+    with _locked(fleet.output):
+        return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:

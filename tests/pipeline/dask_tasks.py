@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -28,6 +29,13 @@ def kill_at_three(number: int) -> int:
     """A task that takes every worker with it that tries it."""
     if number == 3:
         os.kill(os.getpid(), signal.SIGKILL)
+    return number**2
+
+
+def hang_at_three(number: int) -> int:
+    """A task that never ends."""
+    while number == 3:
+        time.sleep(60.0)
     return number**2
 
 

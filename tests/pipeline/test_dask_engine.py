@@ -23,6 +23,7 @@ from tests.pipeline.dask_tasks import (
     Number,
     Wait,
     fail_at_three,
+    hang_at_three,
     kill_at_three,
     square,
     wait_for_word,
@@ -94,6 +95,15 @@ def test_a_task_that_kills_every_worker_fails_alone(two_workers: Processes) -> N
     assert sorted(map(str, found)) == sorted(
         ["0", "1", "4", "16", "25", "36", "49", "3: 2 workers died of it"]
     )
+
+
+def test_a_task_that_hangs_fails_alone(two_workers: Processes) -> None:
+    execution = two_workers.execution()
+    expected = Surroundings(own_versions(), limit_s=0.5)
+    with connected(execution, expected) as client:
+        engine = DaskEngine(client, execution, expected)
+        found = list(engine.run_tasks(hang_at_three, list(range(6)), lost))
+    assert sorted(map(str, found)) == ["0", "1", "16", "25", "3: 2 workers died of it", "4"]
 
 
 def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,8 +17,10 @@ import pytest
 from pipeline.config import load_fleet
 from pipeline.errors import EngineError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.object_store import ObjectStore
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
+from tests.pipeline.s3_server import s3_server
 from tests.pipeline.test_fleet import MOTORS, check_same_tables, output_of, status_of, table_files
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
@@ -85,6 +88,7 @@ def test_a_motor_that_kills_every_worker_fails_alone(
     check_same_tables(output_of(fleet), fitted_output, "CB400-01")
 
 
+@pytest.mark.full
 def test_workers_of_this_machine_write_the_same_bytes(
     own_fleet: OwnFleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +122,7 @@ def test_the_command_ends_with_4_without_a_scheduler(own_fleet: OwnFleet) -> Non
     assert not list((fleet.parent / "out").rglob("*.parquet"))
 
 
+@pytest.mark.full
 def test_a_scheduler_lost_before_any_motor_was_done_publishes_nothing(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,3 +133,25 @@ def test_a_scheduler_lost_before_any_motor_was_done_publishes_nothing(
             run(fleet, output_of(fleet), processes.execution(scheduler_wait_s=1.0))
     assert caught.value.code == "scheduler_lost"
     assert not list(output_of(fleet).rglob("*.parquet"))
+
+
+@pytest.mark.full
+def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
+    own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet("CB400-01", "CB400-02")
+    with s3_server(monkeypatch, "test-dask"), scheduler_with(2) as processes:
+        store = ObjectStore.at("s3://test-dask/logs")
+        for path in sorted((tmp_path / "logs").rglob("*.*")):
+            store.create(path.relative_to(tmp_path / "logs").as_posix(), path.read_bytes())
+        shutil.rmtree(tmp_path / "logs")
+        text = fleet.read_text("utf-8").replace("../logs", store.url)
+        fleet.write_text(
+            text.replace("[folders]", '[folders]\nobject_store = "s3://test-dask/fleet"'), "utf-8"
+        )
+        result = run(fleet, tmp_path / "work", processes.execution(nights_a_part=1))
+        assert status_of(result) == {"CB400-01": "ok", "CB400-02": "ok"}
+        elsewhere = run(fleet, tmp_path / "elsewhere", processes.execution())
+        assert elsewhere.n_nights == 0
+    check_same_tables(tmp_path / "work", fitted_output, "CB400-01", "CB400-02")
+    assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "work")
