@@ -429,7 +429,7 @@ def export(
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front.
 
-    Example: motor-leakage export demo/configs/fleet.toml --delta s3://bucket/lake
+    Example: motor-leakage export demo/configs/fleet.toml --delta lake
 
     Delta Lake tables are written whole, each in one transaction.
     """
@@ -509,7 +509,8 @@ def pull(
 
     fleet = _load(config, output, None, logs=False)
     if not fleet.object_store:
-        raise UsageError("no_object_store", "folders.object_store is not set; nothing to pull from")
+        typer.echo(f"{fleet.output} is published nowhere else: folders.object_store is not set")
+        return
     typer.echo(f"{refresh(fleet)} files of {fleet.object_store} in {fleet.output}")
 
 
