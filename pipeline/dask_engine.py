@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -173,18 +174,21 @@ class _Flight:
         fit = None
         if self.refused:
             fit = sorted(set(self.engine.client.nthreads()) - self.refused) or None
-        future = self.engine.client.submit(
-            do_task,
-            self.function,
-            self.tasks[number],
-            self.engine.expected,
-            _needed(self.tasks[number]),
-            key=f"motor-leakage-{self.run}-{number}-{self.sent[number]}",
-            workers=fit,
-            # Never twice for one key by Dask itself unless a worker was lost.
-            retries=0,
-            pure=False,
-        )
+        with warnings.catch_warnings():
+            # What a joining task is sent is large; scattered, it would be lost with its worker.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            future = self.engine.client.submit(
+                do_task,
+                self.function,
+                self.tasks[number],
+                self.engine.expected,
+                _needed(self.tasks[number]),
+                key=f"motor-leakage-{self.run}-{number}-{self.sent[number]}",
+                workers=fit,
+                # Never twice for one key by Dask itself unless a worker was lost.
+                retries=0,
+                pure=False,
+            )
         self.under_way[future] = number
         future.add_done_callback(self.ended.put)
 
