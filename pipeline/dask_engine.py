@@ -2,14 +2,16 @@
 
 Tasks are submitted through a client, never more than a stated number at a time. A task of which
 workers died goes to the end of the queue and is tried once more with nothing else under way: only
-the one that kills its worker then fails. Nothing waits for ever: not for a worker, and not for a
-scheduler that is gone.
+the one that kills its worker then fails. So does one that died, hung or raised in the process that
+its worker has for it. Nothing waits for ever: not for a worker, and not for a scheduler that is
+gone.
 """
 
 from __future__ import annotations
 
 import logging
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -127,7 +129,7 @@ class _Flight:
     ended: SimpleQueue[Future[Any]] = field(default_factory=SimpleQueue)
     refused: set[str] = field(default_factory=set)
     sent: Counter[int] = field(default_factory=Counter)
-    alone: bool = False
+    alone: set[int] = field(default_factory=set)
 
     def outcomes(self) -> Iterator[tuple[int, Staged[Any] | Loss]]:
         """Each task once, by number: what it gave, or why it gave nothing."""
@@ -153,11 +155,17 @@ class _Flight:
 
     def _submit(self) -> None:
         """Fill up what is in flight; suspects go last, and each alone."""
-        while self.waiting and len(self.under_way) < self._most(self.waiting[0]):
+        while self._may_send():
             self._send(self.waiting.popleft())
         if self.suspects and not self.under_way:
-            self.alone = True
-            self._send(self.suspects.popleft())
+            number = self.suspects.popleft()
+            self.alone.add(number)
+            self._send(number)
+
+    def _may_send(self) -> bool:
+        if not self.waiting or not self.alone.isdisjoint(self.under_way.values()):
+            return False
+        return len(self.under_way) < self._most(self.waiting[0])
 
     def _most(self, number: int) -> int:
         """How many tasks may be in flight; of those that carry much, no more than are done."""
@@ -171,18 +179,22 @@ class _Flight:
         fit = None
         if self.refused:
             fit = sorted(set(self.engine.client.nthreads()) - self.refused) or None
-        future = self.engine.client.submit(
-            do_task,
-            self.function,
-            self.tasks[number],
-            self.engine.expected,
-            _needed(self.tasks[number]),
-            key=f"motor-leakage-{self.run}-{number}-{self.sent[number]}",
-            workers=fit,
-            # Never twice for one key by Dask itself unless a worker was lost.
-            retries=0,
-            pure=False,
-        )
+        with warnings.catch_warnings():
+            # What a joining task is sent is large; scattered, it would be lost with its worker.
+            warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
+            future = self.engine.client.submit(
+                do_task,
+                self.function,
+                self.tasks[number],
+                self.engine.expected,
+                _needed(self.tasks[number]),
+                self.engine.execution,
+                key=f"motor-leakage-{self.run}-{number}-{self.sent[number]}",
+                workers=fit,
+                # Never twice for one key by Dask itself unless a worker was lost.
+                retries=0,
+                pure=False,
+            )
         self.under_way[future] = number
         future.add_done_callback(self.ended.put)
 
@@ -222,10 +234,11 @@ class _Flight:
         if future.status in ("finished", "lost"):
             # A worker may die with the result of a task that it had done; Dask then does it again.
             try:
-                done: Staged[Any] = future.result(timeout=self.engine.execution.scheduler_wait_s)
+                wait_s = self.engine.execution.scheduler_wait_s
+                done: Staged[Any] | Loss = future.result(timeout=wait_s)
             except Exception as error:
                 return self._resend(number, f"its result was lost: {type(error).__name__}: {error}")
-            return done
+            return self._again(number, done) if isinstance(done, Loss) else done
         if future.status != "error":
             return self._resend(number, f"the scheduler gave it up ({future.status})")
         fault = future.exception()
@@ -249,7 +262,7 @@ class _Flight:
 
     def _again(self, number: int, loss: Loss) -> Loss | None:
         """Try a task once more, alone: it may have died of its neighbour."""
-        if self.alone:
+        if number in self.alone:
             return loss
         self.suspects.append(number)
         log.warning("a task is lost and will be tried again, alone: %s", loss.how)

@@ -44,6 +44,7 @@ from pipeline.motor_task import (
 )
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
+from pipeline.object_store import ObjectStore
 from pipeline.publishing import Publisher
 from pipeline.schema import (
     ALARMS,
@@ -82,7 +83,7 @@ from pipeline.trends.stage import (
 )
 from pipeline.versions import own_version, versions
 from pipeline.worker_process import Loss
-from pipeline.working_copy import working_copy
+from pipeline.working_copy import pull, working_copy
 
 log = logging.getLogger(__name__)
 
@@ -221,6 +222,25 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     for fault in notify(fleet.settings.alarms, fleet.name, result.alarms):
         log.warning("%s", fault)
     return result
+
+
+def refresh(fleet: Fleet) -> int:
+    """Bring the working copy of what is published in an object store up to date.
+
+    Returns
+    -------
+    int
+        How many files are published.
+
+    Raises
+    ------
+    LockedError
+        If a run works in it.
+    StoreError
+        If it cannot be read.
+    """
+    with locked(fleet.output):
+        return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:

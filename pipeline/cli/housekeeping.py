@@ -1,4 +1,4 @@
-"""Commands that keep the tables in order: pruning, and migration of older ones."""
+"""Commands that keep the tables in order: pruning, migration of older ones, a working copy."""
 
 from __future__ import annotations
 
@@ -103,3 +103,17 @@ def migrate(
             say(f"{count} files of schema version {version} {word} anew")
     if not as_json:
         say(f"{found.total()} files {word}; the tables' schema version is {SCHEMA_VERSION}")
+
+
+def pull(config: ConfigFile, output: Output = None) -> None:
+    """Bring the output folder up to date with the object store that it is published to.
+
+    Example: motor-leakage pull demo/configs/fleet.toml
+    """
+    from pipeline.fleet import refresh
+
+    fleet = load(config, output, None, logs=False)
+    if not fleet.object_store:
+        say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
+        return
+    say(f"{refresh(fleet)} files of {fleet.object_store} in {fleet.output}")

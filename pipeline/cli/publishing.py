@@ -129,7 +129,7 @@ def export(
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front.
 
-    Example: motor-leakage export demo/configs/fleet.toml --delta s3://bucket/lake
+    Example: motor-leakage export demo/configs/fleet.toml --delta lake
 
     Delta Lake tables are written whole, each in one transaction.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,17 +25,17 @@ def square(task: Number) -> int:
     return task.value**2
 
 
-def kill_at_three(number: int) -> int:
-    """A task that takes every worker with it that tries it."""
+def kill_workers_at_three(number: int) -> int:
+    """A task that takes every Dask worker with it that tries it."""
     if number == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(60.0)
     return number**2
 
 
-def fail_at_three(number: int) -> int:
-    if number == 3:
-        raise ValueError("three is no number for this")
-    return number**2
+def process_and_worker(_: int) -> tuple[int, int]:
+    """The process that a task is done in, and that of its Dask worker."""
+    return os.getpid(), os.getppid()
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,11 +23,12 @@ from tests.pipeline.dask_processes import Processes, scheduler_with, wait_until
 from tests.pipeline.dask_tasks import (
     Number,
     Wait,
-    fail_at_three,
-    kill_at_three,
+    kill_workers_at_three,
+    process_and_worker,
     square,
     wait_for_word,
 )
+from tests.pipeline.misbehaviour import do
 
 
 @pytest.fixture(scope="module")
@@ -90,17 +91,59 @@ def tasks_of(run: str, dask_scheduler: Any) -> int:
 
 
 def test_a_task_that_kills_every_worker_fails_alone(two_workers: Processes) -> None:
-    found = run(two_workers.execution(), kill_at_three, list(range(8)))
+    found = run(two_workers.execution(), kill_workers_at_three, list(range(8)))
     # The scheduler of the tests gives a task up at the second death; Dask's own at the fourth.
     assert sorted(map(str, found)) == sorted(
         ["0", "1", "4", "16", "25", "36", "49", "3: worker_died: 2 workers died of it"]
     )
 
 
+def test_what_a_task_does_to_its_process_costs_neither_a_worker_nor_another_task(
+    two_workers: Processes,
+) -> None:
+    execution = two_workers.execution(timeout_s=4.0, memory_limit_mib=700)
+    losses: dict[str, Loss] = {}
+
+    def lose(task: str, loss: Loss) -> None:
+        losses[task] = loss
+
+    bad = ["hang_in_python", "kill", "raise_error"]
+    with open_engine(execution) as run_tasks:
+        before = workers_of(execution)
+        found = list(run_tasks(do, [*bad, *"abcd"], lose))
+        assert workers_of(execution) == before
+    assert {one for one in found if one} == {f"{name} done" for name in "abcd"}
+    assert {task: (loss.code, loss.part) for task, loss in losses.items()} == {
+        "hang_in_python": ("task_timeout", "the third night"),
+        "kill": ("worker_died", ""),
+        "raise_error": ("internal", ""),
+    }
+    assert "SIGKILL" in losses["kill"].how
+    assert "in hang_in_python (misbehaviour.py, line" in losses["hang_in_python"].how
+
+
+def workers_of(execution: Execution) -> dict[str, int]:
+    """Process ids of the workers by address."""
+    with connected(execution, Surroundings(own_versions())) as client:
+        found: dict[str, int] = client.run(os.getpid)
+        return found
+
+
+def test_the_process_of_a_worker_lives_on_and_dies_with_it(two_workers: Processes) -> None:
+    execution = two_workers.execution()
+    found = set(run(execution, process_and_worker, list(range(12))))
+    workers = {worker for _, worker in found}
+    assert len(found) == len(workers) <= 2
+    assert workers <= set(workers_of(execution).values())
+    process, worker = min(found)
+    os.kill(worker, signal.SIGKILL)
+    wait_until(lambda: not Path(f"/proc/{process}").exists())
+
+
 def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
     with scheduler_with(2, "--no-nanny") as processes:
         execution = processes.execution(scheduler_wait_s=1.0, tasks_in_flight=2)
-        found = run(execution, kill_at_three, list(range(8)))
+        found = run(execution, kill_workers_at_three, list(range(8)))
         assert len(found) == 8
         told = {one.split(":")[0] for one in found if isinstance(one, str)}
         assert "3" in told
@@ -116,11 +159,9 @@ def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
 
 
 def test_an_exception_of_a_task_is_told(two_workers: Processes) -> None:
-    found = run(two_workers.execution(), fail_at_three, [2, 3])
-    assert sorted(map(str, found)) == [
-        "3: internal: ValueError: three is no number for this",
-        "4",
-    ]
+    found = run(two_workers.execution(), abs, [-2, "three"])
+    assert found[0] == 2
+    assert found[1].startswith("three: internal: TypeError: bad operand type for abs()")
 
 
 def test_a_worker_killed_in_the_middle_costs_nothing(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -16,8 +18,10 @@ import pytest
 from pipeline.config import load_fleet
 from pipeline.errors import EngineError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.object_store import ObjectStore
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
+from tests.pipeline.s3_server import s3_server
 from tests.pipeline.test_fleet import MOTORS, check_same_tables, output_of, status_of, table_files
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
@@ -65,8 +69,43 @@ def kill_worker_of_parquet(task: Any) -> Any:
     from pipeline.motor_task import run_motor
 
     if task.spec.motor_id == "CB400-02":
-        os.kill(os.getpid(), signal.SIGKILL)
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(60.0)
     return run_motor(task)
+
+
+def die_in_a_night(task: Any) -> Any:
+    """The process that has a motor's part dies in one night of it."""
+    import pipeline.motor_task as module
+
+    fit_night = module.fit_night
+
+    def fit_or_die(spec: Any, here: Any, *arguments: Any) -> Any:
+        if str(here.date) == "2026-01-03":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return fit_night(spec, here, *arguments)
+
+    module.fit_night = fit_or_die
+    try:
+        return module.run_part(task)
+    finally:
+        module.fit_night = fit_night
+
+
+def test_a_night_that_its_process_dies_of_costs_no_other(
+    two_workers: Processes,
+    own_fleet: OwnFleet,
+    fitted_output: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fleet = own_fleet("CB400-02")
+    monkeypatch.setattr("pipeline.spread.run_part", die_in_a_night)
+    (outcome,) = run(fleet, output_of(fleet), two_workers.execution(nights_a_part=2)).outcomes
+    assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
+    # Done once more, it has the figures of the others' runs.
+    again = replace(load_fleet(fleet), execution=two_workers.execution())
+    assert run_fleet(RunRequest(again, retry=True)).failed == ()
+    check_same_tables(output_of(fleet), fitted_output, "CB400-02")
 
 
 def test_a_motor_that_kills_every_worker_fails_alone(
@@ -85,6 +124,7 @@ def test_a_motor_that_kills_every_worker_fails_alone(
     check_same_tables(output_of(fleet), fitted_output, "CB400-01")
 
 
+@pytest.mark.full
 def test_workers_of_this_machine_write_the_same_bytes(
     own_fleet: OwnFleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +158,7 @@ def test_the_command_ends_with_4_without_a_scheduler(own_fleet: OwnFleet) -> Non
     assert not list((fleet.parent / "out").rglob("*.parquet"))
 
 
+@pytest.mark.full
 def test_a_scheduler_lost_before_any_motor_was_done_publishes_nothing(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -128,3 +169,25 @@ def test_a_scheduler_lost_before_any_motor_was_done_publishes_nothing(
             run(fleet, output_of(fleet), processes.execution(scheduler_wait_s=1.0))
     assert caught.value.code == "scheduler_lost"
     assert not list(output_of(fleet).rglob("*.parquet"))
+
+
+@pytest.mark.full
+def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
+    own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet("CB400-01", "CB400-02")
+    with s3_server(monkeypatch, "test-dask"), scheduler_with(2) as processes:
+        store = ObjectStore.at("s3://test-dask/logs")
+        for path in sorted((tmp_path / "logs").rglob("*.*")):
+            store.create(path.relative_to(tmp_path / "logs").as_posix(), path.read_bytes())
+        shutil.rmtree(tmp_path / "logs")
+        text = fleet.read_text("utf-8").replace("../logs", store.url)
+        fleet.write_text(
+            text.replace("[folders]", '[folders]\nobject_store = "s3://test-dask/fleet"'), "utf-8"
+        )
+        result = run(fleet, tmp_path / "work", processes.execution(nights_a_part=1))
+        assert status_of(result) == {"CB400-01": "ok", "CB400-02": "ok"}
+        elsewhere = run(fleet, tmp_path / "elsewhere", processes.execution())
+        assert elsewhere.n_nights == 0
+    check_same_tables(tmp_path / "work", fitted_output, "CB400-01", "CB400-02")
+    assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "work")

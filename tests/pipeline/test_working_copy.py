@@ -23,7 +23,7 @@ import pipeline.working_copy
 from pipeline.config import load_fleet
 from pipeline.decisions import Decision, read_decisions, record_decision
 from pipeline.errors import StoreError
-from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.log_source import StoredLogs
 from pipeline.object_store import ObjectStore
 from pipeline.working_copy import ROOT, Snapshot, pull, push, read_snapshot
@@ -114,16 +114,15 @@ def test_queries_by_the_list_of_files_see_each_row_once(server: Server, tmp_path
     document = json.loads((ObjectStore.at(URL).get(ROOT) or (b"", ""))[0])
     keys = document["tables"]["fits"]
     assert len(keys) == 2
-    options = {
-        "aws_endpoint_url": f"http://127.0.0.1:{server.port}",
-        "aws_access_key_id": "a",
-        "aws_secret_access_key": "b",
-        "aws_region": "us-east-1",
-        "aws_allow_http": "true",
-    }
-    found = pl.scan_parquet(
-        [f"{URL}/{key}" for key in keys], storage_options=options, hive_partitioning=False
-    ).collect()
+    page = (Path(__file__).parents[2] / "docs" / "scale.md").read_text("utf-8")
+    (example,) = (
+        block.partition("```")[0]
+        for block in page.split("```python\n")[1:]
+        if "scan_parquet" in block.partition("```")[0]
+    )
+    names: dict[str, Any] = {}
+    exec(example.replace("s3://bucket/fleet", URL), names)  # noqa: S102 - our own page
+    found: pl.DataFrame = names["fits"]
     assert sorted(found["night"].to_list()) == [FIRST, FIRST + DAY]
     # A glob sees what was replaced as well, for a while: that is why the list is there.
     every = [one.key for one in ObjectStore.at(URL).list("files/tables/fits")]
@@ -184,6 +183,15 @@ def test_every_fourth_put_that_fails_costs_nothing(server: Server, tmp_path: Pat
     pipeline.object_store.RETRIES = 5
     run(shop.fleet, shop.output)
     assert published() == table_files(shop.output)
+
+
+def test_pull_makes_a_copy_to_read_from(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    fleet = replace(load_fleet(shop.fleet), output=tmp_path / "copy", object_store=URL)
+    assert refresh(fleet) == len(read_snapshot(ObjectStore.at(URL)).files)
+    assert table_files(tmp_path / "copy") == table_files(shop.output)
 
 
 def test_of_two_runs_at_a_time_one_is_published(server: Server, tmp_path: Path) -> None:
