@@ -34,6 +34,8 @@ Result = TypeVar("Result")
 
 # How often to look whether there are workers while nothing finishes.
 LOOK_S = 1.0
+# Results that are asked for in one request.
+TOGETHER = 32
 # Tasks in flight for each worker where their own content is large.
 AHEAD = 2
 # How often a task is sent anew, for reasons that are not its own, before it counts as lost.
@@ -135,7 +137,7 @@ class _Flight:
         while self.waiting or self.suspects or self.under_way:
             self._submit()
             try:
-                future = self._next()
+                ended = self._next()
             except EngineError as error:
                 if not n_done:
                     raise
@@ -143,11 +145,13 @@ class _Flight:
                 left = [*self.under_way.values(), *self.waiting, *self.suspects]
                 yield from ((number, error.message) for number in sorted(left))
                 return
-            number = self.under_way.pop(future)
-            outcome = self._outcome(number, future)
-            if outcome is not None:
-                n_done += 1
-                yield number, outcome
+            brought = self._bring_together(ended)
+            for future in ended:
+                number = self.under_way.pop(future)
+                outcome = brought.get(future) or self._outcome(number, future)
+                if outcome is not None:
+                    n_done += 1
+                    yield number, outcome
 
     def _submit(self) -> None:
         """Fill up what is in flight; suspects go last, and each alone."""
@@ -192,15 +196,18 @@ class _Flight:
         self.under_way[future] = number
         future.add_done_callback(self.ended.put)
 
-    def _next(self) -> Future[Any]:
-        """The next task that ended, however it did; gives up where none can end any more."""
+    def _next(self) -> list[Future[Any]]:
+        """The next tasks that ended, however they did; gives up where none can end any more."""
         wait_s = self.engine.execution.scheduler_wait_s
         without_workers_since = None
         while True:
             with suppress(Empty):
-                future = self.ended.get(timeout=LOOK_S)
-                if future in self.under_way:
-                    return future
+                ended = [self.ended.get(timeout=LOOK_S)]
+                while len(ended) < TOGETHER and not self.ended.empty():
+                    ended.append(self.ended.get())
+                known = [future for future in dict.fromkeys(ended) if future in self.under_way]
+                if known:
+                    return known
                 continue
             if self.engine.client.status != "running":
                 raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
@@ -212,6 +219,21 @@ class _Flight:
                 raise EngineError(
                     "scheduler_lost", f"the scheduler has had no worker for {wait_s:g} s"
                 )
+
+    def _bring_together(self, ended: Sequence[Future[Any]]) -> dict[Future[Any], Done[Any]]:
+        """Results of several tasks in one request; none where any of it goes wrong."""
+        client, finished = self.engine.client, [one for one in ended if one.status == "finished"]
+        if len(finished) < 2:
+            return {}
+        try:
+            results = client.sync(
+                lambda: client.gather(finished, asynchronous=True),
+                callback_timeout=self.engine.execution.scheduler_wait_s,
+            )
+        except Exception as error:  # each is asked for alone then, and told what it was
+            log.info("results are asked for one by one: %s", error)
+            return {}
+        return dict(zip(finished, results, strict=True))
 
     def _workers(self) -> set[str]:
         """Workers that a task may go to; none while the scheduler does not answer."""
