@@ -36,6 +36,8 @@ Result = TypeVar("Result")
 
 # How often to look whether there are workers while nothing finishes.
 LOOK_S = 1.0
+# Results that are asked for in one request; those of joined parts are large, and come alone.
+TOGETHER = 32
 # Tasks in flight for each worker where their own content is large.
 AHEAD = 2
 # How often a task is sent anew, for reasons that are not its own, before it counts as lost.
@@ -138,7 +140,7 @@ class _Flight:
         while self.waiting or self.suspects or self.under_way:
             self._submit()
             try:
-                future = self._next()
+                ended = self._next()
             except EngineError as error:
                 if not n_done:
                     raise
@@ -147,11 +149,13 @@ class _Flight:
                 loss = Loss(error.code, error.message)
                 yield from ((number, loss) for number in sorted(left))
                 return
-            number = self.under_way.pop(future)
-            outcome = self._outcome(number, future)
-            if outcome is not None:
-                n_done += 1
-                yield number, outcome
+            brought = self._brought_together(ended)
+            for future in ended:
+                number = self.under_way.pop(future)
+                outcome = self._outcome(number, future, brought.get(future))
+                if outcome is not None:
+                    n_done += 1
+                    yield number, outcome
 
     def _submit(self) -> None:
         """Fill up what is in flight; suspects go last, and each alone."""
@@ -198,15 +202,18 @@ class _Flight:
         self.under_way[future] = number
         future.add_done_callback(self.ended.put)
 
-    def _next(self) -> Future[Any]:
-        """The next task that ended, however it did; gives up where none can end any more."""
+    def _next(self) -> list[Future[Any]]:
+        """The next tasks that ended, however they did; gives up where none can end any more."""
         wait_s = self.engine.execution.scheduler_wait_s
         without_workers_since = None
         while True:
             with suppress(Empty):
-                future = self.ended.get(timeout=LOOK_S)
-                if future in self.under_way:
-                    return future
+                ended = [self.ended.get(timeout=LOOK_S)]
+                while len(ended) < TOGETHER and not self.ended.empty():
+                    ended.append(self.ended.get())
+                known = [future for future in dict.fromkeys(ended) if future in self.under_way]
+                if known:
+                    return known
                 continue
             if self.engine.client.status != "running":
                 raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
@@ -219,6 +226,31 @@ class _Flight:
                     "scheduler_lost", f"the scheduler has had no worker for {wait_s:g} s"
                 )
 
+    def _brought_together(
+        self, ended: Sequence[Future[Any]]
+    ) -> dict[Future[Any], Staged[Any] | Loss]:
+        """Results of several tasks in one request; none where any of it goes wrong."""
+        client = self.engine.client
+        finished = [
+            one
+            for one in ended
+            if one.status == "finished" and not getattr(self._task(one), "parts", ())
+        ]
+        if len(finished) < 2:
+            return {}
+        try:
+            results = client.sync(
+                lambda: client.gather(finished, asynchronous=True),
+                callback_timeout=self.engine.execution.scheduler_wait_s,
+            )
+        except Exception as error:  # each is asked for alone then, and told what it was
+            log.info("results are asked for one by one: %s", error)
+            return {}
+        return dict(zip(finished, results, strict=True))
+
+    def _task(self, future: Future[Any]) -> Any:
+        return self.tasks[self.under_way[future]]
+
     def _workers(self) -> set[str]:
         """Workers that a task may go to; none while the scheduler does not answer."""
         try:
@@ -227,15 +259,17 @@ class _Flight:
             log.warning("the scheduler does not answer: %s", error)
             return set()
 
-    def _outcome(self, number: int, future: Future[Any]) -> Staged[Any] | Loss | None:
-        """What came of a task; None where it is to be tried again."""
+    def _outcome(
+        self, number: int, future: Future[Any], brought: Staged[Any] | Loss | None
+    ) -> Staged[Any] | Loss | None:
+        """What came of a task, if that is here already; None where it is to be tried again."""
         from distributed import KilledWorker
 
         if future.status in ("finished", "lost"):
             # A worker may die with the result of a task that it had done; Dask then does it again.
             try:
                 wait_s = self.engine.execution.scheduler_wait_s
-                done: Staged[Any] | Loss = future.result(timeout=wait_s)
+                done: Staged[Any] | Loss = brought or future.result(timeout=wait_s)
             except Exception as error:
                 return self._resend(number, f"its result was lost: {type(error).__name__}: {error}")
             return self._again(number, done) if isinstance(done, Loss) else done

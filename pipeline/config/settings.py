@@ -409,7 +409,8 @@ class Execution(Section):
         14,
         ge=0,
         description="A motor with more new nights than this is split into parts of so many, which "
-        "workers do side by side; 0: never",
+        "workers do side by side, over a Dask scheduler or where a run has fewer motors than "
+        "workers; 0: never",
     )
     scheduler: str = Field(
         "",
