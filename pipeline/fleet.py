@@ -214,6 +214,8 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
+            if fleet.object_store:
+                heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             with open_engine(fleet.execution, folders) as run_tasks:
                 result = _run(request, staging, progress, heartbeat, run_tasks)

@@ -129,6 +129,7 @@ def workers_of(execution: Execution) -> dict[str, int]:
         return found
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_the_process_of_a_worker_lives_on_and_dies_with_it(two_workers: Processes) -> None:
     execution = two_workers.execution()
     found = set(run(execution, process_and_worker, list(range(12))))
@@ -140,6 +141,7 @@ def test_the_process_of_a_worker_lives_on_and_dies_with_it(two_workers: Processe
     wait_until(lambda: not Path(f"/proc/{process}").exists())
 
 
+@pytest.mark.full
 def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
     with scheduler_with(2, "--no-nanny") as processes:
         execution = processes.execution(scheduler_wait_s=1.0, tasks_in_flight=2)

@@ -108,6 +108,7 @@ def test_a_night_that_its_process_dies_of_costs_no_other(
     check_same_tables(output_of(fleet), fitted_output, "CB400-02")
 
 
+@pytest.mark.full
 def test_a_motor_that_kills_every_worker_fails_alone(
     two_workers: Processes,
     own_fleet: OwnFleet,
