@@ -10,7 +10,7 @@ DEMO   := demo
 # Only what was said is passed on: the config decides the rest.
 OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
-.PHONY: help install fit-fleet report check demo-logs lint format test test-full bench docs clean
+.PHONY: help install fit-fleet report check demo-logs lint format test test-full bench bench-guard docs clean
 
 help:            ## what can be made
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -63,6 +63,9 @@ test-full: $(READY) ## all tests, the long ones too
 
 bench: $(READY)  ## the benchmarks: figures to benchmarks/results/
 	$(BIN)/python -m benchmarks
+
+bench-guard: $(READY) ## whether it is slower than at the last committed results, in ratios
+	$(BIN)/python -m benchmarks guard
 
 docs: $(READY)   ## make the config and table reference anew
 	$(BIN)/python -m pipeline.reference docs

@@ -29,6 +29,9 @@ from leakage.errors import StatisticsError
 
 Array = NDArray[np.float64]
 
+# Numbers that are decomposed at a time: more would leave the cache.
+BATCH_NUMBERS = 1 << 17
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlockStatistics:
@@ -145,10 +148,15 @@ def factors(z: Array, borders: NDArray[np.int64]) -> Array:
     columns = z.shape[1]
     # Rows of zeros change no factor: blocks of unequal size share one batched call.
     rows = max(int(sizes.max(initial=0)), columns)
-    padded = np.zeros((len(sizes), rows, columns))
-    inside = np.arange(rows) < sizes[:, None]
-    padded[inside] = z[borders[0] : borders[-1]]
-    return _triangular(padded)
+    found = np.empty((len(sizes), columns, columns))
+    step = max(1, BATCH_NUMBERS // (rows * columns))
+    for first in range(0, len(sizes), step):
+        batch = slice(first, first + step)
+        padded = np.zeros((len(sizes[batch]), rows, columns))
+        for block, begin, size in zip(padded, borders[:-1][batch], sizes[batch], strict=True):
+            block[:size] = z[begin : begin + size]
+        found[batch] = _triangular(padded)
+    return found
 
 
 def merge(factors_in_time_order: Array) -> Array:

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy.ndimage import median_filter
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import ndtri
 
 from leakage.autoregression import (
@@ -300,15 +300,22 @@ def _trend_column(nights: Nights, place: int) -> Array:
 
 def _noise(values: Array) -> float:
     """Robust standard deviation about the median of a week."""
-    rest = values - median_filter(values, LEAST_SEGMENT, mode="nearest")
+    rest = values - _running_median(values)
     # Half of a week's median is the night itself: it takes a part of the scatter away.
     return MAD_TO_SD * float(np.median(np.abs(rest[rest != 0.0]))) if np.any(rest) else 0.0
 
 
 def _without_odd_nights(values: Array, sd: float) -> Array:
-    centre = median_filter(values, LEAST_SEGMENT, mode="nearest")
+    centre = _running_median(values)
     result: Array = np.clip(values, centre - WINSORISED_AT * sd, centre + WINSORISED_AT * sd)
     return result
+
+
+def _running_median(values: Array) -> Array:
+    """Median of a week around each night; beyond its ends a series stays as it is there."""
+    padded = np.pad(values, LEAST_SEGMENT // 2, mode="edge")
+    centre: Array = np.median(sliding_window_view(padded, LEAST_SEGMENT), axis=1)
+    return centre
 
 
 def _without_noise(nights: Nights, values: Array) -> Changes:

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import least_squares
 
 from leakage.errors import CurveError
 
@@ -140,6 +139,9 @@ def fit_deformation_pressure(
         log_amplitude, decay = unknowns
         flow_at = undeformed * np.exp(log_amplitude - decay * scaled_pressure)
         return np.asarray(flow_at - scaled_flow, dtype=np.float64)
+
+    # Imported where it is needed: scipy.optimize is a tenth of what a worker loads.
+    from scipy.optimize import least_squares
 
     search = least_squares(
         deviation, [intercept, -slope], jac="3-point", xtol=1e-14, ftol=1e-14, gtol=1e-14

@@ -15,3 +15,17 @@ Mask = NDArray[np.bool_]
 """Which of n samples, shape (n,)."""
 
 SECOND_US = 1_000_000
+
+
+def chosen_rows(mask: Mask) -> Mask | slice:
+    """The rows of a mask as a slice where they follow one another: what it takes is no copy.
+
+    Examples
+    --------
+    >>> chosen_rows(np.array([False, True, True]))
+    slice(1, 3, None)
+    >>> chosen_rows(np.array([True, False, True]))
+    array([ True, False,  True])
+    """
+    first, n = int(mask.argmax()) if len(mask) else 0, int(np.count_nonzero(mask))
+    return slice(first, first + n) if mask[first : first + n].all() else mask

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.channel_rules import ChannelRules
 from pipeline.clocks import jittered, typical_period_us
 from pipeline.ingest import RawChannel
 from pipeline.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
-from pipeline.order import carried_over, in_order, samples_of
+from pipeline.order import Orders, carried_over, in_order, samples_of
 from pipeline.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 
 
@@ -68,7 +68,10 @@ class CleanChannel:
 
 
 def clean_channel(
-    raw: RawChannel, rules: ChannelRules, night_start_us: int | None = None
+    raw: RawChannel,
+    rules: ChannelRules,
+    night_start_us: int | None = None,
+    orders: Orders | None = None,
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
@@ -81,6 +84,8 @@ def clean_channel(
     night_start_us
         Of what lies before it, the last sample of an on-change channel carries over, and no rule
         counts it; None: all samples are of the night.
+    orders
+        Of the channels that were cleaned before and may have the same stamps; None: there are none.
 
     Returns
     -------
@@ -90,8 +95,9 @@ def clean_channel(
     early = np.zeros(len(raw.time_us), dtype=np.bool_)
     if night_start_us is not None:
         early = raw.time_us < night_start_us
-    cells, disorder = in_order(raw.rows(~early) if early.any() else raw, rules)
-    period = typical_period_us(cells.time_us[~cells.missing])
+    cells, disorder = in_order(raw.rows(chosen_rows(~early)), rules, orders or Orders())
+    blank = cells.missing.any()
+    period = typical_period_us(cells.time_us[~cells.missing] if blank else cells.time_us)
     longest_gap_us = _longest_gap_us(period, rules)
     samples = samples_of(cells, rules, period)
     noted = {"backward_time": disorder.n_put_back}

@@ -19,11 +19,31 @@ FREE_SHARE = 0.75
 NEAR_PERIODS = 5.0
 # A step further than this share of a period from a whole number of periods is jitter.
 JITTER_SHARE = 0.25
+# Steps that a first guess at their median is made from.
+LOOKED_AT = 1000
 
 
 def typical_period_us(time_us: Times) -> float | None:
     """Median distance of consecutive samples [µs]; None for fewer than two."""
-    return float(np.median(np.diff(time_us))) if len(time_us) > 1 else None
+    return _median(np.diff(time_us)) if len(time_us) > 1 else None
+
+
+def _median(steps: Times) -> float:
+    """Exactly `numpy.median`, without its sorting out of a million steps that are all alike.
+
+    Some of the steps tell between which two values the median should lie, and counts prove it.
+    """
+    n = len(steps)
+    some = np.sort(steps[:: max(1, n // LOOKED_AT)])
+    low, high = some[len(some) * 2 // 5], some[len(some) * 3 // 5]
+    below, up_to = np.count_nonzero(steps < low), np.count_nonzero(steps <= high)
+    middle = np.array([(n - 1) // 2, n // 2])
+    if not below <= middle[0] <= middle[1] < up_to:
+        return float(np.median(steps))
+    if low == high:
+        return float(low)
+    between = steps[(steps >= low) & (steps <= high)]
+    return float(np.partition(between, middle - below)[middle - below].mean())
 
 
 def backward_time(time_us: Times) -> Mask:
@@ -96,8 +116,8 @@ def written_late(time_us: Times, backward: Mask) -> Mask:
     [False, False, False, False, False, True]
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    period = typical_period_us(time_us[~backward])
-    if period is None or not backward.any():
+    period = typical_period_us(time_us[~backward]) if backward.any() else None
+    if period is None:
         return mask
     nearest = _distance_of_nearest(time_us)
     mask = backward & (nearest >= FREE_SHARE * period) & (nearest <= NEAR_PERIODS * period)
@@ -126,8 +146,8 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
     ndarray of bool
         Shape (n,).
     """
-    period = typical_period_us(time_us[~late])
-    if period is None or not late.any():
+    period = typical_period_us(time_us[~late]) if late.any() else None
+    if period is None:
         return np.zeros(len(time_us), dtype=np.bool_)
     beside = np.append(late[1:], False) | np.append(False, late[:-1])
     stray: Mask = ~late & beside & (_distance_of_nearest(time_us) > NEAR_PERIODS * period)
@@ -157,9 +177,12 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
     ndarray of bool
         Shape (n,). They are kept: interpolation goes by the stamps as they are.
     """
+    mask = np.zeros(len(time_us), dtype=np.bool_)
     if not period_us:
-        return np.zeros(len(time_us), dtype=np.bool_)
+        return mask
     steps = np.diff(time_us, prepend=time_us[:1] - round(period_us))
-    whole = np.maximum(np.round(steps / period_us), 1.0)
-    mask: Mask = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us
+    # Nearly all steps are of one period: only the others are worth a division.
+    other = np.flatnonzero(np.abs(steps - period_us) > JITTER_SHARE * period_us)
+    whole = np.maximum(np.round(steps[other] / period_us), 1.0)
+    mask[other] = np.abs(steps[other] - whole * period_us) > JITTER_SHARE * period_us
     return mask

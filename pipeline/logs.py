@@ -13,8 +13,9 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.arrays import SECOND_US
+from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError, one_line
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
@@ -215,15 +216,8 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     if not len(stamps):
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
-    # A stamp that there is, not a mean of two: it is never far from itself.
-    middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
-    far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
-    if far.any():
-        notes.append(
-            f"{len(np.unique(stamps[far]))} time stamps lie over a year from the others and are "
-            "left out"
-        )
-        stamps = stamps[~far]
+    if stamps.max() - stamps.min() > LONGEST_LOG_DAYS / 2 * DAY_US:
+        stamps = _near_the_others(stamps, notes)
     labels = sorted(nights_of(stamps, spec.settings.nights))
     return replace(
         record,
@@ -233,6 +227,20 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
         nights=tuple(map(dt.date.isoformat, labels)),
         message="; ".join(notes) or None,
     )
+
+
+def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:
+    """Stamps without those that lie over a year from most; a note says how many there were."""
+    # A stamp that there is, not a mean of two: it is never far from itself.
+    middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
+    far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
+    if far.any():
+        notes.append(
+            f"{len(np.unique(stamps[far]))} time stamps lie over a year from the others and are "
+            "left out"
+        )
+    near: NDArray[np.int64] = stamps[~far]
+    return near
 
 
 def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
@@ -323,9 +331,11 @@ def slice_night(
         for name, channel in log.channels.items():
             start_us = night.start_us - reach_us.get(name, 0)
             inside = (channel.time_us >= start_us) & (channel.time_us < night.end_us)
-            some = channel.rows(slice(None) if inside.all() else inside)
-            parts.setdefault(name, []).append(some)
-    return {name: RawChannel.joined(pieces) for name, pieces in parts.items()}
+            parts.setdefault(name, []).append(channel.rows(chosen_rows(inside)))
+    return {
+        name: pieces[0] if len(pieces) == 1 else RawChannel.joined(pieces)
+        for name, pieces in parts.items()
+    }
 
 
 def reaches_us(spec: MotorSpec) -> dict[str, int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 from pipeline.clocks import typical_period_us
@@ -43,19 +44,24 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
     """
     if period_us is None or not blank.any():
         return blank.copy()
-    row = np.arange(len(time_us))
-    last = np.maximum.accumulate(np.where(blank, -1, row))
-    known = last >= 0
-    since = np.where(known, time_us - time_us[np.maximum(last, 0)], 0)
     row_us = typical_period_us(time_us) or period_us
-    off = np.abs(since - np.maximum(np.round(since / period_us), 1.0) * period_us)
-    due: Mask = blank & (off < row_us / 2)
-    following = np.minimum.accumulate(np.where(blank, len(row), row)[::-1])[::-1]
-    comes = following < len(row)
-    late_us = time_us[np.where(comes, following, 0)] - time_us
-    due &= ~comes | (late_us > LATE_SHARE * period_us)
+    due = np.zeros(len(time_us), dtype=np.bool_)
+    samples = np.append(np.flatnonzero(~blank), len(time_us))
     # Before the first sample there is nothing to count from: only a fast channel is missing there.
-    due[~known] = blank[~known] & (period_us < 1.5 * row_us)
+    due[: samples[0]] = period_us < 1.5 * row_us
+    begins, ends = samples[:-1], samples[1:]
+    # Where the next sample comes in time, none is due between the two.
+    slow = time_us[ends - 1] - time_us[begins] > period_us - 0.75 * row_us
+    begins, ends = begins[slow], ends[slow]
+    lengths = ends - begins - 1
+    first = np.repeat(begins, lengths)
+    cells = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(lengths) - lengths, lengths)
+    since = time_us[cells] - time_us[first]
+    off = np.abs(since - np.maximum(np.round(since / period_us), 1.0) * period_us)
+    following = np.repeat(ends, lengths)
+    comes = following < len(time_us)
+    late_us = time_us[np.where(comes, following, 0)] - time_us[cells]
+    due[cells] = (off < row_us / 2) & (~comes | (late_us > LATE_SHARE * period_us))
     return due
 
 
@@ -108,16 +114,32 @@ def spike(value: Values, window: int, threshold: float, resolution: float) -> Ma
     padded = np.pad(value, half, mode="reflect")
     windows = sliding_window_view(padded, window)
     floor = (threshold + STEP_ROUNDING) * resolution
-    for begin in range(0, len(value), HAMPEL_CHUNK):
-        part = windows[begin : begin + HAMPEL_CHUNK]
+    doubtful = _far_from_most(padded, half, floor)
+    for begin in range(0, len(doubtful), HAMPEL_CHUNK):
+        rows = doubtful[begin : begin + HAMPEL_CHUNK]
+        part = windows[rows]
         middle = np.partition(part, half, axis=1)[:, half]
-        distance = np.abs(value[begin : begin + HAMPEL_CHUNK] - middle)
+        distance = np.abs(value[rows] - middle)
         # Only what exceeds the floor can be a spike: few windows need their deviation.
         far = np.flatnonzero(distance > floor)
         deviation = np.median(np.abs(part[far] - middle[far, None]), axis=1)
         limit = threshold * MAD_TO_SD * deviation
-        mask[begin + far] = distance[far] > limit
+        mask[rows[far]] = distance[far] > limit
     return mask
+
+
+def _far_from_most(padded: Values, half: int, floor: float) -> NDArray[np.intp]:
+    """Places of values that are more than a floor away from most of their window.
+
+    The median of any other window is within the floor of its middle value, without having it.
+    """
+    n = len(padded) - 2 * half
+    alike = np.ones(n, dtype=np.int16)
+    for lag in range(1, half + 1):
+        close = np.abs(padded[lag:] - padded[:-lag]) <= floor
+        alike += close[half : half + n]
+        alike += close[half - lag : half - lag + n]
+    return np.flatnonzero(alike <= half)
 
 
 def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: float) -> Mask:
@@ -158,7 +180,18 @@ def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:
     begins = np.flatnonzero(np.concatenate([[True], step[1:] != step[:-1]]))
     ends = np.append(begins[1:], len(step)) - 1
     too_long = time_us[ends] - time_us[begins] > frozen_after_us
-    mask: Mask = np.repeat(too_long, ends - begins + 1)
+    return _covered(begins[too_long], ends[too_long] + 1, len(step))
+
+
+def _covered(begins: NDArray[np.intp], ends: NDArray[np.intp], n: int) -> Mask:
+    """Which of n samples lie in any of some stretches, half open, whose ends both increase."""
+    apart = begins[1:] > ends[:-1]
+    begins = begins[np.append(True, apart)[: len(begins)]]
+    ends = ends[np.append(apart, True)[: len(ends)]]
+    borders = np.column_stack([begins, ends]).ravel()
+    mask: Mask = np.repeat(
+        np.arange(len(borders) + 1) % 2 == 1, np.diff(borders, prepend=0, append=n)
+    )
     return mask
 
 
@@ -170,7 +203,7 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
     events_us
         Times of the events, sorted, shape (m,).
     time_us
-        Times to judge, shape (n,).
+        Times to judge, sorted, shape (n,).
     before_us, after_us
         Guard times [µs].
 
@@ -179,10 +212,9 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
     ndarray of bool
         Shape (n,).
     """
-    first = np.searchsorted(events_us, time_us - after_us, side="left")
-    last = np.searchsorted(events_us, time_us + before_us, side="right")
-    mask: Mask = last > first
-    return mask
+    first = np.searchsorted(time_us, events_us - before_us, side="left")
+    end = np.searchsorted(time_us, events_us + after_us, side="right")
+    return _covered(first, end, len(time_us))
 
 
 def transient(value: Values, present: Mask, period_s: float, limit_per_s: float) -> Mask:

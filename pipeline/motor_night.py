@@ -32,6 +32,7 @@ from pipeline.night_rows import (
 from pipeline.night_statistics import NightStatistics, night_statistics
 from pipeline.nights import Night
 from pipeline.operation_rows import operation_row
+from pipeline.order import Orders
 from pipeline.resample import Quality, Samples, bring_together
 from pipeline.sampling import means_too_long
 from pipeline.units import RUNNING_HOURS
@@ -186,11 +187,12 @@ def _clean(
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
     cleaned: dict[str, CleanChannel] = {}
+    orders = Orders()
     for name, channel in spec.file.channels.items():
         if name == RUNNING_HOURS:
             continue
         rules = ChannelRules.of(name, channel, cleaning, spec.file.logs)
-        cleaned[name] = clean_channel(channels[name], rules, night.start_us)
+        cleaned[name] = clean_channel(channels[name], rules, night.start_us, orders)
     counted = tuple(
         Quality(
             name,

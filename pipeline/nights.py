@@ -73,6 +73,8 @@ def nights_of(time_us: NDArray[np.int64], nights: Nights) -> set[dt.date]:
     labels = nights_between(
         night_of(int(time_us.min()), nights), night_of(int(time_us.max()), nights)
     )
+    if len(labels) == 1:
+        return set(labels)
     ends = np.array([_end_us(label, nights) for label in labels])
-    hit = np.unique(np.searchsorted(ends, time_us, side="right"))
-    return {labels[index] for index in hit.tolist()}
+    hit = np.bincount(np.searchsorted(ends, time_us, side="right"))
+    return {labels[index] for index in np.flatnonzero(hit).tolist()}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -105,6 +106,5 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     >>> coarse_histogram(np.array([-3.0, 1.0, 2.5, 99.0]), (0.0, 2.0, 4.0))
     [2, 2]
     """
-    bins = np.searchsorted(edges, values, side="right") - 1
-    counts = np.bincount(np.clip(bins, 0, len(edges) - 2), minlength=len(edges) - 1)
-    return [int(count) for count in counts]
+    below = [int(np.count_nonzero(values < edge)) for edge in edges[1:-1]]
+    return [end - begin for begin, end in pairwise((0, *below, len(values)))]

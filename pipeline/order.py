@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from pipeline.arrays import Mask
+from pipeline.arrays import Mask, Times
 from pipeline.channel_rules import ChannelRules
 from pipeline.clocks import backward_time, duplicate_time, stray_time, written_late
 from pipeline.ingest import RawChannel
@@ -22,27 +23,88 @@ class Disorder:
     n_duplicate: int
 
 
-def in_order(raw: RawChannel, rules: ChannelRules) -> tuple[RawChannel, Disorder]:
-    """Cells in strict order of their corrected time, and what it took."""
-    backward = backward_time(raw.time_us)
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """How rows come into strict order of time.
+
+    Attributes
+    ----------
+    rows
+        Those that are kept, in order; None: all, as they are.
+    late, backward, repeated
+        Rows put back in order, and those left out as backward and as duplicates.
+    """
+
+    rows: NDArray[np.intp] | None
+    late: NDArray[np.intp]
+    backward: NDArray[np.intp]
+    repeated: NDArray[np.intp]
+
+
+IN_ORDER = Order(None, *([np.empty(0, dtype=np.intp)] * 3))
+
+
+class Orders:
+    """Orders of arrays of time stamps: channels of one table share one, which is found once."""
+
+    def __init__(self) -> None:
+        # With the stamps themselves: while they are here, nothing else has their address.
+        self._known: dict[tuple[int, int, bool], tuple[Times, Order]] = {}
+
+    def of(self, time_us: Times, *, puts_in_order: bool) -> Order:
+        """The order of an array of stamps, which nobody changes."""
+        key = (time_us.ctypes.data, len(time_us), puts_in_order)
+        if key not in self._known:
+            self._known[key] = time_us, order_of(time_us, puts_in_order=puts_in_order)
+        return self._known[key][1]
+
+
+def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
+    """How rows come into strict order of their time.
+
+    Parameters
+    ----------
+    time_us
+        Times in the order of the log, shape (n,).
+    puts_in_order
+        Whether rows written late are put back in their place, not refused.
+
+    Examples
+    --------
+    >>> found = order_of(np.array([0, 10, 20, 40, 50, 30, 50]), puts_in_order=True)
+    >>> found.rows.tolist(), found.late.tolist(), found.repeated.tolist()
+    ([0, 1, 2, 5, 3, 4], [5], [6])
+    """
+    if bool((time_us[1:] > time_us[:-1]).all()):
+        return IN_ORDER
+    backward = backward_time(time_us)
     late = np.zeros(len(backward), dtype=np.bool_)
-    if rules.puts_in_order:
-        late = written_late(raw.time_us, backward)
-    backward = (backward & ~late) | stray_time(raw.time_us, late)
+    if puts_in_order:
+        late = written_late(time_us, backward)
+    backward = (backward & ~late) | stray_time(time_us, late)
     rows = np.flatnonzero(~backward)
     if late.any():
-        rows = rows[np.argsort(raw.time_us[rows], kind="stable")]
-    repeated = duplicate_time(raw.time_us[rows], np.zeros(len(rows), dtype=np.bool_))
+        rows = rows[np.argsort(time_us[rows], kind="stable")]
+    repeated = duplicate_time(time_us[rows], np.zeros(len(rows), dtype=np.bool_))
+    return Order(rows[~repeated], np.flatnonzero(late), np.flatnonzero(backward), rows[repeated])
+
+
+def in_order(raw: RawChannel, rules: ChannelRules, orders: Orders) -> tuple[RawChannel, Disorder]:
+    """Cells in strict order of their corrected time, and what it took."""
+    order = orders.of(raw.time_us, puts_in_order=rules.puts_in_order)
     disorder = Disorder(
-        int((late & ~raw.missing).sum()),
-        int((backward & ~raw.missing).sum()),
-        int((repeated & ~raw.missing[rows]).sum()),
+        *(
+            int(np.count_nonzero(~raw.missing[rows]))
+            for rows in (order.late, order.backward, order.repeated)
+        )
     )
-    return _corrected(raw.rows(rows[~repeated]), rules), disorder
+    return _corrected(raw if order.rows is None else raw.rows(order.rows), rules), disorder
 
 
 def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
     """Samples at the times at which they hold."""
+    if not rules.sampling.shift_us:
+        return raw
     return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
 
 
@@ -50,6 +112,8 @@ def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) 
     """Cells in order without the blank ones that are no sample."""
     if rules.sampling.on_change:
         return cells.rows(_says_something(cells, rules))
+    if not cells.missing.any():
+        return cells
     missing = missing_sample(cells.time_us, cells.missing, period_us)
     return cells.rows(~cells.missing | missing)
 

@@ -159,20 +159,64 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Valu
     on_change = channel.sampling.on_change
     if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
         return _averaged(channel, grid_us, period_us)
-    return _interpolated(channel, grid_us)
+    return _interpolated(channel, grid_us, period_us)
 
 
-def _interpolated(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
+def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
+    """How many samples lie before each time of an even grid: counted, not searched for.
+
+    Parameters
+    ----------
+    time_us
+        Times of samples, increasing, shape (m,).
+    grid_us
+        Times of the grid, shape (n,), `period_us` apart.
+    period_us
+        Period of the grid.
+
+    Returns
+    -------
+    ndarray of int
+        Shape (n,), as of ``numpy.searchsorted(time_us, grid_us)``.
+
+    Examples
+    --------
+    >>> samples_before(np.array([-7, 0, 3, 10, 99]), np.array([0, 10, 20]), 10)
+    array([1, 3, 4])
+    """
+    n = len(grid_us)
+    # Each sample is before all of the grid from here on.
+    begins = (time_us - grid_us[0]) // period_us + 1
+    counts = np.bincount(np.clip(begins, 0, n), minlength=n)
+    before: NDArray[np.intp] = np.cumsum(counts[:n])
+    return before
+
+
+def _interpolated(
+    channel: CleanChannel, grid_us: Times, period_us: int
+) -> tuple[Values, Mask, Mask]:
     time, kept = channel.time_us, ~channel.refused
+    # What holds between two samples is told once for both, not at each time between them.
+    distance = np.diff(time, append=time[-1:])
     value = np.where(kept, channel.value, np.nan)
-    right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
-    left = np.where(time[right] == grid_us, right, np.maximum(right - 1, 0))
-    distance = time[right] - time[left]
-    inside = (time[left] <= grid_us) & (grid_us <= time[right])
-    silent = ~inside | (distance > channel.longest_gap_us) | _ended(channel, left, grid_us)
-    present = ~silent & kept[left] & kept[right]
-    share = (grid_us - time[left]) / np.maximum(distance, 1)
-    result = value[left] + share * (value[right] - value[left])
+    change = np.diff(value, append=value[-1:])
+    asleep = distance > channel.longest_gap_us
+    if channel.ends is not None:
+        asleep |= channel.ends
+    usable = ~asleep & kept & np.append(kept[1:], False)
+
+    before = samples_before(time, grid_us, period_us)
+    at = np.minimum(before, len(time) - 1)
+    result, present = value[at] + 0.0, kept[at]
+    silent = np.zeros(len(grid_us), dtype=np.bool_)
+    # Most times of the grid are those of samples; the others lie between two, or outside.
+    between = np.flatnonzero(time[at] != grid_us)
+    left = before[between] - 1
+    inside = (left >= 0) & (left < len(time) - 1)
+    share = (grid_us[between] - time[left]) / np.maximum(distance[left], 1)
+    result[between] = value[left] + share * change[left]
+    silent[between] = ~inside | asleep[left]
+    present[between] = inside & usable[left]
     result[~present] = np.nan
     return result, present, silent
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import fcntl
 import os
 import shutil
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +17,10 @@ from hypothesis import settings
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
 settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
+
+# In the background of a shell a process is born deaf to SIGINT, and so are its children.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 DEMO_NIGHTS = 3
 DEMO_MINUTES = 60.0

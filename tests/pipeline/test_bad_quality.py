@@ -31,6 +31,7 @@ from tests.pipeline.simulated import (
 
 SECOND = 1_000_000
 Times = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
 LONG = Logs(format="csv", files=("*.csv",), layout="long")
 
@@ -52,6 +53,14 @@ def cleaned(
 
 def refused_by(channel: CleanChannel) -> dict[str, int]:
     return {reason: count for reason, count in channel.counts.items() if count}
+
+
+def at_times(channel: CleanChannel, time_us: Times) -> tuple[Array, Mask, Mask]:
+    """What an even grid of seconds holds at some of its times."""
+    grid = np.arange(time_us[0], time_us[-1] + 1, SECOND, dtype=np.int64)
+    value, present, silent = on_grid(channel, grid, SECOND)
+    chosen = (time_us - time_us[0]) // SECOND
+    return value[chosen], present[chosen], silent[chosen]
 
 
 def seconds(n: int) -> Times:
@@ -120,7 +129,7 @@ class TestOnChange:
 
     def test_held(self) -> None:
         found = cleaned(self.TIME, self.VALUE, [2], between="hold", **ON_CHANGE)
-        value, present, silent = on_grid(found, self.GRID, SECOND)
+        value, present, silent = at_times(found, self.GRID)
         assert value[present].tolist() == [10, 10, 20, 20, 40, 40, 50, 50]
         assert np.flatnonzero(~present).tolist() == [4, 5, 6, 11]
         # At its own time a bad sample is refused; from there on there is none.
@@ -128,7 +137,7 @@ class TestOnChange:
 
     def test_interpolated(self) -> None:
         found = cleaned(self.TIME, self.VALUE, [2], **ON_CHANGE)
-        value, present, silent = on_grid(found, self.GRID, SECOND)
+        value, present, silent = at_times(found, self.GRID)
         # Neither towards a value that is none, nor from it.
         np.testing.assert_allclose(value[present], [10, 19.9, 20, 40, 40 + 10 * 239 / 240, 50])
         assert np.flatnonzero(~present).tolist() == [3, 4, 5, 6, 10, 11]
@@ -141,10 +150,10 @@ class TestOnChange:
         value[2] = np.nan
         found = cleaned(self.TIME, value, [2], between=between, **ON_CHANGE)
         assert refused_by(found) == {"missing": 1, "bad_quality": 1, "any": 1}
-        _, present, silent = on_grid(found, self.GRID, SECOND)
+        _, present, silent = at_times(found, self.GRID)
         with_value = cleaned(self.TIME, self.VALUE, [2], between=between, **ON_CHANGE)
-        np.testing.assert_array_equal(present, on_grid(with_value, self.GRID, SECOND)[1])
-        np.testing.assert_array_equal(silent, on_grid(with_value, self.GRID, SECOND)[2])
+        np.testing.assert_array_equal(present, at_times(with_value, self.GRID)[1])
+        np.testing.assert_array_equal(silent, at_times(with_value, self.GRID)[2])
 
     def test_a_blank_of_a_wide_log_says_nothing_and_a_row_of_its_own_says_there_is_none(
         self,
@@ -153,11 +162,11 @@ class TestOnChange:
         value[2] = np.nan
         wide = cleaned(self.TIME, value, [], between="hold", **ON_CHANGE)
         assert (wide.n_samples, refused_by(wide)) == (4, {})
-        value_at = on_grid(wide, np.array([250]) * SECOND, SECOND)[0]
+        value_at = at_times(wide, np.array([250]) * SECOND)[0]
         assert value_at.tolist() == [20.0]
         own = cleaned(self.TIME, value, [], LONG, between="hold", **ON_CHANGE)
         assert (own.n_samples, refused_by(own)) == (5, {"missing": 1, "any": 1})
-        _, present, silent = on_grid(own, np.array([199, 250, 260]) * SECOND, SECOND)
+        _, present, silent = at_times(own, np.array([199, 250, 260]) * SECOND)
         assert present.tolist() == [True, False, True]
         assert silent.tolist() == [False, True, False]
 
@@ -167,7 +176,7 @@ class TestOnChange:
         channel = RawChannel(self.TIME, value, np.zeros(5, np.bool_), 0)
         stated = Channel(source="x", unit="bar", between="hold", **ON_CHANGE)
         found = clean_channel(channel, ChannelRules.of("speed", stated, Cleaning()))
-        _, present, silent = on_grid(found, self.GRID, SECOND)
+        _, present, silent = at_times(found, self.GRID)
         assert np.flatnonzero(~present).tolist() == [4, 5, 6, 11]
         assert np.flatnonzero(silent).tolist() == [5, 6, 11]
 
@@ -184,7 +193,7 @@ class TestOnChange:
         found = cleaned(time, value, np.flatnonzero(bad), between=between, **ON_CHANGE)
         found = replace(found, refused=bad)  # whatever else may refuse
         grid = np.arange(0, int(time[-1]) + 400 * SECOND, 7 * SECOND, dtype=np.int64)
-        got, present, _ = on_grid(found, grid, SECOND)
+        got, present, _ = at_times(found, grid)
         for at, result in zip(grid.tolist(), np.where(present, got, np.nan).tolist(), strict=True):
             expected = self.slowly(time.tolist(), value.tolist(), bad.tolist(), at, hold)
             assert result == pytest.approx(expected, nan_ok=True)

@@ -99,6 +99,22 @@ def test_typical_period_is_a_median() -> None:
     assert typical_period_us(np.array([7])) is None
 
 
+@given(
+    st.lists(st.integers(-3, 8), min_size=1, max_size=40),
+    st.integers(1, 2500),
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([0, 1, 30]),
+)
+def test_typical_period_is_the_median_of_any_steps(
+    steps: list[int], repeats: int, seed: int, jitter: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    all_steps = 10 * np.repeat(steps, repeats) + rng.integers(0, jitter + 1, len(steps) * repeats)
+    rng.shuffle(all_steps)
+    time = np.concatenate([[0], np.cumsum(all_steps)])
+    assert typical_period_us(time) == np.median(all_steps)
+
+
 class TestMissing:
     """Design 3: `missing`, in a log whose rows are those of the fastest channel."""
 
@@ -498,7 +514,7 @@ class TestNear:
 
     @given(
         st.lists(st.integers(0, 100), max_size=5),
-        st.lists(st.integers(-20, 120), max_size=20),
+        st.lists(st.integers(-20, 120), max_size=20).map(sorted),
         st.integers(0, 15),
         st.integers(0, 15),
     )

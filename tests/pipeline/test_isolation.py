@@ -315,14 +315,14 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
     def run_or_die(task: TrendTask) -> TrendOutcome:
         import pipeline.trends.stage as module
 
-        indicators = module.motor_indicators
+        indicators = module.indicators_of
 
-        def die(spec: Any, *arguments: Any) -> Any:
-            if spec.motor_id == BAD:
+        def die(history: Any, *arguments: Any) -> Any:
+            if history.spec.motor_id == BAD:
                 MISBEHAVIOUR["segfault"]()
-            return indicators(spec, *arguments)
+            return indicators(history, *arguments)
 
-        module.motor_indicators = die
+        module.indicators_of = die
         return run_trends(task)
 
     monkeypatch.setattr(pipeline.fleet, "run_trends", run_or_die)

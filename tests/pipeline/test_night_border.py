@@ -50,9 +50,10 @@ def cleaned(seconds: list[int], value: list[float], **keys: Any) -> CleanChannel
 
 
 def at(channel: CleanChannel, *seconds: int) -> list[float]:
-    grid = START + np.array(seconds, dtype=np.int64) * SECOND_US
+    chosen = np.array(seconds) - seconds[0]
+    grid = START + np.arange(seconds[0], seconds[-1] + 1, dtype=np.int64) * SECOND_US
     value, present, _ = on_grid(channel, grid, SECOND_US)
-    return np.where(present, value, np.nan).tolist()
+    return np.where(present, value, np.nan)[chosen].tolist()
 
 
 def same(found: list[float], *expected: float) -> None:

@@ -19,7 +19,14 @@ from pipeline.config import Channel, Cleaning, Nights, TimeBase
 from pipeline.ingest import RawChannel, RawLog
 from pipeline.logs import slice_night
 from pipeline.nights import Night, night
-from pipeline.resample import Quality, Samples, bring_together, grid_period_us, on_grid
+from pipeline.resample import (
+    Quality,
+    Samples,
+    bring_together,
+    grid_period_us,
+    on_grid,
+    samples_before,
+)
 
 SECOND = 1_000_000
 STEP = 100_000
@@ -118,6 +125,18 @@ def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float |
 
 
 class TestInterpolation:
+    @given(
+        st.lists(st.integers(-50, 500), min_size=1, max_size=60).map(sorted),
+        st.integers(1, 40),
+        st.integers(1, 60),
+    )
+    def test_samples_before_are_those_of_a_search(
+        self, times: list[int], period: int, n: int
+    ) -> None:
+        time, grid = np.array(times, np.int64), 7 + period * np.arange(n, dtype=np.int64)
+        found = samples_before(time, grid, period)
+        assert found.tolist() == np.searchsorted(time, grid).tolist()
+
     @given(
         st.lists(st.integers(0, 400), unique=True, max_size=30),
         st.integers(0, 2**32 - 1),

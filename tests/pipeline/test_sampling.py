@@ -210,8 +210,9 @@ class TestOnChange:
         np.testing.assert_array_equal(silent, ~present)
 
     def test_interpolated_between_samples_that_are_near_enough(self) -> None:
-        grid = np.array([20, 40, 170, 301, 1000]) * SECOND
-        value, present, _ = on_grid(self.channel(), grid, SECOND)
+        seconds = np.array([20, 40, 170, 301, 1000])
+        grid = np.arange(seconds[-1] + 1) * SECOND
+        value, present, _ = (found[seconds] for found in on_grid(self.channel(), grid, SECOND))
         np.testing.assert_allclose(value[present], [190.0, 180.0, 120 + 129 / 259, 150.0])
         assert present.tolist() == [True, True, True, False, True]
 

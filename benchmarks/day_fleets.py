@@ -1,0 +1,58 @@
+"""Fleets of motors that each have a log of one simulated day, for benchmarks of whole runs.
+
+The day is that of a motor of the demo; each motor of a fleet has a copy of its log, or the very
+file under a name of its own where there are too many for the disk.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from datetime import date
+from pathlib import Path
+
+from pipeline.demo import writing
+from pipeline.demo.fleet import Plan
+
+MOTORS = {"parquet": "CB400-02", "csv": "CB400-01", "mcap": "CB560-01"}
+"""The motor of the demo whose logs come in a format: four channels, temperature at 1 Hz."""
+NIGHT = date(2026, 1, 2)
+DAY_MINUTES = 1440.0
+
+
+def write_day(folder: Path, minutes: float, rate_hz: float, *formats: str) -> None:
+    """Write the demo's configs, and one log in each of some formats."""
+    writing._prepare(folder, writing.shipped_configs())
+    plan = Plan(1, minutes, rate_hz, 1, NIGHT)
+    wanted = {MOTORS[name] for name in formats}
+    nights = [one for one in writing._demo_nights(folder, plan) if one.spec.motor_id in wanted]
+    writing._write_nights(folder / "logs", nights)
+
+
+def log_of(day: Path, name: str) -> Path:
+    """The log of a day in a format."""
+    (log,) = (day / "logs" / MOTORS[name]).iterdir()
+    return log
+
+
+def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = False) -> Path:
+    """Make a fleet of n motors with a day's log in a format each; returns its config."""
+    shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(day / "configs", folder / "configs")
+    motors = folder / "configs" / "motors"
+    text = (motors / f"{MOTORS[name]}.toml").read_text("utf-8")
+    shutil.rmtree(motors)
+    motors.mkdir()
+    log = log_of(day, name)
+    for number in range(1, n + 1):
+        motor_id = f"M{number:04}"
+        (motors / f"{motor_id}.toml").write_text(text.replace(MOTORS[name], motor_id), "utf-8")
+        target = folder / "logs" / motor_id / log.name
+        target.parent.mkdir(parents=True)
+        (os.link if linked else shutil.copyfile)(log, target)
+    return folder / "configs" / "fleet.toml"
+
+
+def logs_of(config: Path) -> list[Path]:
+    """All logs of such a fleet."""
+    return sorted(path for path in (config.parent.parent / "logs").rglob("*") if path.is_file())

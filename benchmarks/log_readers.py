@@ -1,0 +1,96 @@
+"""Just to read logs, as fast as can be: a process of its own for benchmarks.
+
+`python -m benchmarks.log_readers READER FILE...` reads the files into columns, one after the other,
+and prints how long that took without the start of the interpreter and the loading of libraries.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+Reader = Callable[[Path], Any]
+
+
+def _pyarrow_parquet() -> Reader:
+    import pyarrow.parquet as pq
+
+    return lambda path: pq.read_table(path, use_threads=False)
+
+
+def _pyarrow_csv() -> Reader:
+    from pyarrow import csv
+
+    return lambda path: csv.read_csv(path, csv.ReadOptions(use_threads=False))
+
+
+def _polars_csv() -> Reader:
+    import polars as pl
+
+    return lambda path: pl.read_csv(path, try_parse_dates=True)
+
+
+def _duckdb_csv() -> Reader:
+    import duckdb
+
+    connection = duckdb.connect(config={"threads": 1})
+    return lambda path: connection.read_csv(str(path)).to_arrow_table()
+
+
+def _batch_mcap() -> Reader:
+    from pipeline.ingest import read_log
+    from pipeline.ingest.contract import ChannelSource, LogSource
+
+    channels = (
+        ChannelSource("pressure_difference", "/mill/motor_1/pressure_difference", "bar"),
+        ChannelSource("oil_temperature", "/mill/motor_1/oil_temperature", "degC"),
+        ChannelSource("speed", "/mill/motor_1/speed", "rpm"),
+        ChannelSource("leakage_flow", "/mill/motor_1/drain_flow", "l/min"),
+    )
+    return lambda path: read_log(path, LogSource("mcap", channels, "publish_time"))
+
+
+def _official_mcap() -> Reader:
+    import io
+
+    import polars as pl
+    from mcap.reader import make_reader
+
+    def read(path: Path) -> pl.DataFrame:
+        topics, times, payloads = [], [], []
+        with path.open("rb") as file:
+            for _, channel, message in make_reader(file).iter_messages(log_time_order=False):
+                topics.append(channel.topic)
+                times.append(message.publish_time)
+                payloads.append(message.data)
+        frame = pl.read_ndjson(io.BytesIO(b"\n".join(payloads)))
+        return frame.with_columns(topic=pl.Series(topics), time=pl.Series(times))
+
+    return read
+
+
+READERS: dict[str, Callable[[], Reader]] = {
+    "pyarrow_parquet": _pyarrow_parquet,
+    "pyarrow_csv": _pyarrow_csv,
+    "polars_csv": _polars_csv,
+    "duckdb_csv": _duckdb_csv,
+    "batch_mcap": _batch_mcap,
+    "official_mcap": _official_mcap,
+}
+
+
+def main(name: str, *files: str) -> None:
+    """Read the files and print the time it took [s]."""
+    reader = READERS[name]()
+    begin = time.perf_counter()
+    for file in files:
+        reader(Path(file))
+    sys.stdout.write(json.dumps(time.perf_counter() - begin) + "\n")
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

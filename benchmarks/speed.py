@@ -1,0 +1,318 @@
+"""How long a fleet's first night takes, beside just reading the same logs.
+
+Whole processes from outside: `fit-fleet` on a fleet of which nothing is known yet, everything
+included (reading, cleaning, statistics, starts, intervals, validation, residual analysis, tables,
+verification, trends), beside two fresh processes that read the same files into columns with the
+fastest reader there is, each half of them. Cases take turns, and a ratio is one of medians of one
+run; absolute times are of the machine that it ran on. Logs come from the page cache on both sides.
+
+`--only PART,PART` does some of the parts, `--repeats N` as many passes, `--motors N` fleets of N.
+What the other parts found in runs before stays (`speed.json`).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from benchmarks.day_fleets import DAY_MINUTES, MOTORS, log_of, logs_of, make_fleet, write_day
+from benchmarks.results_file import RESULTS, Part, write_parts
+from benchmarks.whole_runs import (
+    Cost,
+    elapsed,
+    first_night,
+    interleaved,
+    reading,
+    until_first_byte,
+    worker_peak_mib,
+)
+
+STORED = RESULTS / "speed.json"
+READERS = {
+    "parquet": ("pyarrow_parquet",),
+    "csv": ("pyarrow_csv", "polars_csv", "duckdb_csv"),
+    "mcap": ("batch_mcap",),
+}
+GOALS = {"parquet": 10.0, "csv": 2.5, "mcap": 1.3}
+OFFICIAL_MOTORS = 2
+SAMPLES = (100_000, 1_000_000, 8_640_000)
+FLEETS = (1, 10, 100, 1000)
+SMALL_MINUTES = 20.0
+USER_STARTS, TIMED_STARTS = 50, 3
+
+
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """What is asked for on the command line."""
+
+    folder: Path
+    repeats: int
+    motors: int
+
+
+def main(options: Sequence[str] = ()) -> None:
+    """Measure, and write `benchmarks/results/speed.md`."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks speed")
+    parser.add_argument("--only", default=",".join(PARTS))
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--motors", type=int, default=12)
+    asked = parser.parse_args(list(options))
+    stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
+    for name in asked.only.split(","):
+        with tempfile.TemporaryDirectory() as folder:
+            begin = time.perf_counter()
+            part = PARTS[name](Asked(Path(folder), asked.repeats, asked.motors))
+            sys.stderr.write(f"{name}: {time.perf_counter() - begin:.0f} s\n")
+        stored[name] = asdict(part)
+        STORED.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
+    parts = [Part(**stored[name]) for name in PARTS if name in stored]
+    write_parts("speed", "As fast as reading the logs", __doc__ or "", parts)
+
+
+def formats(asked: Asked) -> Part:
+    """A fleet in each format, with one worker and with two, beside the readers."""
+    rows = []
+    day = asked.folder / "day"
+    write_day(day, DAY_MINUTES, 10.0, *MOTORS)
+    for name in MOTORS:
+        config = make_fleet(day, asked.folder / "fleet", name, asked.motors)
+        files = logs_of(config)
+        cases: dict[str, Callable[[], Cost]] = {
+            "two": lambda config=config: first_night(config, 2),
+            "one": lambda config=config: first_night(config, 1),
+        }
+        for reader in READERS[name]:
+            cases[reader] = lambda reader=reader, files=files: reading(reader, files)
+        if name == "mcap":
+            some = files[:OFFICIAL_MOTORS]
+            cases["official_mcap"] = lambda some=some: reading("official_mcap", some)
+        rows += _rows_of_format(name, asked.motors, interleaved(cases, asked.repeats))
+    text = (
+        f"{asked.motors} motors × 24 h × 10 Hz, four channels, temperature at 1 Hz; medians of "
+        f"{asked.repeats} passes. Ratio: the run with two workers over the reading. Goals: "
+        + ", ".join(f"{name} at most {goal:g}" for name, goal in GOALS.items())
+        + "; twice that is the least to land. Two workers against one: at least 1.85 times as fast."
+    )
+    header = ("what", "elapsed", "processor", "in the reader", "ratio", "of processor time")
+    return Part("Fleet and reading", text, header, rows)
+
+
+def _rows_of_format(name: str, n: int, costs: dict[str, Cost]) -> list[list[str]]:
+    ours = costs["two"]
+    fastest = min(READERS[name], key=lambda reader: costs[reader].elapsed_s)
+    rows = [
+        [f"**{name}: fit-fleet, two workers**", *_seconds(ours), "", "", ""],
+        [
+            f"{name}: fit-fleet, one worker",
+            *_seconds(costs["one"]),
+            "",
+            f"{costs['one'].elapsed_s / ours.elapsed_s:.2f} × as long",
+            "",
+        ],
+    ]
+    for reader in (*READERS[name], "official_mcap"):
+        if reader not in costs:
+            continue
+        cost, words = costs[reader], reader.replace("_", ", ")
+        scale = 1.0
+        if reader == "official_mcap":
+            scale, words = n / min(n, OFFICIAL_MOTORS), f"{words}: {OFFICIAL_MOTORS} motors, scaled"
+        mark = "**" if reader == fastest else ""
+        rows.append(
+            [
+                f"{name}: reading, {words}",
+                f"{scale * cost.elapsed_s:.2f} s",
+                f"{scale * cost.processor_s:.2f} s",
+                f"{scale * cost.reading_s:.2f} s",
+                f"{mark}{ours.elapsed_s / (scale * cost.elapsed_s):.2f}{mark}",
+                f"{ours.processor_s / (scale * cost.processor_s):.2f}",
+            ]
+        )
+    return rows
+
+
+def hundred(asked: Asked) -> Part:
+    """100 motors, once a format."""
+    rows = []
+    for name in MOTORS:
+        day = asked.folder / "day"
+        shutil.rmtree(day, ignore_errors=True)
+        write_day(day, DAY_MINUTES, 10.0, name)
+        config = make_fleet(day, asked.folder / "fleet", name, 100, linked=True)
+        ours = first_night(config, 2, look_at_parent=True)
+        read = reading(READERS[name][0], logs_of(config))
+        rows.append(
+            [
+                name,
+                *_seconds(ours),
+                f"{read.elapsed_s:.2f} s",
+                f"{ours.elapsed_s / read.elapsed_s:.2f}",
+                f"{worker_peak_mib(config):.0f} MiB",
+                f"{ours.parent_mib:.0f} MiB",
+            ]
+        )
+    header = ("format", "elapsed", "processor", "reading", "ratio", "largest worker", "parent")
+    text = "100 motors × 24 h × 10 Hz, once; one format on disk at a time, each log the same file."
+    return Part("A hundred motors", text, header, rows)
+
+
+def fast(asked: Asked) -> Part:
+    """One motor of 24 h at 100 Hz."""
+    day = asked.folder / "day"
+    write_day(day, DAY_MINUTES, 100.0, "parquet")
+    config = make_fleet(day, asked.folder / "fleet", "parquet", 1)
+    files = logs_of(config)
+    costs = interleaved(
+        {
+            "ours": lambda: first_night(config, 2),
+            "read": lambda: reading("pyarrow_parquet", files),
+        },
+        asked.repeats,
+    )
+    rows = [
+        ["fit-fleet", *_seconds(costs["ours"]), f"{worker_peak_mib(config):.0f} MiB"],
+        ["reading, PyArrow", *_seconds(costs["read"]), ""],
+        ["ratio", f"{costs['ours'].elapsed_s / costs['read'].elapsed_s:.2f}", "", ""],
+    ]
+    text = "One motor × 24 h × 100 Hz, Parquet. Goal: at most 1024 MiB a worker."
+    return Part("100 Hz", text, ("what", "elapsed", "processor", "largest worker"), rows)
+
+
+def start(asked: Asked) -> Part:
+    """Start of the command."""
+    day = asked.folder / "day"
+    write_day(day, SMALL_MINUTES, 1.0, "parquet")
+    config = make_fleet(day, asked.folder / "fleet", "parquet", 2)
+    python = sys.executable
+    costs = interleaved(
+        {
+            "help": lambda: elapsed([python, "-m", "pipeline.cli", "--help"]),
+            "first byte": lambda: until_first_byte(config),
+            "interpreter": lambda: elapsed([python, "-c", "import pyarrow.parquet"]),
+        },
+        asked.repeats,
+    )
+    rows = [
+        ["`--help` (goal: 0.3 s)", f"{costs['help'].elapsed_s:.2f} s"],
+        [
+            "`fit-fleet` to the first byte read of a log (goal: 1.5 s)",
+            f"{costs['first byte'].elapsed_s:.2f} s",
+        ],
+        ["Python with PyArrow, for comparison", f"{costs['interpreter'].elapsed_s:.2f} s"],
+    ]
+    return Part("Start", f"Medians of {asked.repeats}.", ("what", "elapsed"), rows)
+
+
+def user(asked: Asked) -> Part:
+    """What a user would write instead, one motor-night of it."""
+    from benchmarks.user_script import user_motor_night
+
+    day = asked.folder / "day"
+    write_day(day, DAY_MINUTES, 10.0, "parquet")
+    config = make_fleet(day, asked.folder / "fleet", "parquet", asked.motors)
+    ours, theirs = [], []
+    for _ in range(min(asked.repeats, 3)):
+        ours.append(first_night(config, 2).elapsed_s / asked.motors)
+        theirs.append(user_motor_night(log_of(day, "parquet"), USER_STARTS, TIMED_STARTS) / 2)
+    own, other = statistics.median(ours), statistics.median(theirs)
+    rows = [
+        ["ours, a motor-night of the fleet", f"{own:.2f} s"],
+        [f"pandas and SciPy, {USER_STARTS} starts over the samples", f"{other:.0f} s"],
+        ["ratio (goal: at least 500)", f"{other / own:.0f}"],
+    ]
+    text = (
+        f"A loop over motors on two workers, so half of what one motor-night takes: pandas reads "
+        f"and thins out, `scipy.optimize.least_squares` searches over the samples. {TIMED_STARTS} "
+        f"starts are timed and the mean scaled to {USER_STARTS}. It has no intervals, no "
+        "validation, no residual analysis and no tables; ours has, and starts its processes."
+    )
+    return Part("What a user would write", text, ("what", "elapsed a motor-night"), rows)
+
+
+def growth(asked: Asked) -> Part:
+    """Time against samples, motors and nights of history."""
+    rows = []
+    day = asked.folder / "day"
+    write_day(day, DAY_MINUTES, 100.0, "parquet")
+    whole = pq.read_table(log_of(day, "parquet"))
+    taken: list[tuple[int, float]] = []
+    for n in SAMPLES:
+        path = log_of(day, "parquet")
+        pq.write_table(_thinned(whole, n), path)
+        config = make_fleet(day, asked.folder / "fleet", "parquet", 1)
+        cost = interleaved({"": lambda c=config: first_night(c, 1)}, min(asked.repeats, 3))[""]
+        taken.append((n, cost.processor_s))
+        rows.append([f"{n:,} samples of a day", *_seconds(cost), ""])
+    rows[-1][-1] = _slope(taken)
+    shutil.rmtree(day)
+    write_day(day, SMALL_MINUTES, 1.0, "parquet")
+    taken = []
+    for n in FLEETS:
+        config = make_fleet(day, asked.folder / "fleet", "parquet", n)
+        cost = first_night(config, 2, look_at_parent=True)
+        taken.append((n, cost.processor_s))
+        parent = f"parent {cost.parent_mib:.0f} MiB"
+        rows.append([f"{n} motors of {SMALL_MINUTES:g} min", *_seconds(cost), parent])
+    rows[-1][-1] += f", {_slope(taken)}"
+    text = (
+        "Samples of one motor-day in Parquet (a day at 100 Hz, thinned); motors with a short log. "
+        "A slope of 1 on logarithmic axes is growth in proportion; what does not grow (the start "
+        "of the processes) is below it. " + _nights()
+    )
+    return Part("Growth", text, ("what", "elapsed", "processor", "slope"), rows)
+
+
+def _thinned(table: pa.Table, n: int) -> pa.Table:
+    rows = np.linspace(0, table.num_rows - 1, min(n, table.num_rows)).astype(np.int64)
+    return table.take(pa.array(rows))
+
+
+def _slope(taken: Sequence[tuple[int, float]]) -> str:
+    """Slope of the last two points on logarithmic axes, and what one more costs."""
+    (n0, s0), (n1, s1) = taken[-2:]
+    slope = np.log(s1 / s0) / np.log(n1 / n0)
+    return f"slope {slope:.2f}, {1e6 * (s1 - s0) / (n1 - n0):.3g} µs each"
+
+
+def _nights() -> str:
+    """What the benchmark of history found."""
+    path = RESULTS / "night_cost.md"
+    if not path.exists():
+        return ""
+    found = re.search(
+        r"\| processor time \|.*\| ([\d.]+) \|$", path.read_text("utf-8"), re.MULTILINE
+    )
+    if found is None:
+        return ""
+    return (
+        "Nights of history: night 365 takes "
+        f"{found.group(1)} times the processor time of night 2, the trend stage aside "
+        "(`night_cost.md`)."
+    )
+
+
+def _seconds(cost: Cost) -> tuple[str, str]:
+    return f"{cost.elapsed_s:.2f} s", f"{cost.processor_s:.2f} s"
+
+
+PARTS: dict[str, Callable[[Asked], Part]] = {
+    "formats": formats,
+    "hundred": hundred,
+    "fast": fast,
+    "user": user,
+    "start": start,
+    "growth": growth,
+}
