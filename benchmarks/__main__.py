@@ -21,6 +21,7 @@ BENCHMARKS = (
     "night_cost",
     "report",
     "residual_tests",
+    "scale",
     "speed",
     "table_reading",
 )

@@ -8,6 +8,7 @@ from pathlib import Path
 from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
+from pipeline.errors import UsageError
 from pipeline.ledger import FileRecord
 from pipeline.logs import (
     change_of,
@@ -55,6 +56,12 @@ class MotorCheck:
 
 def check_motor(spec: MotorSpec) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written."""
+    if spec.log_url:
+        raise UsageError(
+            "check_object_store",
+            f"the logs lie at {spec.log_url}; expected a folder: copy some of them and name it in "
+            "folders.logs",
+        )
     paths, absent = find_logs(spec)
     records = {name: _looked_at(name, path, spec) for name, path in paths.items()}
     nights = {label for record in records.values() for label in labels_of(record)}

@@ -59,7 +59,9 @@ def require_space(output: Path, specs: Sequence[MotorSpec], minimum_free_mib: fl
 
 
 def new_files(output: Path, spec: MotorSpec) -> int:
-    """Log files of a motor that its ledger does not know by name and size."""
+    """Log files of a motor that its ledger does not know by name and size; none in a store."""
+    if spec.log_url:
+        return 0
     known = read_ledger(output, spec.motor_id).files
     found = 0
     for name, path in find_logs(spec)[0].items():

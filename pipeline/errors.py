@@ -61,6 +61,10 @@ class StoreError(MotorLeakageError):
     """A table could not be read or published."""
 
 
+class EngineError(MotorLeakageError):
+    """What tasks are to be spread over cannot be used; exit code 4."""
+
+
 class LogError(MotorLeakageError):
     """A log file cannot be read, or not be trusted.
 

@@ -20,12 +20,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from pipeline.config import Execution, Fleet, MotorSpec
+from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.disk_space import require_space
-from pipeline.errors import LockedError, StoreError
+from pipeline.engine import RunTasks, nights_a_part, open_engine, results_of
+from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.heartbeat import Heartbeat
 from pipeline.interrupts import interrupts_held
 from pipeline.landing import make_folders, remove_all, remove_leftovers
@@ -40,10 +41,10 @@ from pipeline.motor_task import (
     lost,
     plan_motor,
     run_motor,
-    without_lost_night,
 )
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
+from pipeline.object_store import ObjectStore
 from pipeline.publishing import Publisher
 from pipeline.schema import (
     ALARMS,
@@ -61,6 +62,7 @@ from pipeline.schema import (
 )
 from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of, why_anew
+from pipeline.spread import run_motors
 from pipeline.status import last_good_run
 from pipeline.store import last_night
 from pipeline.trends.record import (
@@ -81,12 +83,10 @@ from pipeline.trends.stage import (
 )
 from pipeline.versions import own_version, versions
 from pipeline.worker_process import Loss
-from pipeline.workers import run_tasks
+from pipeline.working_copy import pull, working_copy
 
 log = logging.getLogger(__name__)
 
-Task = TypeVar("Task")
-Result = TypeVar("Result")
 Progress = Callable[[MotorOutcome], None]
 
 # Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
@@ -202,15 +202,47 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         If another run writes to the same output.
     StoreError
         If nothing can be published, or there is too little room for it.
+    EngineError
+        If there is nothing that tasks could run on.
     """
-    fleet = request.fleet
-    output = fleet.output
+    fleet, output = request.fleet, request.fleet.output
     require_space(output, request.specs, fleet.execution.minimum_free_mib)
-    with locked(output), staging_folder(output) as staging:
+    with (
+        locked(output),
+        Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
+    ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
-        with Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat:
-            return _run(request, staging, progress, heartbeat)
+        with working_copy(fleet.object_store, output), staging_folder(output) as staging:
+            if fleet.object_store:
+                heartbeat.say(last_good_run=_last_good_run(output))
+            folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
+            with open_engine(fleet.execution, folders) as run_tasks:
+                result = _run(request, staging, progress, heartbeat, run_tasks)
+        # What was said before may not be published: now it is.
+        heartbeat.finished(result.run_id, good=not result.interrupted)
+    for fault in notify(fleet.settings.alarms, fleet.name, result.alarms):
+        log.warning("%s", fault)
+    return result
+
+
+def refresh(fleet: Fleet) -> int:
+    """Bring the working copy of what is published in an object store up to date.
+
+    Returns
+    -------
+    int
+        How many files are published.
+
+    Raises
+    ------
+    LockedError
+        If a run works in it.
+    StoreError
+        If it cannot be read.
+    """
+    with locked(fleet.output):
+        return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
@@ -262,6 +294,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         force=request.force,
         retry=request.retry,
         with_starts=request.with_starts,
+        nights_a_part=nights_a_part(request.fleet.execution, len(request.specs)),
     )
 
 
@@ -273,14 +306,20 @@ def _last_good_run(output: Path) -> dt.datetime | None:
         return None
 
 
-def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Heartbeat) -> RunResult:
+def _run(
+    request: RunRequest,
+    staging: Path,
+    progress: Progress,
+    heartbeat: Heartbeat,
+    run_tasks: RunTasks,
+) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
     tasks = [_task(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _results(run_motor, tasks, lost, without_lost_night, fleet.execution):
+        for outcome in _motors(run_tasks, tasks):
             outcomes[outcome.motor_id] = outcome
             heartbeat.motor_done()
             progress(outcome)
@@ -301,7 +340,7 @@ def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Hear
     alarms: Sequence[Mapping[str, Any]] = ()
     if not interrupted:
         try:
-            failures, alarms, interrupted = _publish_trends(request, publisher, finished)
+            failures, alarms, interrupted = _publish_trends(request, publisher, finished, run_tasks)
         except KeyboardInterrupt:
             interrupted = True
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
@@ -320,34 +359,21 @@ def _run(request: RunRequest, staging: Path, progress: Progress, heartbeat: Hear
     with interrupts_held() as came:
         _publish_run(publisher, request, result, started, config_hash)
     interrupted = interrupted or bool(came)
-    heartbeat.finished(run_id, good=not interrupted)
-    for fault in notify(fleet.settings.alarms, fleet.name, alarms):
-        log.warning("%s", fault)
     return replace(result, interrupted=interrupted)
 
 
-def _results(
-    function: Callable[[Task], Result],
-    tasks: Sequence[Task],
-    lost: Callable[[Task, Loss], Result],
-    without: Callable[[Task, Loss], Task | None],
-    execution: Execution,
-) -> Iterator[Result]:
-    """Results of tasks; one that was lost in a known part of its work is done without that part."""
-    rest: list[Task] = []
-
-    def lose(task: Task, loss: Loss) -> Result | None:
-        smaller = without(task, loss)
-        if smaller is None:
-            return lost(task, loss)
-        rest.append(smaller)
-        return None
-
-    for result in run_tasks(function, tasks, lose, execution):
-        if result is not None:
-            yield result
-    if rest:
-        yield from _results(function, rest, lost, without, execution)
+def _motors(run_tasks: RunTasks, tasks: Sequence[MotorTask]) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors; those for which there was no engine any more have failed."""
+    left = {task.spec.motor_id: task for task in tasks}
+    try:
+        for outcome in run_motors(run_tasks, run_motor, tasks):
+            del left[outcome.motor_id]
+            yield outcome
+    except EngineError as error:
+        if len(left) == len(tasks):
+            raise
+        log.warning("%s; what is finished is kept", error)
+        yield from (lost(task, Loss(error.code, error.message)) for task in left.values())
 
 
 @contextmanager
@@ -429,7 +455,10 @@ def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Led
 
 
 def _publish_trends(
-    request: RunRequest, publisher: Publisher, outcomes: Sequence[MotorOutcome]
+    request: RunRequest,
+    publisher: Publisher,
+    outcomes: Sequence[MotorOutcome],
+    run_tasks: RunTasks,
 ) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
     """Make and publish the trends of the run's motors.
 
@@ -452,7 +481,12 @@ def _publish_trends(
         decisions,
         MOTORS_A_TREND_TASK,
     )
-    made = list(_results(run_trends, tasks, lost_trends, without_lost_motor, fleet.execution))
+    made: list[TrendOutcome] = []
+    try:
+        made += results_of(run_tasks, run_trends, tasks, lost_trends, without_lost_motor)
+    except EngineError as error:  # the nights are published: the next run makes the trends
+        log.warning("%s; the next run makes the trends", error)
+        made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
     failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
     # All tasks first: a night's q-values are over the slopes of the whole fleet.
     with interrupts_held() as came:

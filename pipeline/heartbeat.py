@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from pipeline.errors import StoreError
+from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.landing import put
 
 log = logging.getLogger(__name__)
@@ -140,7 +140,7 @@ class Heartbeat:
         self._thread.join()
         if kind is not None:
             interrupted = issubclass(kind, KeyboardInterrupt)
-            code = error.code if isinstance(error, StoreError) else None
+            code = error.code if isinstance(error, MotorLeakageError) else None
             self.say(state=INTERRUPTED if interrupted else FAILED, error_code=code)
 
     def motor_done(self) -> None:

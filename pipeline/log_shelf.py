@@ -5,20 +5,18 @@ from __future__ import annotations
 import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import FileRecord
+from pipeline.log_source import logs_of
 from pipeline.logs import (
-    change_of,
     covered,
     failed,
-    find_logs,
     growing,
-    inspect_log,
     labels_of,
     place_failed,
     reaches_us,
@@ -34,6 +32,15 @@ LOGS_IN_MEMORY = 2
 FATES = ("read", "unchanged", "growing", "failed", "left")
 
 
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a task knew of a file before it used it and after, and whether it could read it."""
+
+    before: FileRecord
+    after: FileRecord
+    was_read: bool
+
+
 class LogShelf:
     """The log files of a motor, each read once while it is needed.
 
@@ -43,6 +50,8 @@ class LogShelf:
         The motor.
     before
         What was known of its files.
+    looked_at
+        What another task of this run has seen of them; none is then looked at again.
 
     Attributes
     ----------
@@ -54,18 +63,30 @@ class LogShelf:
         Paths of those whose content was read.
     """
 
-    def __init__(self, spec: MotorSpec, before: Mapping[str, FileRecord]) -> None:
+    def __init__(
+        self,
+        spec: MotorSpec,
+        before: Mapping[str, FileRecord],
+        looked_at: Mapping[str, FileRecord] | None = None,
+    ) -> None:
         self._spec = spec
         self._before = before
         self._read_with = reading_hash(spec)
-        self._paths, self.absent = find_logs(spec)
-        looked_at = {
-            name: replace(
-                inspect_log(name, path, self._known(name), spec), read_with=self._read_with
+        self._source = logs_of(spec)
+        self.absent = self._source.absent
+        if looked_at is None:
+            looked_at = place_failed(
+                {
+                    name: replace(
+                        self._source.look_at(name, self._known(name)),
+                        read_with=self._read_with,
+                    )
+                    for name in self._source.names
+                },
+                before,
+                spec,
             )
-            for name, path in self._paths.items()
-        }
-        self.files = place_failed(looked_at, before, spec)
+        self.files = dict(looked_at)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
@@ -151,11 +172,11 @@ class LogShelf:
             return None
         content: RawLog | None = None
         try:
-            content = read_log(self._paths[name], self._spec.file.log_source())
+            content = read_log(self._source.path(name), self._spec.file.log_source())
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None
-        why = change_of(record, self._paths[name])
+        why = self._source.change_of(record)
         if why is not None:
             found, content = growing(record, why), None
         self.files[name] = found
@@ -167,6 +188,33 @@ class LogShelf:
         if len(self._open) > LOGS_IN_MEMORY:
             self._open.popitem(last=False)
         return content
+
+    def recall(self, here: Night, known: Mapping[str, Sight], used: tuple[str, ...]) -> bool:
+        """Take over what another task saw when it read a night's files.
+
+        Parameters
+        ----------
+        here
+            The night.
+        known
+            What it knew of each file before and after.
+        used
+            Files that it used, in order.
+
+        Returns
+        -------
+        bool
+            False, and nothing is taken over, where this task would use other files, or knows
+            something else of one.
+        """
+        if (*self.before_night(here), *self.of_night(here.date)) != used:
+            return False
+        if any(self.files[name] not in (one.before, one.after) for name, one in known.items()):
+            return False
+        for name, one in known.items():
+            self.files[name] = one.after
+            (self.read.add if one.was_read else self.read.discard)(name)
+        return True
 
     def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:
         """Files of which every night is done: the others stay new, for a run that wants them."""

@@ -8,16 +8,18 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
+import pickle
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -25,14 +27,16 @@ from threadpoolctl import threadpool_limits
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
+from pipeline.landing import scratch
 from pipeline.ledger import (
+    FileRecord,
     Ledger,
     NightRecord,
     changed_months,
     read_ledger,
     read_settings,
 )
-from pipeline.log_shelf import LogShelf
+from pipeline.log_shelf import LogShelf, Sight
 from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
 from pipeline.messages import speak_as_told
 from pipeline.motor_night import (
@@ -48,13 +52,15 @@ from pipeline.motor_night import (
 from pipeline.night_rows import Row
 from pipeline.night_statistics import hash_of
 from pipeline.nights import night, nights_between
-from pipeline.refit import StoredNights, is_refit
+from pipeline.refit import StoredNights, is_refit, judged
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
 from pipeline.settings_hashes import SettingsHashes, settings_of, why_anew
 from pipeline.store import night_file, read_rows, stage
 from pipeline.worker_process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
+
+Made = TypeVar("Made")
 
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
@@ -102,6 +108,12 @@ class MotorTask:
         search.
     given_up
         Nights that this run's workers were lost in, each time.
+    nights_a_part
+        A motor with more nights to read than this is split into parts of so many; 0: never.
+    looked_at
+        What an earlier task of this run has seen of its logs; None: nothing.
+    parts
+        Files below the staging folder with nights that other tasks have made.
     """
 
     spec: MotorSpec
@@ -113,6 +125,9 @@ class MotorTask:
     retry: bool = False
     with_starts: bool = False
     given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
+    nights_a_part: int = 0
+    looked_at: Mapping[str, FileRecord] | None = None
+    parts: tuple[str, ...] = ()
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -174,6 +189,85 @@ class MotorOutcome:
         return self.peak_memory_mib is not None
 
 
+@dataclass(frozen=True, slots=True)
+class SplitMotor:
+    """A motor with so many nights to read that other tasks are to make them.
+
+    Attributes
+    ----------
+    looked_at
+        What was seen of its logs.
+    parts
+        Nights of each part, in order of time.
+    """
+
+    motor_id: str
+    looked_at: Mapping[str, FileRecord]
+    parts: tuple[tuple[dt.date, ...], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class PartTask:
+    """Some nights of a motor, to be read and fitted apart from the others.
+
+    Attributes
+    ----------
+    motor
+        The motor's own task.
+    nights
+        Which nights.
+    staging
+        Folder in which they are left, as `name`.
+    """
+
+    motor: MotorTask
+    nights: tuple[dt.date, ...]
+    staging: Path
+
+    @property
+    def name(self) -> str:
+        """Its file below the staging folder."""
+        return f"parts/{self.motor.spec.motor_id}@{min(self.nights)}"
+
+
+@dataclass(frozen=True, slots=True)
+class PartOutcome:
+    """That a part is made, or why not.
+
+    Attributes
+    ----------
+    name
+        Its file below the staging folder.
+    failure
+        What then comes of the motor; None: the part is made.
+    given_up
+        Nights that workers were lost in, each time; they are not made.
+    seconds
+        Time by stage.
+    peak_memory_mib
+        Largest memory of the worker so far.
+    """
+
+    motor_id: str
+    name: str
+    failure: MotorOutcome | None = None
+    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    peak_memory_mib: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class MadeNight:
+    """A night as another task has made it, and what it saw of which logs.
+
+    Nights hang together by the model before alone, which is judged again when they are joined.
+    """
+
+    outcome: NightOutcome
+    seen: Mapping[str, Sight]
+    used: tuple[str, ...]
+
+
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     """What a run would do of a motor now, night by night, and why; nothing is read or written.
 
@@ -185,30 +279,86 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     return _Nights(task).plan()
 
 
-def run_motor(task: MotorTask) -> MotorOutcome:
+def run_motor(task: MotorTask) -> MotorOutcome | SplitMotor:
     """Do everything that is new for a motor, and stage its rows.
 
     Returns
     -------
-    MotorOutcome
-        Also where the task failed as a whole: with status ``failed`` and no nights.
+    MotorOutcome or SplitMotor
+        Also where the task failed as a whole: with status ``failed`` and no nights. Or what is to
+        be done in parts first; nothing is then staged.
 
     Raises
     ------
     MemoryError
         If there is not enough memory for what all its nights need.
     """
+
+    def work() -> MotorOutcome | SplitMotor:
+        nights = _Nights(task)
+        return nights.split() or nights.run()
+
+    return _guarded(task, work)
+
+
+def run_part(task: PartTask) -> PartOutcome:
+    """Make some nights of a motor, and leave them in the staging folder; raises as `run_motor`."""
+    motor_id = task.motor.spec.motor_id
+
+    def work() -> PartOutcome:
+        nights = _Nights(task.motor)
+        made = nights.make(task.nights)
+        _leave(made, task.staging / task.name)
+        return PartOutcome(
+            motor_id,
+            task.name,
+            given_up=task.motor.given_up,
+            seconds=dict(nights.seconds),
+            peak_memory_mib=_peak_memory_mib(),
+        )
+
+    found = _guarded(task.motor, work)
+    if isinstance(found, MotorOutcome):
+        return PartOutcome(motor_id, task.name, failure=found)
+    return found
+
+
+def _guarded(task: MotorTask, work: Callable[[], Made]) -> Made | MotorOutcome:
+    """The edge of a motor's task: what is raised in it is the motor's failure."""
     speak_as_told()
     with threadpool_limits(1):
         try:
-            return _Nights(task).run()
+            return work()
         except StoreError as error:
             return lost(task, Loss(error.code, error.message))
         except MemoryError:  # a fresh worker may have what it takes
             raise
-        except (Exception, PanicException) as error:  # the edge of a motor's task
+        except (Exception, PanicException) as error:
             log.exception("motor %s failed", task.spec.motor_id)
             return lost(task, loss_of(error))
+
+
+def _peak_memory_mib() -> float:
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _leave(made: Mapping[dt.date, MadeNight], path: Path) -> None:
+    """Leave the nights of a part for the task that joins them."""
+    try:
+        with scratch(path) as stream:
+            pickle.dump(made, stream)
+    except OSError as error:
+        why = error.strerror or error
+        raise StoreError("store_write", f"{path.name} cannot be written: {why}") from error
+
+
+def _read_parts(task: MotorTask) -> dict[dt.date, MadeNight]:
+    """The nights that other tasks of this run have made."""
+    made: dict[dt.date, MadeNight] = {}
+    for name in task.parts:
+        # Written by this run, below a folder of its own.
+        made |= pickle.loads((task.staging / name).read_bytes())  # noqa: S301
+    return made
 
 
 def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
@@ -221,6 +371,12 @@ def without_lost_night(task: MotorTask, loss: Loss) -> MotorTask | None:
     if not loss.part or len(task.given_up) == MOST_GIVEN_UP:
         return None
     return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
+
+
+def part_without_lost_night(task: PartTask, loss: Loss) -> PartTask | None:
+    """As `without_lost_night`, of a part."""
+    motor = without_lost_night(task.motor, loss)
+    return None if motor is None else replace(task, motor=motor)
 
 
 def _hash_of_model(model: PreviousModel) -> str:
@@ -265,7 +421,8 @@ class _Nights:
         if task.retry:
             self.before = _without_failures(self.before)
         with self._timed("read_s"):
-            self.logs = LogShelf(self.spec, self.before.files)
+            self.logs = LogShelf(self.spec, self.before.files, task.looked_at)
+        self.made = _read_parts(task)
         self.hashes = SettingsHashes(self.spec)
         self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
         self.done: dict[dt.date, NightOutcome] = {}
@@ -273,6 +430,36 @@ class _Nights:
         self.kept: set[dt.date] = set()
         self.reasons: dict[dt.date, str] = {}
         self.by_settings = self._outdated_by_settings()
+
+    def split(self) -> SplitMotor | None:
+        """The parts in which the motor's nights are to be made; None: here, in one."""
+        size = self.task.nights_a_part
+        if not size or self.task.looked_at is not None:
+            return None
+        labels = [label for label, step in self.plan().items() if step.work is Work.READ]
+        if len(labels) <= size:
+            return None
+        parts = tuple(tuple(labels[at : at + size]) for at in range(0, len(labels), size))
+        return SplitMotor(self.spec.motor_id, self.logs.files, parts)
+
+    def make(self, labels: tuple[dt.date, ...]) -> dict[dt.date, MadeNight]:
+        """Read and fit some nights, each on its own."""
+        made = {}
+        for label in labels:
+            if label in self.task.given_up:
+                continue
+            before = dict(self.logs.files)
+            here = night(label, self.spec.settings.nights)
+            used = (*self.logs.before_night(here), *self.logs.of_night(label))
+            outcome = self._night(label, Work.READ, {})
+            assert outcome is not None
+            seen = {
+                name: Sight(before[name], self.logs.files[name], name in self.logs.read)
+                for name in used
+            }
+            made[label] = MadeNight(outcome, seen, used)
+        sign_of_life("")
+        return made
 
     def run(self) -> MotorOutcome:
         # Reading may show that a log covers other nights than its ends had told, so look again.
@@ -424,6 +611,9 @@ class _Nights:
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
+        made = self.made.get(label)
+        if made is not None and self.logs.recall(here, made.seen, made.used):
+            return judged(self.spec, made.outcome, before)
         with self._timed("read_s"):
             names = self.logs.of_night(label)
             read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
@@ -525,5 +715,5 @@ class _Nights:
             growing=tuple(self.logs.growing()),
             ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
-            peak_memory_mib=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+            peak_memory_mib=_peak_memory_mib(),
         )

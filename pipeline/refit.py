@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -256,6 +256,18 @@ class _Blocks:
 def is_refit(outcome: NightOutcome) -> bool:
     """Whether a night was fitted from its statistics, and not only judged."""
     return outcome.tables is not None and set(REFITTED_TABLES) <= set(outcome.tables)
+
+
+def judged(spec: MotorSpec, outcome: NightOutcome, previous: PreviousModel) -> NightOutcome:
+    """A night just fitted, with the model before judged on it, which its fit did not know."""
+    if outcome.status != OK:
+        return outcome
+    rows = []
+    for row in outcome.rows["fits"]:
+        factor = _factor(row["night_factor"], len(row["columns"]))
+        before = previous.get(row["flushing_mode"])
+        rows.append(row | previous_model_columns(spec, factor, before))
+    return replace(outcome, rows={**outcome.rows, "fits": rows})
 
 
 def _factor(upper: Sequence[float], size: int) -> Array:

@@ -125,10 +125,10 @@ def _over_workers(
 @contextmanager
 def _crew(
     function: Callable[[Task], Result], n_workers: int, execution: Execution
-) -> Iterator[list[_Worker[Task, Result]]]:
-    crew: list[_Worker[Task, Result]] = []
+) -> Iterator[list[Worker[Task, Result]]]:
+    crew: list[Worker[Task, Result]] = []
     try:
-        crew += (_Worker(function, execution) for _ in range(n_workers))
+        crew += (Worker(function, execution) for _ in range(n_workers))
         yield crew
     finally:
         # A task under way is dropped; it has published nothing.
@@ -136,15 +136,31 @@ def _crew(
             worker.kill()
 
 
-def _wait_for_news(at_work: Sequence[_Worker[Task, Result]]) -> None:
+def run_task(worker: Worker[Task, Result], task: Task) -> Done[Result] | Loss:
+    """What comes of a task in a worker that has nothing else to do."""
+    worker.begin(task)
+    while (outcome := worker.outcome()) is None:
+        _wait_for_news([worker])
+    return outcome
+
+
+def _wait_for_news(at_work: Sequence[Worker[Task, Result]]) -> None:
     """Wait until a worker says something, dies, or has used up its time."""
     due = min(worker.due for worker in at_work)
     ends = [end for worker in at_work for end in (worker.connection, worker.stderr)]
     wait(ends, max(0.0, due - time.monotonic()))
 
 
-class _Worker(Generic[Task, Result]):
-    """A process that does one task at a time; if it dies of one, another does the next."""
+class Worker(Generic[Task, Result]):
+    """A process that does one task at a time; if it dies of one, another does the next.
+
+    Parameters
+    ----------
+    function
+        Does a task.
+    execution
+        Its limits.
+    """
 
     task: Task
 

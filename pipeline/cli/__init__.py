@@ -39,6 +39,7 @@ app.command()(state.status)
 app.command()(state.ack)
 app.command()(housekeeping.prune)
 app.command()(housekeeping.migrate)
+app.command()(housekeeping.pull)
 baseline.command("reset")(state.baseline_reset)
 app.add_typer(baseline, name="baseline")
 

@@ -1,4 +1,4 @@
-"""Commands that keep the tables in order: pruning, and migration of older ones."""
+"""Commands that keep the tables in order: pruning, migration of older ones, a working copy."""
 
 from __future__ import annotations
 
@@ -33,12 +33,13 @@ def prune(
     from pipeline.fleet import locked
     from pipeline.retention import nights_kept, old_files
     from pipeline.retention import prune as remove
+    from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
     old = old_files(fleet.output, kept)
     if yes and old:
-        with locked(fleet.output):
+        with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
             remove(fleet.output, old)
     word = "removed" if yes else "can be removed"
     for one in old:
@@ -85,12 +86,13 @@ def migrate(
     from pipeline.migration import migrate as rewrite
     from pipeline.migration import old_table_files
     from pipeline.schema import SCHEMA_VERSION
+    from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     if dry_run:
         found = Counter(one.version for one in old_table_files(fleet.output))
     else:
-        with locked(fleet.output):
+        with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
             found = rewrite(fleet.output)
     word = "to be written" if dry_run else "written"
     for version, count in sorted(found.items()):
@@ -101,3 +103,17 @@ def migrate(
             say(f"{count} files of schema version {version} {word} anew")
     if not as_json:
         say(f"{found.total()} files {word}; the tables' schema version is {SCHEMA_VERSION}")
+
+
+def pull(config: ConfigFile, output: Output = None) -> None:
+    """Bring the output folder up to date with the object store that it is published to.
+
+    Example: motor-leakage pull demo/configs/fleet.toml
+    """
+    from pipeline.fleet import refresh
+
+    fleet = load(config, output, None, logs=False)
+    if not fleet.object_store:
+        say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
+        return
+    say(f"{refresh(fleet)} files of {fleet.object_store} in {fleet.output}")

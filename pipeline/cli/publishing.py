@@ -108,6 +108,10 @@ def export(
     csv: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Write CSV, one file a table, there.")
     ] = None,
+    delta: Annotated[
+        str | None,
+        typer.Option(metavar="PLACE", help="Write Delta Lake tables below a folder or URL."),
+    ] = None,
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Annotated[
         str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
@@ -124,13 +128,25 @@ def export(
     Example: motor-leakage export demo/configs/fleet.toml --csv csv --tables fits,parameters --bom
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front.
-    """
-    from pipeline.config import load_fleet
-    from pipeline.csv_export import Selection, export_csv, tables_named
 
-    if csv is None:
-        raise UsageError("export_format", "name the folder of the files: --csv FOLDER")
-    fleet = load_fleet(config)
+    Example: motor-leakage export demo/configs/fleet.toml --delta lake
+
+    Delta Lake tables are written whole, each in one transaction.
+    """
+    from pipeline.csv_export import Selection, export_csv, tables_named
+    from pipeline.delta_export import export_delta
+
+    if (csv is None) == (delta is None):
+        raise UsageError("export_format", "name what to write: --csv FOLDER or --delta PLACE")
+    fleet = loaded(config)
+    root = fleet.output if output is None else output.resolve()
+    if delta is not None:
+        if motors or since or until or bom:
+            raise UsageError("export_format", "--delta writes whole tables: expected only --tables")
+        for one in export_delta(root, delta, tables_named(tables.replace(",", " ").split())):
+            typer.echo(f"{one.place}: version {one.version}, {one.n_rows} rows")
+        return
+    assert csv is not None
     selection = Selection(
         tables=tables_named(tables.replace(",", " ").split()),
         motors=known_motors(motors.split(), fleet),
@@ -138,7 +154,6 @@ def export(
         until=night_label(until, "--until"),
     )
     in_order(selection.since, selection.until)
-    root = fleet.output if output is None else output.resolve()
     for file in export_csv(root, csv, selection, byte_order_mark=bom):
         typer.echo(f"{file.path}: {file.n_rows} rows")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import signal
+from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING, Annotated, NoReturn
@@ -142,7 +143,7 @@ def fit(
     label = night_label(night, "NIGHT")
     assert label is not None
     with TemporaryDirectory() as folder:
-        fleet = load(config, Path(folder), None)
+        fleet = replace(load(config, Path(folder), None), object_store="")
         request = RunRequest(fleet, known_motors([motor], fleet), since=label, until=label)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]

@@ -6,7 +6,7 @@ import datetime as dt
 import json
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -17,6 +17,7 @@ from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
+from pipeline.object_store import is_url
 
 Model = TypeVar("Model", bound=BaseModel)
 Document = Mapping[str, Any]
@@ -40,13 +41,17 @@ class Folder(Generic[Model]):
 
 @dataclass(frozen=True, slots=True)
 class MotorSpec:
-    """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil."""
+    """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
+
+    Its logs lie below `log_root`, or below `log_url` where that is not empty.
+    """
 
     file: MotorFile
     motor_type: MotorTypeFile
     oils: Mapping[str, OilFile]
     settings: Settings
     log_root: Path
+    log_url: str = ""
 
     @property
     def motor_id(self) -> str:
@@ -70,7 +75,11 @@ class MotorSpec:
 
 @dataclass(frozen=True, slots=True)
 class Fleet:
-    """A fleet's whole config; `settings` are those that no motor overrides."""
+    """A fleet's whole config; `settings` are those that no motor overrides.
+
+    `object_store` is where the output is published; empty: nowhere else. `log_url` is as in
+    `MotorSpec`.
+    """
 
     name: str
     motors: tuple[MotorSpec, ...]
@@ -81,6 +90,12 @@ class Fleet:
     oils: Mapping[str, OilFile]
     settings: Settings
     retention: Retention
+    object_store: str = ""
+
+    @property
+    def log_url(self) -> str:
+        """URL of the logs; empty where they lie in a folder."""
+        return self.motors[0].log_url if self.motors else ""
 
 
 def load_fleet(path: Path) -> Fleet:
@@ -114,7 +129,8 @@ def load_fleet(path: Path) -> Fleet:
     oils = _read_folder(base / folders.oils, OilFile, faults)
     motors = _read_folder(base / folders.motors, MotorFile, faults)
     faults += _misnamed("motor_types", "motor_type", types.documents)
-    log_root = (base / folders.logs).resolve()
+    log_url = folders.logs if is_url(folders.logs) else ""
+    log_root = base.resolve() if log_url else (base / folders.logs).resolve()
     specs = [
         spec
         for name in sorted(motors.documents)
@@ -127,7 +143,7 @@ def load_fleet(path: Path) -> Fleet:
     output = Path("out") if folders.output is None else base / folders.output
     return Fleet(
         name=fleet.name,
-        motors=tuple(specs),
+        motors=tuple(replace(spec, log_url=log_url) for spec in specs),
         execution=fleet.execution,
         retention=fleet.retention,
         log_root=log_root,
@@ -135,6 +151,7 @@ def load_fleet(path: Path) -> Fleet:
         motor_types=types.parsed,
         oils=oils.parsed,
         settings=fleet,
+        object_store=folders.object_store,
     )
 
 

@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
+# The name of a bucket, and a folder in it.
+URL_OR_NOTHING = r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$"
 RelativeFolder = Annotated[str, Field(min_length=1)]
 
 
@@ -37,10 +39,18 @@ class Folders(Section):
     motor_types: RelativeFolder = Field("motor_types", description="Folder of the motor types")
     oils: RelativeFolder = Field("oils", description="Folder of the oils")
     logs: RelativeFolder = Field(
-        "../logs", description="Root of the logs; the paths in `input_files` are relative to it"
+        "../logs",
+        description="Root of the logs, a folder or a URL such as s3://bucket/logs; the paths in "
+        "`input_files` are relative to it",
     )
     output: str | None = Field(
         None, description="Output folder; without it `out/` where the command was started"
+    )
+    object_store: str = Field(
+        "",
+        pattern=URL_OR_NOTHING,
+        description="Where the output is published, such as s3://bucket/fleet (or az://, gs://); "
+        "the output folder is then its working copy (`scale.md`); empty: the folder is all",
     )
 
 
@@ -389,11 +399,33 @@ class Execution(Section):
     """How the work is spread; nothing here changes a figure."""
 
     workers: int = Field(2, ge=1, le=256, description="Motors fitted at the same time")
-    backend: Literal["loky", "sequential"] = Field(
+    backend: Literal["loky", "sequential", "dask"] = Field(
         "loky",
         description="`loky`: worker processes, one with `workers` = 1 too; `sequential`: one after "
         "the other in the run's own process, without limits: a motor that hangs or dies takes the "
-        "run with it",
+        "run with it; `dask`: a Dask cluster (`scale.md`)",
+    )
+    nights_a_part: int = Field(
+        14,
+        ge=0,
+        description="A motor with more new nights than this is split into parts of so many, which "
+        "workers do side by side, over a Dask scheduler or where a run has fewer motors than "
+        "workers; 0: never",
+    )
+    scheduler: str = Field(
+        "",
+        pattern=r"^$|^(tcp|tls)://[^/\s]+:[0-9]+$",
+        description="`dask`: address of the scheduler, such as tcp://10.0.0.5:8786; without it "
+        "`workers` Dask workers of this machine",
+    )
+    tasks_in_flight: int = Field(
+        256,
+        ge=1,
+        description="`dask`: never more tasks than this are handed to the scheduler at a time",
+    )
+    scheduler_wait_s: Positive = Field(
+        30.0,
+        description="`dask`: how long to wait for the scheduler, and while it has no worker",
     )
     timeout_s: float = Field(
         1800.0,

@@ -108,7 +108,7 @@ def test_2_for_a_broken_config_before_anything_is_read(
     def forbidden(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr("pipeline.log_shelf.find_logs", forbidden)
+    monkeypatch.setattr("pipeline.log_source.find_logs", forbidden)
     monkeypatch.setattr("pipeline.check.find_logs", forbidden)
     change(fleet, f"motors/{CSV}.toml", 'oil = "vg68"', 'oil = "vg99"')
     change(fleet, "fleet.toml", "workers = 2", "workers = 0")

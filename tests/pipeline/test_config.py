@@ -253,7 +253,7 @@ def test_faults_of_a_motor(configs: Path, before: str, after: str, key: str, wor
         ("nights", 'time_zone = "Europe/Atlantis"', "nights.time_zone", "IANA"),
         ("nights", "end_hour = 6.5", "nights.end_hour", "valid integer"),
         ("execution", "workers = 0", "execution.workers", "greater than or equal to 1"),
-        ("execution", 'backend = "dask"', "execution.backend", "'loky' or 'sequential'"),
+        ("execution", 'backend = "spark"', "execution.backend", "'loky', 'sequential' or 'dask'"),
         ("estimation", "seed = 1.5", "estimation.seed", "valid integer"),
         ("estimation", 'starting_points = "10"', "estimation.starting_points", 'got "10"'),
         ("cleaning", "hampel_window = 10", "cleaning.hampel_window", "expected an odd number"),

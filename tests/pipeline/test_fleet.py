@@ -514,7 +514,7 @@ def test_a_fault_of_ours_costs_its_motor_alone(
         raise ZeroDivisionError("not foreseen")
 
     fleet = own_fleet(CSV, PARQUET)
-    monkeypatch.setattr("pipeline.log_shelf.find_logs", broken)
+    monkeypatch.setattr("pipeline.log_source.find_logs", broken)
     result = run(fleet)
     assert status_of(result) == {CSV: "failed", PARQUET: "failed"}
     assert {outcome.error_code for outcome in result.outcomes} == {"internal"}

@@ -16,6 +16,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.log_shelf
+import pipeline.log_source
 import pipeline.motor_task
 from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import Ledger, NightRecord
@@ -394,7 +395,7 @@ def test_a_file_that_vanishes_while_it_is_looked_at(
         paths, absent = find_logs(spec)
         return paths | {"M1/gone.parquet": gone}, absent
 
-    monkeypatch.setattr(pipeline.log_shelf, "find_logs", with_gone)
+    monkeypatch.setattr(pipeline.log_source, "find_logs", with_gone)
     outcome = workshop.run()
     assert (outcome.status, outcome.error_code) == ("failed", "log_not_readable")
     assert outcome.nights == (NIGHT,)

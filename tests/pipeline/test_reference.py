@@ -26,7 +26,10 @@ DOCS = ROOT / "docs"
 README = (ROOT / "README.md").read_text("utf-8")
 HAND_WRITTEN = [
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")),
-    *(DOCS / name for name in ("model.md", "validation.md", "operations.md", "dependencies.md")),
+    *(
+        DOCS / name
+        for name in ("model.md", "validation.md", "operations.md", "dependencies.md", "scale.md")
+    ),
     *(DOCS / name for name in ("queries.md", "powerbi.md")),
 ]
 SOURCES = [

@@ -1,0 +1,96 @@
+"""A Dask scheduler and its workers as processes of their own on loopback."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import Execution
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 60.0
+
+
+def start(*arguments: str) -> subprocess.Popen[str]:
+    """A process of Dask's command, with the tests' modules to be found."""
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]),
+        "POLARS_MAX_THREADS": "1",
+        "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "1",
+    }
+    return subprocess.Popen(
+        [sys.executable, "-m", "dask", *arguments],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+@dataclass(slots=True)
+class Processes:
+    """A scheduler and the workers that were started for it."""
+
+    scheduler: subprocess.Popen[str]
+    address: str
+    workers: list[subprocess.Popen[str]] = field(default_factory=list)
+
+    def add_worker(self, *options: str) -> None:
+        self.workers.append(
+            start("worker", self.address, "--nthreads", "1", "--no-dashboard", *options)
+        )
+
+    def execution(self, **changed: Any) -> Execution:
+        settings = {"backend": "dask", "scheduler": self.address, "scheduler_wait_s": PATIENCE_S}
+        return Execution.model_validate(settings | changed)
+
+    def end(self) -> None:
+        for process in (*self.workers, self.scheduler):
+            if process.poll() is None:
+                os.killpg(process.pid, signal.SIGKILL)
+            process.communicate()
+
+
+@contextmanager
+def scheduler_with(n_workers: int, *options: str) -> Iterator[Processes]:
+    """A scheduler with some workers, all ended afterwards."""
+    process = start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
+    assert process.stderr is not None
+    found = Processes(process, "")
+    try:
+        for line in process.stderr:
+            if "Scheduler at:" in line:
+                found.address = line.split()[-1]
+                break
+        assert found.address, "the scheduler did not start"
+        for _ in range(n_workers):
+            found.add_worker(*options)
+        if n_workers:
+            _wait_for(found.address, n_workers)
+        yield found
+    finally:
+        found.end()
+
+
+def _wait_for(address: str, n_workers: int) -> None:
+    from distributed import Client
+
+    with Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
+        client.wait_for_workers(n_workers, timeout=PATIENCE_S)
+
+
+def wait_until(holds: Any) -> None:
+    """Wait for what another process is about to do."""
+    until = time.monotonic() + PATIENCE_S
+    while not holds():
+        assert time.monotonic() < until, "it did not come to be"
+        time.sleep(0.05)

@@ -1,0 +1,194 @@
+"""A fleet's run over a Dask cluster: the tables of a run on one machine, byte for byte."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.errors import EngineError
+from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.object_store import ObjectStore
+from tests.conftest import OwnFleet
+from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
+from tests.pipeline.s3_server import s3_server
+from tests.pipeline.test_fleet import MOTORS, check_same_tables, output_of, status_of, table_files
+
+COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
+
+
+@pytest.fixture(scope="module")
+def two_workers() -> Iterator[Processes]:
+    with scheduler_with(2) as processes:
+        yield processes
+
+
+def run(fleet_file: Path, output: Path, execution: Any, progress: Any = None) -> RunResult:
+    fleet = replace(load_fleet(fleet_file), output=output, execution=execution)
+    return run_fleet(RunRequest(fleet), progress or (lambda _: None))
+
+
+def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
+    two_workers: Processes, demo_folder: Path, fitted_output: Path, tmp_path: Path
+) -> None:
+    from distributed import Client
+
+    killed: list[int] = []
+
+    def kill_one(_: object) -> None:
+        if not killed:
+            with Client(two_workers.address, set_as_default=False) as client:
+                killed.append(min(client.run(os.getpid).values()))
+            os.kill(killed[0], signal.SIGKILL)
+
+    # Each motor in parts, too: what they made travels to the task that joins them.
+    execution = two_workers.execution(nights_a_part=2)
+    result = run(demo_folder / "configs" / "fleet.toml", tmp_path, execution, kill_one)
+    assert killed
+    assert status_of(result) == dict.fromkeys(MOTORS, "ok")
+    assert table_files(tmp_path) == table_files(fitted_output)
+    assert not (tmp_path / "staging").exists()
+    # And nothing is new for the next run, wherever that is done.
+    again = run(demo_folder / "configs" / "fleet.toml", tmp_path, two_workers.execution())
+    assert again.n_nights == 0
+    assert table_files(tmp_path) == table_files(fitted_output)
+
+
+def kill_worker_of_parquet(task: Any) -> Any:
+    """Takes every worker with it that tries the one motor."""
+    from pipeline.motor_task import run_motor
+
+    if task.spec.motor_id == "CB400-02":
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(60.0)
+    return run_motor(task)
+
+
+def die_in_a_night(task: Any) -> Any:
+    """The process that has a motor's part dies in one night of it."""
+    import pipeline.motor_task as module
+
+    fit_night = module.fit_night
+
+    def fit_or_die(spec: Any, here: Any, *arguments: Any) -> Any:
+        if str(here.date) == "2026-01-03":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return fit_night(spec, here, *arguments)
+
+    module.fit_night = fit_or_die
+    try:
+        return module.run_part(task)
+    finally:
+        module.fit_night = fit_night
+
+
+def test_a_night_that_its_process_dies_of_costs_no_other(
+    two_workers: Processes,
+    own_fleet: OwnFleet,
+    fitted_output: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fleet = own_fleet("CB400-02")
+    monkeypatch.setattr("pipeline.spread.run_part", die_in_a_night)
+    (outcome,) = run(fleet, output_of(fleet), two_workers.execution(nights_a_part=2)).outcomes
+    assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
+    # Done once more, it has the figures of the others' runs.
+    again = replace(load_fleet(fleet), execution=two_workers.execution())
+    assert run_fleet(RunRequest(again, retry=True)).failed == ()
+    check_same_tables(output_of(fleet), fitted_output, "CB400-02")
+
+
+@pytest.mark.full
+def test_a_motor_that_kills_every_worker_fails_alone(
+    two_workers: Processes,
+    own_fleet: OwnFleet,
+    fitted_output: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    fleet = own_fleet("CB400-01", "CB400-02")
+    monkeypatch.setattr("pipeline.fleet.run_motor", kill_worker_of_parquet)
+    result = run(fleet, output_of(fleet), two_workers.execution())
+    assert status_of(result) == {"CB400-01": "ok", "CB400-02": "failed"}
+    (failed,) = result.failed
+    assert failed.error_code == "worker_died"
+    assert "2 workers died of it" in (failed.message or "")
+    check_same_tables(output_of(fleet), fitted_output, "CB400-01")
+
+
+@pytest.mark.full
+def test_workers_of_this_machine_write_the_same_bytes(
+    own_fleet: OwnFleet, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PYTHONPATH", str(ROOT))
+    fleet = own_fleet("CB400-01", "CB400-02")
+    execution = load_fleet(fleet).execution
+    for backend in ("dask", "sequential"):
+        how = execution.model_copy(update={"backend": backend})
+        run(fleet, tmp_path / backend, how)
+    assert table_files(tmp_path / "dask") == table_files(tmp_path / "sequential")
+
+
+def test_the_command_ends_with_4_without_a_scheduler(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB400-02")
+    text = fleet.read_text("utf-8").replace(
+        "[execution]",
+        '[execution]\nbackend = "dask"\nscheduler = "tcp://127.0.0.1:1"\nscheduler_wait_s = 0.5',
+    )
+    fleet.write_text(text, "utf-8")
+    done = subprocess.run(
+        [*COMMAND, "fit-fleet", str(fleet), "--output", "out"],
+        cwd=fleet.parent,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 4
+    assert "scheduler_unreachable: no Dask scheduler answers at tcp://127.0.0.1:1" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not list((fleet.parent / "out").rglob("*.parquet"))
+
+
+@pytest.mark.full
+def test_a_scheduler_lost_before_any_motor_was_done_publishes_nothing(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet("CB400-02")
+    with scheduler_with(1, "--no-nanny") as processes:
+        monkeypatch.setattr("pipeline.fleet.run_motor", kill_worker_of_parquet)
+        with pytest.raises(EngineError) as caught:
+            run(fleet, output_of(fleet), processes.execution(scheduler_wait_s=1.0))
+    assert caught.value.code == "scheduler_lost"
+    assert not list(output_of(fleet).rglob("*.parquet"))
+
+
+@pytest.mark.full
+def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
+    own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet("CB400-01", "CB400-02")
+    with s3_server(monkeypatch, "test-dask"), scheduler_with(2) as processes:
+        store = ObjectStore.at("s3://test-dask/logs")
+        for path in sorted((tmp_path / "logs").rglob("*.*")):
+            store.create(path.relative_to(tmp_path / "logs").as_posix(), path.read_bytes())
+        shutil.rmtree(tmp_path / "logs")
+        text = fleet.read_text("utf-8").replace("../logs", store.url)
+        fleet.write_text(
+            text.replace("[folders]", '[folders]\nobject_store = "s3://test-dask/fleet"'), "utf-8"
+        )
+        result = run(fleet, tmp_path / "work", processes.execution(nights_a_part=1))
+        assert status_of(result) == {"CB400-01": "ok", "CB400-02": "ok"}
+        elsewhere = run(fleet, tmp_path / "elsewhere", processes.execution())
+        assert elsewhere.n_nights == 0
+    check_same_tables(tmp_path / "work", fitted_output, "CB400-01", "CB400-02")
+    assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "work")

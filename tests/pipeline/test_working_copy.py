@@ -1,0 +1,365 @@
+"""A fleet's run whose logs and tables lie in an object store: as a run in a folder, byte for byte.
+
+Whatever fails on the way, what is published is the run before or the run after, and nothing else.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+import pytest
+
+import pipeline.object_store
+import pipeline.working_copy
+from pipeline.config import load_fleet
+from pipeline.decisions import Decision, read_decisions, record_decision
+from pipeline.errors import StoreError
+from pipeline.fleet import RunRequest, RunResult, refresh, run_fleet
+from pipeline.log_source import StoredLogs
+from pipeline.object_store import ObjectStore
+from pipeline.working_copy import ROOT, Snapshot, pull, push, read_snapshot
+from tests.conftest import OwnFleet
+from tests.pipeline.s3_server import Request, Server, never, s3_server
+from tests.pipeline.test_fleet import CSV, PARQUET, output_of, status_of, table_files
+from tests.pipeline.workshop import DAY, Workshop
+
+BUCKET = "test-working-copy"
+URL = f"s3://{BUCKET}/fleet"
+FIRST = dt.date(2026, 1, 2)
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setattr(pipeline.object_store, "RETRIES", 1)
+    with s3_server(monkeypatch, BUCKET) as found:
+        yield found
+
+
+def upload(folder: Path, url: str) -> None:
+    store = ObjectStore.at(url)
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            store.create(path.relative_to(folder).as_posix(), path.read_bytes())
+
+
+def run(fleet_file: Path, output: Path, **changed: Any) -> RunResult:
+    fleet = load_fleet(fleet_file)
+    how = fleet.execution.model_copy(update={"backend": "sequential"})
+    changed = {"object_store": URL} | changed
+    return run_fleet(RunRequest(replace(fleet, output=output, execution=how, **changed)))
+
+
+def logs_at(fleet_file: Path, url: str) -> None:
+    """Let a fleet's logs lie at a URL."""
+    text = fleet_file.read_text("utf-8")
+    assert 'logs = "../logs"' in text
+    fleet_file.write_text(text.replace("../logs", url), "utf-8")
+
+
+def published(url: str = URL) -> dict[str, bytes]:
+    """Every table file that is published, by its path, but for those of the run itself."""
+    store = ObjectStore.at(url)
+    found = {}
+    for path, entry in read_snapshot(store).files.items():
+        content = store.get(entry.key)
+        assert content is not None
+        assert hashlib.sha256(content[0]).hexdigest() == entry.sha256
+        if path.startswith("tables/") and path.split("/")[1] not in ("runs", "motor_outcomes"):
+            found[path.removeprefix("tables/")] = content[0]
+    return found
+
+
+def test_logs_and_tables_in_a_bucket_give_the_bytes_of_a_folder(
+    server: Server, own_fleet: OwnFleet, tmp_path: Path
+) -> None:
+    fleet = own_fleet(CSV, PARQUET)
+    run(fleet, tmp_path / "folder", object_store="")
+    upload(tmp_path / "logs", f"s3://{BUCKET}/logs")
+    shutil.rmtree(tmp_path / "logs")
+    logs_at(fleet, f"s3://{BUCKET}/logs")
+    result = run(fleet, tmp_path / "work")
+    assert status_of(result) == {CSV: "ok", PARQUET: "ok"}
+    assert published() == table_files(tmp_path / "folder") == table_files(tmp_path / "work")
+    # A second run opens no log, and reads and writes only what tells of the run itself.
+    server.forget()
+    again = run(fleet, tmp_path / "work")
+    assert (again.n_nights, dict(again.files)) == (0, {"unchanged": 6})
+    assert not [path for path in server.asked("GET") if "/logs/" in path]
+    assert not [path for path in server.asked("GET") if "/files/" in path]
+    new = {path.split("/")[-1].split(".")[0] for path in server.asked("PUT")}
+    assert not [name for name in new if name.startswith(f"{FIRST}")]
+    assert published() == table_files(tmp_path / "folder")
+    # On another machine, with an empty folder: nothing is made anew.
+    elsewhere = run(fleet, tmp_path / "elsewhere")
+    assert elsewhere.n_nights == 0
+    assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "folder")
+
+
+def test_queries_by_the_list_of_files_see_each_row_once(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    run(shop.fleet, shop.output)
+    shop.log(FIRST, seed=7)  # corrected: the night, and the judgement of the next
+    run(shop.fleet, shop.output)
+    document = json.loads((ObjectStore.at(URL).get(ROOT) or (b"", ""))[0])
+    keys = document["tables"]["fits"]
+    assert len(keys) == 2
+    page = (Path(__file__).parents[2] / "docs" / "scale.md").read_text("utf-8")
+    (example,) = (
+        block.partition("```")[0]
+        for block in page.split("```python\n")[1:]
+        if "scan_parquet" in block.partition("```")[0]
+    )
+    names: dict[str, Any] = {}
+    exec(example.replace("s3://bucket/fleet", URL), names)  # noqa: S102 - our own page
+    found: pl.DataFrame = names["fits"]
+    assert sorted(found["night"].to_list()) == [FIRST, FIRST + DAY]
+    # A glob sees what was replaced as well, for a while: that is why the list is there.
+    every = [one.key for one in ObjectStore.at(URL).list("files/tables/fits")]
+    assert len(every) == 4
+    assert {key for key, _ in document["superseded"]} >= set(every) - set(keys)
+
+
+def test_a_query_engine_reads_the_list_itself(server: Server, tmp_path: Path) -> None:
+    """The words of `scale.md`, on a copy of the bucket on the disk."""
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    copy, store = tmp_path / "bucket", ObjectStore.at(URL)
+    for one in store.list():
+        (copy / one.key).parent.mkdir(parents=True, exist_ok=True)
+        (copy / one.key).write_bytes((store.get(one.key) or (b"", ""))[0])
+    page = (Path(__file__).parents[2] / "docs" / "scale.md").read_text("utf-8")
+    query = (
+        page.partition("```sql\n")[2].partition("```")[0].replace("s3://bucket/fleet", str(copy))
+    )
+    connection = duckdb.connect()
+    for statement in query.split(";"):
+        if statement.strip():
+            found = connection.execute(statement).fetchall()
+    assert found == [("M1", FIRST, "ok")]
+
+
+@pytest.mark.parametrize("failing", ["files/", "lists/", ROOT])
+def test_puts_that_fail_leave_what_was_published(
+    server: Server, tmp_path: Path, failing: str
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    before, tables = ObjectStore.at(URL).get(ROOT), published()
+    shop.log(FIRST + DAY)
+    server.fails = lambda asked: asked.method == "PUT" and failing in asked.path
+    with pytest.raises(StoreError) as error:
+        run(shop.fleet, shop.output)
+    assert error.value.code == "store_write"
+    server.fails = never
+    assert ObjectStore.at(URL).get(ROOT) == before
+    assert published() == tables
+    # The next run, here or elsewhere, does it as if nothing had been.
+    assert run(shop.fleet, shop.output).n_nights == 1
+    run(shop.fleet, tmp_path / "folder", object_store="")
+    assert [path for path in published() if "fits" in path] == [
+        path for path in table_files(tmp_path / "folder") if "fits" in path
+    ]
+    assert table_files(shop.output) == published()
+
+
+def test_every_fourth_put_that_fails_costs_nothing(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    count = iter(range(1_000_000))
+    server.fails = lambda asked: asked.method == "PUT" and next(count) % 4 == 0
+    pipeline.object_store.RETRIES = 5
+    run(shop.fleet, shop.output)
+    assert published() == table_files(shop.output)
+
+
+def test_pull_makes_a_copy_to_read_from(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    fleet = replace(load_fleet(shop.fleet), output=tmp_path / "copy", object_store=URL)
+    assert refresh(fleet) == len(read_snapshot(ObjectStore.at(URL)).files)
+    assert table_files(tmp_path / "copy") == table_files(shop.output)
+
+
+def test_of_two_runs_at_a_time_one_is_published(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    shop.log(FIRST + DAY)
+    raced: list[RunResult] = []
+
+    def race(asked: Request) -> None:
+        if asked.method == "PUT" and asked.path.endswith(ROOT) and not raced:
+            raced.append(RunResult("", (), 0, interrupted=False, seconds=0.0))
+            raced[0] = run(shop.fleet, tmp_path / "other")
+
+    server.before = race
+    with pytest.raises(StoreError) as error:
+        run(shop.fleet, shop.output)
+    assert error.value.code == "object_store_conflict"
+    assert raced[0].n_nights == 1
+    assert published() == table_files(tmp_path / "other")
+    assert run(shop.fleet, shop.output).n_nights == 0
+    assert table_files(shop.output) == published()
+
+
+def test_an_interrupted_run_s_folder_is_brought_back(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    tables = table_files(shop.output)
+    (fits,) = (shop.output / "tables" / "fits").rglob("*.parquet")
+    store = ObjectStore.at(URL)
+
+    def stopped() -> None:
+        with pipeline.working_copy.working_copy(URL, shop.output):
+            fits.write_bytes(b"half a run")
+            (fits.parent / f"{FIRST + DAY}.parquet").write_bytes(b"and a file too many")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    pull(store, shop.output)
+    assert table_files(shop.output) == tables
+
+
+def test_what_people_said_on_two_machines_is_kept(server: Server, tmp_path: Path) -> None:
+    store = ObjectStore.at(URL)
+    here, there = tmp_path / "here", tmp_path / "there"
+    said = [
+        Decision("M1", "", dt.datetime(2026, 1, day, tzinfo=dt.UTC), "baseline_reset", FIRST, None)
+        for day in (1, 2, 3)
+    ]
+    record_decision(here, said[0])
+    push(store, here, Snapshot())
+    snapshot = pull(store, there)
+    record_decision(there, said[1])
+    push(store, there, snapshot)
+    record_decision(here, said[2])
+    push(store, here, pull(store, here))
+    pull(store, there)
+    assert read_decisions(here) == read_decisions(there) == tuple(said)
+
+
+def test_objects_that_nobody_needs_are_removed_after_a_week(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, path = ObjectStore.at(URL), tmp_path / "tables" / "fits" / "a.parquet"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"old")
+    snapshot = push(store, tmp_path, Snapshot())
+    path.write_bytes(b"new")
+    snapshot = push(store, tmp_path, snapshot)
+    assert len(list(store.list("files"))) == 2
+    monkeypatch.setattr(pipeline.working_copy, "KEEP", dt.timedelta(days=-1))
+    push(store, tmp_path, snapshot)
+    (left,) = store.list("files")
+    assert store.get(left.key) is not None
+    assert (store.get(left.key) or (b"", ""))[0] == b"new"
+
+
+def test_a_folder_with_tables_of_its_own_is_no_copy(server: Server, tmp_path: Path) -> None:
+    store = ObjectStore.at(URL)
+    for name, content in (("one", b"1"), ("two", b"2")):
+        file = tmp_path / name / "tables" / "fits" / "a.parquet"
+        file.parent.mkdir(parents=True)
+        file.write_bytes(content)
+    push(store, tmp_path / "one", Snapshot())
+    with pytest.raises(StoreError, match=r"tables/fits/a\.parquet") as error:
+        pull(store, tmp_path / "two")
+    assert error.value.code == "store_copy"
+    assert (tmp_path / "two" / "tables" / "fits" / "a.parquet").read_bytes() == b"2"
+    with pytest.raises(StoreError, match="working copy of s3://") as error:
+        pull(ObjectStore.at(f"s3://{BUCKET}/other"), tmp_path / "one")
+    assert error.value.code == "store_copy"
+
+
+def test_a_damaged_object_is_not_believed(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    store = ObjectStore.at(URL)
+    entry = read_snapshot(store).files[f"tables/fits/month=2026-01/{FIRST}.parquet"]
+    found = store.get(entry.key)
+    assert found is not None
+    store.replace(entry.key, b"rot", found[1])
+    with pytest.raises(StoreError, match="is not what was published") as error:
+        run(shop.fleet, tmp_path / "elsewhere")
+    assert error.value.code == "store_read"
+
+
+# Logs
+
+
+def stored(workshop: Workshop, **changed: Any) -> Any:
+    """The workshop's motor with its logs in the bucket."""
+    task = workshop.task()
+    spec = replace(task.spec, log_url=f"s3://{BUCKET}/logs")
+    return replace(task, spec=spec, **changed)
+
+
+def test_a_log_that_is_replaced_while_it_is_read_waits(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    store = ObjectStore.at(f"s3://{BUCKET}/logs")
+    upload(tmp_path / "logs", store.url)
+    key = f"M1/{FIRST}.parquet"
+    other = shop.log(FIRST, seed=9).read_bytes()
+
+    def swap(asked: Request) -> None:
+        # Asked for its tag after it was read: by then somebody has replaced it.
+        if asked.method == "HEAD" and asked.path.endswith(key):
+            server.before = never
+            listed = store.get(key)
+            assert listed is not None
+            store.replace(key, other, listed[1])
+
+    server.before = swap
+    outcome = pipeline.motor_task.run_motor(stored(shop))
+    assert outcome.files == {"growing": 1, "read": 1}
+    assert outcome.nights == (FIRST + DAY,)
+    assert "it was replaced while it was read" in outcome.growing[0]
+
+
+def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) -> None:
+    names = ["M1/a.csv", "M1/b.csv", "M1/old/c.csv", "M1/a[1].csv", "M10/a.csv", "M1/b.txt"]
+    store = ObjectStore.at(f"s3://{BUCKET}/logs")
+    shop = Workshop.at(tmp_path)
+    for name in names:
+        store.create(name, b"x")
+        (tmp_path / "logs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "logs" / name).write_bytes(b"x")
+    for patterns in (["M1/*.csv"], ["M1/**/*.csv"], ["M1/a[1].csv"], ["*/a.csv"], ["M1/[!a].csv"]):
+        shop.configure(files=json.dumps(patterns)[1:-1])
+        spec = stored(shop).spec
+        here = pipeline.log_source.FolderLogs(shop.task().spec)
+        there = StoredLogs(spec)
+        assert there.names == here.names
+        assert here.names
+    shop.configure(files='"M1/absent.csv"')
+    assert StoredLogs(stored(shop).spec).absent == ["M1/absent.csv"]
+
+
+def test_nothing_is_published_without_credentials(
+    server: Server, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet(PARQUET)
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    with pytest.raises(StoreError) as error:
+        run(fleet, output_of(fleet))
+    assert error.value.code == "object_store_credentials"
+    assert not list(output_of(fleet).rglob("*.parquet"))
