@@ -31,6 +31,8 @@ from pipeline.trends.night_records import (
 )
 
 Nights = NDArray[np.int64]
+# Nights without a log after which nothing is said of a motor until it has one again.
+LONGEST_SILENCE = 92
 NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
 
 
@@ -172,10 +174,14 @@ def histories_of(
 def without_gaps(history: History, tonight: dt.date | None) -> History:
     """A history with every night up to tonight, those without a row as well.
 
-    A night that no log covers is a night: what a run said of it then is said of it later, too.
+    A night that no log covers is a night: what a run said of it then is said of it later, too. Of a
+    motor that has been silent for long nothing is said any more: a clock was wrong, or it is gone.
     """
     last = max(history.nights[-1], tonight or history.nights[-1])
-    labels = nights_between(history.nights[0], last)
+    numbers = np.arange((last - history.nights[0]).days + 1)
+    silent = numbers - history.numbers[np.searchsorted(history.numbers, numbers, "right") - 1]
+    every = nights_between(history.nights[0], last)
+    labels = [every[number] for number in np.flatnonzero(silent <= LONGEST_SILENCE)]
     if len(labels) == len(history):
         return history
     records = blank_records(history.layout, labels)

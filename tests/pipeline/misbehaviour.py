@@ -148,9 +148,9 @@ def die_once(marker: str) -> str:
     return "done"
 
 
-def others_of_my_parent() -> int:
-    """How many workers there are beside this one."""
-    mine = f"PPid:\t{os.getppid()}\n"
+def workers_of(parent: int) -> int:
+    """How many workers a process has, at work or idle."""
+    mine = f"PPid:\t{parent}\n"
     found = 0
     for status in Path("/proc").glob("[0-9]*/status"):
         try:
@@ -159,13 +159,13 @@ def others_of_my_parent() -> int:
             )
         except OSError:  # ended meanwhile
             continue
-    return found - 1
+    return found
 
 
 def count_beside_or_die(marker: str) -> int:
     """Dies; the second time it counts the workers beside it."""
     die_once(marker)
-    return others_of_my_parent()
+    return workers_of(os.getppid()) - 1
 
 
 def pid_and_hang(folder: str) -> None:

@@ -31,6 +31,7 @@ from tests.pipeline.misbehaviour import (
     die_once,
     do,
     slow_by_parts,
+    workers_of,
 )
 
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
@@ -132,7 +133,11 @@ def test_the_second_time_it_is_alone(tmp_path: Path) -> None:
     def lost(_: str, loss: Loss) -> int:
         raise AssertionError(loss)
 
-    assert list(run_tasks(count_beside_or_die, markers, lost, execution())) == [0, 0]
+    # Other tests may have left idle workers to this process.
+    idle = workers_of(os.getpid())
+    beside = list(run_tasks(count_beside_or_die, markers, lost, execution()))
+    assert len(beside) == 2
+    assert max(beside) <= idle
 
 
 def test_what_a_worker_says_reaches_stderr(capfd: pytest.CaptureFixture[str]) -> None:
