@@ -10,13 +10,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.channel_rules import ChannelRules
-from pipeline.clocks import jittered, typical_period_us
+from pipeline.clocks import typical_period_us
 from pipeline.ingest import RawChannel
 from pipeline.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
-from pipeline.order import Orders, carried_over, in_order, samples_of
+from pipeline.order import Disorder, Stamps, carried_over, in_order, samples_of
 from pipeline.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 
 
@@ -67,11 +68,42 @@ class CleanChannel:
     n_carried: int = 0
 
 
+@dataclass(frozen=True, slots=True)
+class Ordered:
+    """A channel's cells of a night in strict order of time, before any rule has judged them.
+
+    Attributes
+    ----------
+    cells
+        Of the night.
+    disorder
+        What it took.
+    early
+        Cells from before the night, as they came; None: there are none.
+    night_start_us
+        Where the night begins; None: all cells are of it.
+    """
+
+    cells: RawChannel
+    disorder: Disorder
+    early: RawChannel | None
+    night_start_us: int | None
+
+
+def ordered_channel(
+    raw: RawChannel, rules: ChannelRules, night_start_us: int | None, stamps: Stamps
+) -> Ordered:
+    """Put a channel's cells in order; parameters as of `clean_channel`."""
+    early, here = None, raw
+    if night_start_us is not None:
+        before = raw.time_us < night_start_us
+        if before.any():
+            early, here = raw.rows(before), raw.rows(chosen_rows(~before))
+    return Ordered(*in_order(here, rules, stamps), early, night_start_us)
+
+
 def clean_channel(
-    raw: RawChannel,
-    rules: ChannelRules,
-    night_start_us: int | None = None,
-    orders: Orders | None = None,
+    raw: RawChannel, rules: ChannelRules, night_start_us: int | None = None
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
@@ -84,32 +116,53 @@ def clean_channel(
     night_start_us
         Of what lies before it, the last sample of an on-change channel carries over, and no rule
         counts it; None: all samples are of the night.
-    orders
-        Of the channels that were cleaned before and may have the same stamps; None: there are none.
 
     Returns
     -------
     CleanChannel
         Sorted, with blank cells that are no sample left out and all others judged.
     """
-    early = np.zeros(len(raw.time_us), dtype=np.bool_)
-    if night_start_us is not None:
-        early = raw.time_us < night_start_us
-    cells, disorder = in_order(raw.rows(chosen_rows(~early)), rules, orders or Orders())
+    stamps = Stamps()
+    return judged_channel(ordered_channel(raw, rules, night_start_us, stamps), rules, stamps)
+
+
+def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> CleanChannel:
+    """Apply every rule to cells in order.
+
+    Parameters
+    ----------
+    ordered, rules
+        The channel.
+    stamps
+        What is known of the stamps of channels that were judged before.
+
+    Returns
+    -------
+    CleanChannel
+        As of `clean_channel`.
+    """
+    cells, disorder = ordered.cells, ordered.disorder
     blank = cells.missing.any()
-    period = typical_period_us(cells.time_us[~cells.missing] if blank else cells.time_us)
+    period = (
+        typical_period_us(cells.time_us[~cells.missing])
+        if blank
+        else stamps.period_us(cells.time_us)
+    )
     longest_gap_us = _longest_gap_us(period, rules)
-    samples = samples_of(cells, rules, period)
+    samples = samples_of(cells, rules, period, stamps)
     noted = {"backward_time": disorder.n_put_back}
     if not rules.sampling.on_change:
-        noted["jitter"] = int(jittered(samples.time_us, period).sum())
+        noted["jitter"] = stamps.n_jittered(samples.time_us, period)
     n_carried = 0
-    if night_start_us is not None and early.any():
-        carried = carried_over(raw.rows(early), rules, night_start_us - longest_gap_us)
-        n_carried, samples = len(carried.time_us), RawChannel.joined([carried, samples])
+    if ordered.early is not None and ordered.night_start_us is not None:
+        earliest_us = ordered.night_start_us - longest_gap_us
+        carried = carried_over(ordered.early, rules, earliest_us)
+        n_carried = len(carried.time_us)
+        if n_carried:
+            samples = RawChannel.joined([carried, samples])
     time, value, masks = _judged(samples, rules, period, longest_gap_us)
     refused = np.logical_or.reduce(list(masks.values()))
-    counts = {reason: int(mask[n_carried:].sum()) for reason, mask in masks.items()}
+    counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
     counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
     out_of_order = disorder.n_backward + disorder.n_duplicate
     return CleanChannel(
@@ -119,7 +172,7 @@ def clean_channel(
         at_maximum=masks["at_maximum"],
         period_us=period,
         longest_gap_us=longest_gap_us,
-        counts=counts | {"any": int(refused[n_carried:].sum()) + out_of_order},
+        counts=counts | {"any": int(np.count_nonzero(refused[n_carried:])) + out_of_order},
         n_samples=len(time) - n_carried + out_of_order,
         noted=noted,
         sampling=rules.sampling,
@@ -154,18 +207,17 @@ def _judged(
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
     credible = ~np.logical_or.reduce(list(masks.values()))
+    seen = _Seen.of(time, value, credible, longest_gap_us)
     resolution = max(rules.resolution, sampling.resolution_l_per_min(period_us))
-    resolution = resolution or step_of_readings(value[credible])
+    resolution = resolution or step_of_readings(seen.value)
     # A compressed archive holds only what differs from its neighbourhood.
     stands_out = (
-        np.zeros(int(credible.sum()), dtype=np.bool_)
+        np.zeros(len(seen.value), dtype=np.bool_)
         if sampling.on_change
-        else _spike_between_gaps(time[credible], value[credible], longest_gap_us, rules, resolution)
+        else seen.spikes(rules, resolution)
     )
     masks["spike"] = _within(credible, stands_out)
-    masks["frozen"] = _within(
-        credible, _frozen_in_sight(time[credible], value[credible], longest_gap_us, rules)
-    )
+    masks["frozen"] = _within(credible, seen.frozen(rules))
     return time, value, masks
 
 
@@ -176,32 +228,58 @@ def _within(chosen: Mask, flags: Mask) -> Mask:
     return mask
 
 
-def _spike_between_gaps(
-    time_us: Times,
-    value: Values,
-    longest_gap_us: float,
-    rules: ChannelRules,
-    resolution: float,
-) -> Mask:
-    """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
-    borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
-    parts = np.split(value, borders)
-    window, threshold = rules.hampel_window, rules.hampel_threshold
-    return np.concatenate([spike(part, window, threshold, resolution) for part in parts])
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Credible samples of a channel, and where nobody saw the sensor.
 
+    Attributes
+    ----------
+    time_us, value
+        Shape (n,).
+    borders
+        First samples after a gap.
+    """
 
-def _frozen_in_sight(
-    time_us: Times, value: Values, longest_gap_us: float, rules: ChannelRules
-) -> Mask:
-    """Frozen values; a gap, in which nobody saw the sensor, adds no time to a stretch."""
-    steps = np.diff(time_us, prepend=time_us[:1])
-    seen_us = np.cumsum(np.where(steps > longest_gap_us, 0, steps))
-    stuck = frozen(seen_us, value, rules.resolution, rules.frozen_after_s * SECOND_US)
-    # As many counts in each period are a steady flow; none for long is a counter that stopped.
-    at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
-    counting = (value != 0.0) if rules.sampling.counts else np.abs(value) < at_rest_below
-    mask: Mask = stuck & ~counting
-    return mask
+    time_us: Times
+    value: Values
+    borders: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, time_us: Times, value: Values, credible: Mask, longest_gap_us: float) -> _Seen:
+        rows = chosen_rows(credible)
+        time_us = time_us[rows]
+        borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
+        return cls(time_us, value[rows], borders)
+
+    def spikes(self, rules: ChannelRules, resolution: float) -> Mask:
+        """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
+        window, threshold = rules.hampel_window, rules.hampel_threshold
+        parts = np.split(self.value, self.borders)
+        return np.concatenate([spike(part, window, threshold, resolution) for part in parts])
+
+    def frozen(self, rules: ChannelRules) -> Mask:
+        """Frozen values; a gap, in which nobody saw the sensor, adds no time to a stretch."""
+        stuck = frozen(
+            self._time_in_sight_us(), self.value, rules.resolution, rules.frozen_after_s * SECOND_US
+        )
+        if stuck.any():
+            # As many counts in each period are a steady flow; none for long is a counter that
+            # stopped.
+            at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
+            counts = rules.sampling.counts
+            stuck &= (self.value == 0.0) if counts else np.abs(self.value) >= at_rest_below
+        return stuck
+
+    def _time_in_sight_us(self) -> Times:
+        """Times without those of the gaps."""
+        if not len(self.borders):
+            return self.time_us
+        gaps_us = self.time_us[self.borders] - self.time_us[self.borders - 1]
+        edges = np.concatenate([[0], self.borders, [len(self.time_us)]])
+        before_us: Times = np.repeat(np.append(0, np.cumsum(gaps_us)), np.diff(edges))
+        before_us *= -1
+        before_us += self.time_us
+        return before_us
 
 
 def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:

@@ -189,6 +189,12 @@ class LogShelf:
             self._open.popitem(last=False)
         return content
 
+    def let_go_until(self, label: dt.date) -> None:
+        """Give up contents that no night after this one needs."""
+        for name in list(self._open):
+            if max(self.touched(name) | self.reached(name)) <= label:
+                del self._open[name]
+
     def recall(self, here: Night, known: Mapping[str, Sight], used: tuple[str, ...]) -> bool:
         """Take over what another task saw when it read a night's files.
 

@@ -7,7 +7,7 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -208,25 +208,32 @@ def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
     LogError
         ``log_empty``: there are rows, and all cells of all channels in them are blank.
     """
-    stamps = np.concatenate([channel.time_us for channel in log.channels.values()])
+    stamps = log.stamps()
     notes = list(log.notes)
     unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
     notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
     notes += _blank_channels(record, log, spec)
-    if not len(stamps):
+    if not stamps:
         notes.append("no samples")
         return replace(record, rows=log.rows, message="; ".join(notes))
-    if stamps.max() - stamps.min() > LONGEST_LOG_DAYS / 2 * DAY_US:
-        stamps = _near_the_others(stamps, notes)
-    labels = sorted(nights_of(stamps, spec.settings.nights))
+    first, last = _ends(stamps)
+    if last - first > LONGEST_LOG_DAYS / 2 * DAY_US:
+        every = np.concatenate([channel.time_us for channel in log.channels.values()])
+        stamps = [_near_the_others(every, notes)]
+        first, last = _ends(stamps)
+    labels = set().union(*(nights_of(part, spec.settings.nights) for part in stamps))
     return replace(
         record,
         rows=log.rows,
-        first_us=int(stamps.min()),
-        last_us=int(stamps.max()),
-        nights=tuple(map(dt.date.isoformat, labels)),
+        first_us=first,
+        last_us=last,
+        nights=tuple(map(dt.date.isoformat, sorted(labels))),
         message="; ".join(notes) or None,
     )
+
+
+def _ends(stamps: Sequence[NDArray[np.int64]]) -> tuple[int, int]:
+    return min(int(part.min()) for part in stamps), max(int(part.max()) for part in stamps)
 
 
 def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:

@@ -7,12 +7,13 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
-from pipeline.clocks import typical_period_us
 
 # 1 / the standard normal's third quartile: the MAD of normal noise times this is its sd.
 MAD_TO_SD = 1.482602218505602
 # Windows compared at a time by the Hampel filter: bounds its memory, changes no figure.
 HAMPEL_CHUNK = 65_536
+# Samples of a possible stretch of frozen values that are looked at before all of them are.
+LOOKED_AT_A_STRETCH = 16
 # A sample that comes within this share of a period after it was due is late, not missing.
 LATE_SHARE = 0.75
 # A limit is not crossed by less than this share of it: a conversion of units leaves that much.
@@ -21,7 +22,9 @@ ROUNDING = 1e-6
 STEP_ROUNDING = 0.01
 
 
-def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask:
+def missing_sample(
+    time_us: Times, blank: Mask, period_us: float | None, row_us: float | None = None
+) -> Mask:
     """Blank cells at which the channel should have had a sample.
 
     In a log whose rows are those of the fastest channel, a slower one is blank in most of them: a
@@ -36,6 +39,8 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
         Cells without a value, shape (n,).
     period_us
         The channel's own period; None: every blank is missing.
+    row_us
+        Typical distance of two cells; None: that of the channel's own samples.
 
     Returns
     -------
@@ -44,7 +49,7 @@ def missing_sample(time_us: Times, blank: Mask, period_us: float | None) -> Mask
     """
     if period_us is None or not blank.any():
         return blank.copy()
-    row_us = typical_period_us(time_us) or period_us
+    row_us = row_us or period_us
     due = np.zeros(len(time_us), dtype=np.bool_)
     samples = np.append(np.flatnonzero(~blank), len(time_us))
     # Before the first sample there is nothing to count from: only a fast channel is missing there.
@@ -162,17 +167,51 @@ def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: fl
     ndarray of bool
         All samples of each stretch that lasts longer, shape (n,).
     """
-    if not len(value):
-        return np.zeros(0, dtype=np.bool_)
+    mask = np.zeros(len(value), dtype=np.bool_)
+    for part in _suspects(time_us, value, resolution, frozen_after_us):
+        for step in _steps(value[part], resolution):
+            mask[part] |= _unchanged(time_us[part], step, frozen_after_us)
+    return mask
+
+
+def _steps(value: Values, resolution: float) -> tuple[Values, ...]:
+    """The steps of the sensor that values lie on, on each of two grids."""
     if resolution <= 0:
-        return _unchanged(time_us, value, frozen_after_us)
+        return (value,)
     # Half a step between the borders of the two grids: less noise than that crosses only one.
     steps = value / resolution
-    low, high = np.floor(steps + 0.25), np.floor(steps + 0.75)
-    mask: Mask = _unchanged(time_us, low, frozen_after_us) | _unchanged(
-        time_us, high, frozen_after_us
-    )
-    return mask
+    return np.floor(steps + 0.25), np.floor(steps + 0.75)
+
+
+def _suspects(
+    time_us: Times, value: Values, resolution: float, frozen_after_us: float
+) -> list[slice]:
+    """Parts of the samples in which all stretches that last too long lie as a whole.
+
+    Of marks that are half of such a time apart a stretch covers two in a row, with the samples
+    around each of them and all between: few samples tell where that cannot be.
+    """
+    n = len(value)
+    span_us = int(time_us[-1] - time_us[0]) if n else 0
+    if span_us <= frozen_after_us:
+        return []
+    half_us = int(frozen_after_us // 2)
+    if span_us >= half_us * (n // LOOKED_AT_A_STRETCH):
+        return [slice(0, n)]
+    marks = np.arange(int(time_us[0]), int(time_us[-1]) + half_us, half_us)
+    places = np.searchsorted(time_us, marks[1:])
+    places = places[places < n]
+    first, last = places[:-1] - 1, places[1:]
+    looked_at = np.linspace(first, last, LOOKED_AT_A_STRETCH, dtype=np.intp)
+    alike = np.zeros(len(first), dtype=np.bool_)
+    for step in _steps(value[looked_at], resolution):
+        alike |= (step == step[0]).all(axis=0)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], alike, [False]]).astype(np.int8)))
+    borders = np.concatenate([[0], places, [n]])
+    # From the mark before the first of a row of such pairs until that after the last.
+    return [
+        slice(int(borders[begin]), int(borders[end + 2])) for begin, end in edges.reshape(-1, 2)
+    ]
 
 
 def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:

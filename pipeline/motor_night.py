@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import datetime as dt
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
@@ -17,7 +17,7 @@ import numpy as np
 
 from leakage import EstimationError, LeakageError
 from pipeline.channel_rules import ChannelRules
-from pipeline.clean import CleanChannel, clean_channel
+from pipeline.clean import CleanChannel, judged_channel, ordered_channel
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
 from pipeline.night_fit import fit_modes, with_residuals
@@ -32,7 +32,7 @@ from pipeline.night_rows import (
 from pipeline.night_statistics import NightStatistics, night_statistics
 from pipeline.nights import Night
 from pipeline.operation_rows import operation_row
-from pipeline.order import Orders
+from pipeline.order import Stamps
 from pipeline.resample import Quality, Samples, bring_together
 from pipeline.sampling import means_too_long
 from pipeline.units import RUNNING_HOURS
@@ -88,7 +88,7 @@ class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an
 def fit_night(
     spec: MotorSpec,
     night: Night,
-    channels: Mapping[str, RawChannel],
+    channels: MutableMapping[str, RawChannel],
     previous: PreviousModel,
 ) -> NightOutcome:
     """Fit one motor's night.
@@ -101,7 +101,8 @@ def fit_night(
         The night.
     channels
         Raw samples of the night by channel; of an on-change one also some from before it, of
-        which the last carries over.
+        which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is
+        not to be in memory twice.
     previous
         The motor's model before, by flushing mode; empty where there is none.
 
@@ -180,19 +181,18 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
 
 
 def _clean(
-    spec: MotorSpec, night: Night, channels: Mapping[str, RawChannel]
+    spec: MotorSpec, night: Night, channels: MutableMapping[str, RawChannel]
 ) -> tuple[Samples, tuple[Quality, ...]]:
     cleaning = spec.settings.cleaning
     too_long = means_too_long(spec.file.channels, cleaning)
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
-    cleaned: dict[str, CleanChannel] = {}
-    orders = Orders()
-    for name, channel in spec.file.channels.items():
-        if name == RUNNING_HOURS:
-            continue
-        rules = ChannelRules.of(name, channel, cleaning, spec.file.logs)
-        cleaned[name] = clean_channel(channels[name], rules, night.start_us, orders)
+    rules: dict[str, ChannelRules] = {
+        name: ChannelRules.of(name, channel, cleaning, spec.file.logs)
+        for name, channel in spec.file.channels.items()
+        if name != RUNNING_HOURS
+    }
+    cleaned = _cleaned(channels, rules, night.start_us)
     counted = tuple(
         Quality(
             name,
@@ -219,6 +219,20 @@ def _clean(
         spec.settings.sensor_health,
     )
     return samples, counted + joint
+
+
+def _cleaned(
+    channels: MutableMapping[str, RawChannel], rules: Mapping[str, ChannelRules], start_us: int
+) -> dict[str, CleanChannel]:
+    """All channels cleaned, each taken out as soon as it is in order."""
+    # All of them are in order before one is judged: until then, one needs the stamps as read.
+    stamps = Stamps()
+    ordered = {
+        name: ordered_channel(channels.pop(name), one, start_us, stamps)
+        for name, one in rules.items()
+    }
+    stamps = Stamps()
+    return {name: judged_channel(ordered.pop(name), one, stamps) for name, one in rules.items()}
 
 
 def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:

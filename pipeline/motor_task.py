@@ -624,6 +624,9 @@ class _Nights:
             )
         contents = [one for one in read if one is not None]
         channels = slice_night(contents, here, reaches_us(self.spec))
+        # The night has what it needs of them, and gives it up bit by bit.
+        del read, contents
+        self.logs.let_go_until(label)
         if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
             return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
         return fit_night(self.spec, here, channels, before)

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
+from typing import TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times
 from pipeline.channel_rules import ChannelRules
-from pipeline.clocks import backward_time, duplicate_time, stray_time, written_late
+from pipeline.clocks import (
+    backward_time,
+    duplicate_time,
+    jittered,
+    stray_time,
+    typical_period_us,
+    written_late,
+)
 from pipeline.ingest import RawChannel
 from pipeline.masks import missing_sample
+
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,34 +40,52 @@ class Order:
 
     Attributes
     ----------
+    time_us
+        Stamps of the rows that are kept, in order.
     rows
-        Those that are kept, in order; None: all, as they are.
+        Which these are; None: all, as they are.
     late, backward, repeated
         Rows put back in order, and those left out as backward and as duplicates.
     """
 
-    rows: NDArray[np.intp] | None
+    time_us: Times
+    rows: NDArray[np.intp] | Mask | None
     late: NDArray[np.intp]
     backward: NDArray[np.intp]
     repeated: NDArray[np.intp]
 
 
-IN_ORDER = Order(None, *([np.empty(0, dtype=np.intp)] * 3))
+class Stamps:
+    """What is known of arrays of stamps: channels of one table share one, looked through once.
 
-
-class Orders:
-    """Orders of arrays of time stamps: channels of one table share one, which is found once."""
+    Nobody changes an array that it was asked of.
+    """
 
     def __init__(self) -> None:
         # With the stamps themselves: while they are here, nothing else has their address.
-        self._known: dict[tuple[int, int, bool], tuple[Times, Order]] = {}
+        self._known: dict[Hashable, tuple[Times, object]] = {}
 
-    def of(self, time_us: Times, *, puts_in_order: bool) -> Order:
-        """The order of an array of stamps, which nobody changes."""
-        key = (time_us.ctypes.data, len(time_us), puts_in_order)
+    def order(self, time_us: Times, *, puts_in_order: bool) -> Order:
+        """As `order_of`."""
+        return self._once(
+            time_us, puts_in_order, lambda: order_of(time_us, puts_in_order=puts_in_order)
+        )
+
+    def period_us(self, time_us: Times) -> float | None:
+        """As `typical_period_us`."""
+        return self._once(time_us, "period", lambda: typical_period_us(time_us))
+
+    def n_jittered(self, time_us: Times, period_us: float | None) -> int:
+        """How many samples are `jittered`."""
+        return self._once(
+            time_us, ("jitter", period_us), lambda: int(jittered(time_us, period_us).sum())
+        )
+
+    def _once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
+        key = (time_us.ctypes.data, len(time_us), what)
         if key not in self._known:
-            self._known[key] = time_us, order_of(time_us, puts_in_order=puts_in_order)
-        return self._known[key][1]
+            self._known[key] = time_us, find()
+        return cast(Found, self._known[key][1])
 
 
 def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
@@ -76,29 +105,36 @@ def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     ([0, 1, 2, 5, 3, 4], [5], [6])
     """
     if bool((time_us[1:] > time_us[:-1]).all()):
-        return IN_ORDER
+        return Order(time_us, None, *[np.empty(0, dtype=np.intp)] * 3)
     backward = backward_time(time_us)
     late = np.zeros(len(backward), dtype=np.bool_)
     if puts_in_order:
         late = written_late(time_us, backward)
     backward = (backward & ~late) | stray_time(time_us, late)
+    if not late.any():
+        # As marks, which take an eighth of the memory.
+        repeated = duplicate_time(time_us, backward)
+        kept = ~(backward | repeated)
+        return Order(time_us[kept], kept, *map(np.flatnonzero, (late, backward, repeated)))
     rows = np.flatnonzero(~backward)
-    if late.any():
-        rows = rows[np.argsort(time_us[rows], kind="stable")]
+    rows = rows[np.argsort(time_us[rows], kind="stable")]
     repeated = duplicate_time(time_us[rows], np.zeros(len(rows), dtype=np.bool_))
-    return Order(rows[~repeated], np.flatnonzero(late), np.flatnonzero(backward), rows[repeated])
+    places = rows[~repeated]
+    left_out = np.flatnonzero(backward), rows[repeated]
+    return Order(time_us[places], places, np.flatnonzero(late), *left_out)
 
 
-def in_order(raw: RawChannel, rules: ChannelRules, orders: Orders) -> tuple[RawChannel, Disorder]:
+def in_order(raw: RawChannel, rules: ChannelRules, stamps: Stamps) -> tuple[RawChannel, Disorder]:
     """Cells in strict order of their corrected time, and what it took."""
-    order = orders.of(raw.time_us, puts_in_order=rules.puts_in_order)
+    order = stamps.order(raw.time_us, puts_in_order=rules.puts_in_order)
     disorder = Disorder(
         *(
             int(np.count_nonzero(~raw.missing[rows]))
             for rows in (order.late, order.backward, order.repeated)
         )
     )
-    return _corrected(raw if order.rows is None else raw.rows(order.rows), rules), disorder
+    cells = raw if order.rows is None else raw.rows(order.rows, order.time_us)
+    return _corrected(cells, rules), disorder
 
 
 def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
@@ -108,14 +144,19 @@ def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
     return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
 
 
-def samples_of(cells: RawChannel, rules: ChannelRules, period_us: float | None) -> RawChannel:
+def samples_of(
+    cells: RawChannel, rules: ChannelRules, period_us: float | None, stamps: Stamps
+) -> RawChannel:
     """Cells in order without the blank ones that are no sample."""
     if rules.sampling.on_change:
-        return cells.rows(_says_something(cells, rules))
-    if not cells.missing.any():
+        samples = _says_something(cells, rules)
+    elif cells.missing.any():
+        row_us = stamps.period_us(cells.time_us)
+        samples = ~cells.missing
+        samples |= missing_sample(cells.time_us, cells.missing, period_us, row_us)
+    else:
         return cells
-    missing = missing_sample(cells.time_us, cells.missing, period_us)
-    return cells.rows(~cells.missing | missing)
+    return cells if samples.all() else cells.rows(samples)
 
 
 def _says_something(cells: RawChannel, rules: ChannelRules) -> Mask:

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import LogError
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import (
+    ChannelSource,
+    LogSource,
+    RawChannel,
+    RawLog,
+    different_stamps,
+)
 from pipeline.ingest.quality import is_bad
 from pipeline.ingest.time_stamps import TimeStamps, example_of
 from pipeline.units import convert_to_canonical
@@ -270,11 +276,7 @@ def raw_log(
     remarks: Sequence[str] = (),
 ) -> RawLog:
     """Log from its channels, with a note for each reason for which something was left out."""
-    # Channels of one table have one array of stamps: each array is looked through once.
-    arrays = {
-        (part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels.values()
-    }
-    times = [time_us for time_us in arrays.values() if time_us.size]
+    times = different_stamps(channels.values())
     return RawLog(
         channels=channels,
         rows=rows,

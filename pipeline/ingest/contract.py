@@ -25,7 +25,7 @@ Codes of the `LogError` that readers raise:
 from __future__ import annotations
 
 import codecs
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 from zoneinfo import ZoneInfo
@@ -201,11 +201,18 @@ class RawChannel:
     unparsed: int
     bad_quality: NDArray[np.bool_] | None = None
 
-    def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp] | slice) -> RawChannel:
-        """Some of its samples; the count of what is no number stays that of all."""
+    def rows(
+        self,
+        chosen: NDArray[np.bool_] | NDArray[np.intp] | slice,
+        time_us: NDArray[np.int64] | None = None,
+    ) -> RawChannel:
+        """Some of its samples; the count of what is no number stays that of all.
+
+        Their stamps may be given, so that channels go on sharing them.
+        """
         bad = self.bad_quality
         return RawChannel(
-            self.time_us[chosen],
+            self.time_us[chosen] if time_us is None else time_us,
             self.value[chosen],
             self.missing[chosen],
             self.unparsed,
@@ -259,6 +266,19 @@ class RawLog:
     last_us: int | None
     notes: tuple[str, ...] = ()
     refused_rows: int = 0
+
+    def stamps(self) -> list[NDArray[np.int64]]:
+        """Time stamps of all channels, as `different_stamps`."""
+        return different_stamps(self.channels.values())
+
+
+def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
+    """Time stamps of channels, the empty ones left out, and what several share once.
+
+    Channels of one table have one array of stamps, which is then looked through once.
+    """
+    arrays = {(part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels}
+    return [time_us for time_us in arrays.values() if time_us.size]
 
 
 def _require_dialect(source: LogSource) -> None:
