@@ -35,7 +35,7 @@ PACKAGES = ("numpy", "polars", "pyarrow", "scipy")
 SOURCES = ("leakage", "pipeline")
 
 # The process that does this worker's tasks; it has one at a time.
-_process: Worker[bytes, Any] | None = None
+_process: Worker | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,17 +142,14 @@ def do_task(
 def _in_a_process(
     function: Callable[[Any], Result], task: Any, limits: Execution
 ) -> Done[Result] | Loss:
-    """Do a task in this worker's process; another one where the limits are others."""
+    """Do a task in the process that this worker keeps for its tasks."""
     from distributed.protocol.pickle import dumps
 
     global _process
-    if _process is not None and _process.execution != limits:
-        _process.kill()
-        _process = None
     with _may_have_children():
         if _process is None:
-            _process = Worker(_call, limits)
-        return run_task(_process, dumps((function, task)))
+            _process = Worker()
+        return run_task(_process, _call, dumps((function, task)), limits)
 
 
 def _call(content: bytes) -> Any:

@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 from pipeline.config import Execution
 from pipeline.errors import EngineError
 from pipeline.worker_process import Loss
-from pipeline.workers import run_tasks
+from pipeline.workers import Crew
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -28,7 +28,9 @@ class RunTasks(Protocol):
 
 
 @contextmanager
-def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[RunTasks]:
+def open_engine(
+    execution: Execution, folders: Sequence[Path] = (), crew: Crew | None = None
+) -> Iterator[RunTasks]:
     """The configured engine, for all tasks of a run.
 
     Parameters
@@ -37,6 +39,8 @@ def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[
         Which one, and how much of it.
     folders
         What workers elsewhere must see: logs and output.
+    crew
+        Workers of this machine that were started before; None: there are none.
 
     Raises
     ------
@@ -53,14 +57,16 @@ def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[
             yield DaskEngine(client, execution, expected).run_tasks
         return
 
-    def here(
-        function: Callable[[Task], Result],
-        tasks: Sequence[Task],
-        lost: Callable[[Task, Loss], Result],
-    ) -> Iterator[Result]:
-        return run_tasks(function, tasks, lost, execution)
+    with crew or Crew() as crew:
 
-    yield here
+        def here(
+            function: Callable[[Task], Result],
+            tasks: Sequence[Task],
+            lost: Callable[[Task, Loss], Result],
+        ) -> Iterator[Result]:
+            return crew.run_tasks(function, tasks, lost, execution)
+
+        yield here
 
 
 def results_of(

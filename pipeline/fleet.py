@@ -83,6 +83,7 @@ from pipeline.trends.stage import (
 )
 from pipeline.versions import own_version, versions
 from pipeline.worker_process import Loss
+from pipeline.workers import Crew
 from pipeline.working_copy import pull, working_copy
 
 log = logging.getLogger(__name__)
@@ -182,7 +183,9 @@ class RunResult:
         return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)
 
 
-def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
+def run_fleet(
+    request: RunRequest, progress: Progress = lambda _: None, crew: Crew | None = None
+) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
     Parameters
@@ -191,6 +194,8 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         Fleet, and which part of it.
     progress
         Called with each motor's outcome as it finishes.
+    crew
+        Workers that were started before; None: there are none.
 
     Returns
     -------
@@ -217,7 +222,7 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
             if fleet.object_store:
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
-            with open_engine(fleet.execution, folders) as run_tasks:
+            with open_engine(fleet.execution, folders, crew) as run_tasks:
                 result = _run(request, staging, progress, heartbeat, run_tasks)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)

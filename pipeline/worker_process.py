@@ -13,10 +13,11 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from multiprocessing.connection import Connection
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 log = logging.getLogger(__name__)
 
@@ -63,6 +64,23 @@ class SignOfLife:
     part: str
 
 
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """A task for a worker.
+
+    Attributes
+    ----------
+    function, task
+        What to do, and with what.
+    memory_limit_mib
+        Largest size of the data of its process, [MiB].
+    """
+
+    function: Callable[[Any], Any]
+    task: Any
+    memory_limit_mib: int
+
+
 def sign_of_life(part: str) -> None:
     """Say that a task begins with a part of its work, which has the whole time limit again."""
     if _run is not None:
@@ -86,21 +104,17 @@ def loss_of(error: BaseException) -> Loss:
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
 
-def serve(
-    function: Callable[[Task], Result], run: Connection, stderr: Connection, memory_limit_mib: int
-) -> None:
+def serve(run: Connection, stderr: Connection, modules: Sequence[str]) -> None:
     """Do tasks until there is nobody left who sends any.
 
     Parameters
     ----------
-    function
-        Does a task.
     run
-        Tasks come from here, outcomes go back.
+        Assignments come from here, outcomes go back.
     stderr
         Takes what is written to stderr.
-    memory_limit_mib
-        Largest size of the data of this process, [MiB].
+    modules
+        What to load before there is a task.
     """
     global _run
     os.dup2(stderr.fileno(), sys.stderr.fileno())
@@ -112,15 +126,18 @@ def serve(
     # hang; then the process dies of it.
     faulthandler.enable()
     faulthandler.register(signal.SIGALRM, chain=True)
-    resource.setrlimit(resource.RLIMIT_DATA, (memory_limit_mib * MIB, memory_limit_mib * MIB))
+    for name in modules:
+        import_module(name)
     _run = run
     while True:
         try:
-            task = run.recv()
+            given: Assignment = run.recv()
         except EOFError:
             return
+        _, most = resource.getrlimit(resource.RLIMIT_DATA)
+        resource.setrlimit(resource.RLIMIT_DATA, (given.memory_limit_mib * MIB, most))
         sign_of_life("")
-        run.send(attempt(function, task))
+        run.send(attempt(given.function, given.task))
 
 
 def _end_with_the_run() -> None:

@@ -14,16 +14,19 @@ import signal
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
+from contextlib import suppress
 from multiprocessing.connection import wait
 from pathlib import PurePath
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 from joblib.externals.loky.backend import get_context
+from joblib.externals.loky.backend.reduction import dumps
 
-from pipeline.config import Execution
-from pipeline.worker_process import Done, Loss, SignOfLife, attempt, serve
+from pipeline.worker_process import Assignment, Done, Loss, SignOfLife, attempt, serve
+
+if TYPE_CHECKING:
+    from pipeline.config import Execution
 
 log = logging.getLogger(__name__)
 
@@ -60,24 +63,113 @@ def run_tasks(
     lost: Callable[[Task, Loss], Result],
     execution: Execution,
 ) -> Iterator[Result]:
-    """Results as the tasks finish, in any order.
+    """As `Crew.run_tasks`, over workers that are there for these tasks alone."""
+    with Crew() as crew:
+        yield from crew.run_tasks(function, tasks, lost, execution)
+
+
+class Crew:
+    """Worker processes for all the tasks of a run.
 
     Parameters
     ----------
-    function
-        Does a task. It must be importable: workers are fresh processes.
-    tasks
-        Plain data, small enough to send.
-    lost
-        The result of a task that was lost.
-    execution
-        How many workers, and their limits. With backend ``sequential`` the tasks are done here and
-        once; one that hangs or dies takes the run with it.
+    n_workers
+        So many are started at once; others when there are tasks for them.
+    modules
+        What these load meanwhile.
     """
-    is_here = execution.backend == "sequential"
-    tried = _here(function, tasks) if is_here else _tried_twice(function, tasks, execution)
-    for task, outcome in tried:
-        yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
+
+    def __init__(self, n_workers: int = 0, modules: Sequence[str] = ()) -> None:
+        self._workers: list[Worker] = []
+        for _ in range(n_workers):
+            self._workers.append(Worker(modules))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """End all workers; a task under way is dropped, and has published nothing."""
+        while self._workers:
+            self._workers.pop().kill()
+
+    def run_tasks(
+        self,
+        function: Callable[[Task], Result],
+        tasks: Sequence[Task],
+        lost: Callable[[Task, Loss], Result],
+        execution: Execution,
+    ) -> Iterator[Result]:
+        """Results as the tasks finish, in any order.
+
+        Parameters
+        ----------
+        function
+            Does a task; what it is made of must be importable, as workers are fresh processes.
+        tasks
+            Plain data, small enough to send.
+        lost
+            The result of a task that was lost.
+        execution
+            How many workers, and their limits. With backend ``sequential`` the tasks are done here
+            and once; one that hangs or dies takes the run with it.
+        """
+        is_here = execution.backend == "sequential"
+        tried = _here(function, tasks) if is_here else self._tried_twice(function, tasks, execution)
+        for task, outcome in tried:
+            yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
+
+    def _tried_twice(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], execution: Execution
+    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+        again: list[Task] = []
+        for task, outcome in self._side_by_side(function, tasks, execution.workers, execution):
+            if isinstance(outcome, Done):
+                yield task, outcome
+            else:
+                log.warning("a task is lost and will be tried again, alone: %s", outcome.how)
+                again.append(task)
+        if again:
+            # In a fresh process, with all the memory that there is.
+            self.end()
+            yield from self._side_by_side(function, again, 1, execution)
+
+    def _side_by_side(
+        self,
+        function: Callable[[Task], Result],
+        tasks: Sequence[Task],
+        n_workers: int,
+        execution: Execution,
+    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+        """Each task with what came of it, as they finish."""
+        waiting = deque(tasks)
+        at_work: dict[Worker, Task] = {}
+        try:
+            while waiting or at_work:
+                while waiting and len(at_work) < n_workers:
+                    task = waiting.popleft()
+                    worker = self._idle(at_work)
+                    worker.begin(function, task, execution)
+                    at_work[worker] = task
+                _wait_for_news(at_work)
+                for worker, task in tuple(at_work.items()):
+                    outcome = worker.outcome()
+                    if outcome is not None:
+                        del at_work[worker]
+                        yield task, outcome
+        finally:
+            # Nobody waits any more for what these do.
+            for worker in at_work:
+                worker.kill()
+
+    def _idle(self, at_work: Container[Worker]) -> Worker:
+        for worker in self._workers:
+            if worker not in at_work:
+                return worker
+        self._workers.append(Worker())
+        return self._workers[-1]
 
 
 def _here(
@@ -87,98 +179,46 @@ def _here(
         yield task, attempt(function, task)
 
 
-def _tried_twice(
-    function: Callable[[Task], Result], tasks: Sequence[Task], execution: Execution
-) -> Iterator[tuple[Task, Done[Result] | Loss]]:
-    again: list[Task] = []
-    for task, outcome in _over_workers(function, tasks, execution.workers, execution):
-        if isinstance(outcome, Done):
-            yield task, outcome
-        else:
-            log.warning("a task is lost and will be tried again, alone: %s", outcome.how)
-            again.append(task)
-    yield from _over_workers(function, again, 1, execution)
-
-
-def _over_workers(
-    function: Callable[[Task], Result], tasks: Sequence[Task], n_workers: int, execution: Execution
-) -> Iterator[tuple[Task, Done[Result] | Loss]]:
-    """Each task with what came of it, as they finish."""
-    waiting = deque(tasks)
-    with _crew(function, min(n_workers, len(tasks)), execution) as crew:
-        for worker in crew:
-            worker.begin(waiting.popleft())
-        at_work = list(crew)
-        while at_work:
-            _wait_for_news(at_work)
-            for worker in tuple(at_work):
-                outcome = worker.outcome()
-                if outcome is None:
-                    continue
-                yield worker.task, outcome
-                if waiting:
-                    worker.begin(waiting.popleft())
-                else:
-                    at_work.remove(worker)
-
-
-@contextmanager
-def _crew(
-    function: Callable[[Task], Result], n_workers: int, execution: Execution
-) -> Iterator[list[Worker[Task, Result]]]:
-    crew: list[Worker[Task, Result]] = []
-    try:
-        crew += (Worker(function, execution) for _ in range(n_workers))
-        yield crew
-    finally:
-        # A task under way is dropped; it has published nothing.
-        for worker in crew:
-            worker.kill()
-
-
-def run_task(worker: Worker[Task, Result], task: Task) -> Done[Result] | Loss:
+def run_task(
+    worker: Worker, function: Callable[[Task], Result], task: Task, execution: Execution
+) -> Done[Result] | Loss:
     """What comes of a task in a worker that has nothing else to do."""
-    worker.begin(task)
+    worker.begin(function, task, execution)
     while (outcome := worker.outcome()) is None:
         _wait_for_news([worker])
     return outcome
 
 
-def _wait_for_news(at_work: Sequence[Worker[Task, Result]]) -> None:
+def _wait_for_news(at_work: Collection[Worker]) -> None:
     """Wait until a worker says something, dies, or has used up its time."""
     due = min(worker.due for worker in at_work)
     ends = [end for worker in at_work for end in (worker.connection, worker.stderr)]
     wait(ends, max(0.0, due - time.monotonic()))
 
 
-class Worker(Generic[Task, Result]):
+class Worker:
     """A process that does one task at a time; if it dies of one, another does the next.
 
     Parameters
     ----------
-    function
-        Does a task.
-    execution
-        Its limits.
+    modules
+        What it loads before there is a task.
     """
 
-    task: Task
+    execution: Execution
 
-    def __init__(self, function: Callable[[Task], Result], execution: Execution) -> None:
-        self.function = function
-        self.execution = execution
-        self._start()
+    def __init__(self, modules: Sequence[str] = ()) -> None:
+        self._start(modules)
 
-    def _start(self) -> None:
+    def _start(self, modules: Sequence[str] = ()) -> None:
         context = get_context("loky")
         self.connection, theirs = context.Pipe()
         self.stderr, their_stderr = context.Pipe(duplex=False)
         os.set_blocking(self.stderr.fileno(), False)
-        limit = self.execution.memory_limit_mib
         # A daemon is ended when the run ends, however that comes.
         self.process = context.Process(
             target=serve,
-            args=(self.function, theirs, their_stderr, limit),
+            args=(theirs, their_stderr, tuple(modules)),
             env=ENVIRONMENT,
             daemon=True,
         )
@@ -187,16 +227,18 @@ class Worker(Generic[Task, Result]):
         theirs.close()
         their_stderr.close()
 
-    def begin(self, task: Task) -> None:
-        """Give it a task."""
+    def begin(self, function: Callable[[Any], Any], task: object, execution: Execution) -> None:
+        """Give it a task, and its limits."""
         if self.process.exitcode is not None:
             self._start()
-        self.task, self.part, self.last_words, self.is_late = task, "", b"", False
+        self.execution = execution
+        self.part, self.last_words, self.is_late = "", b"", False
         self.due = time.monotonic() + START_S
         with suppress(ConnectionError):  # dead already: heard of in a moment
-            self.connection.send(task)
+            given = Assignment(function, task, execution.memory_limit_mib)
+            self.connection.send_bytes(dumps(given))
 
-    def outcome(self) -> Done[Result] | Loss | None:
+    def outcome(self) -> Done[Any] | Loss | None:
         """What came of its task; None while it is at work."""
         self._pass_on_stderr()
         if not self.connection.poll():
@@ -206,7 +248,7 @@ class Worker(Generic[Task, Result]):
             os.kill(self.process.pid, signal.SIGALRM)
             return self._loss()
         try:
-            message: SignOfLife | Done[Result] | Loss = self.connection.recv()
+            message: SignOfLife | Done[Any] | Loss = self.connection.recv()
         except (EOFError, OSError):
             return self._loss()
         if isinstance(message, SignOfLife):

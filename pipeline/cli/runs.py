@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import signal
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -27,6 +28,7 @@ from pipeline.cli.arguments import (
     night_label,
     say,
 )
+from pipeline.cli.early_workers import early_crew
 from pipeline.cli.reporter import Reporter, print_plan
 from pipeline.errors import MotorLeakageError, UsageError
 
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from pipeline.config import Fleet
     from pipeline.fleet import RunRequest
     from pipeline.motor_task import MotorOutcome
+    from pipeline.workers import Crew
 
 
 def fit_fleet(
@@ -67,22 +70,23 @@ def fit_fleet(
     Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
     config; 3: another run holds the output; 4: nothing could be published.
     """
-    from pipeline.fleet import RunRequest
+    with nullcontext() if dry_run else early_crew(config, jobs) as crew:
+        from pipeline.fleet import RunRequest
 
-    fleet = load(config, output, jobs)
-    request = RunRequest(
-        fleet=fleet,
-        motors=known_motors(motors.split(), fleet),
-        since=night_label(since, "--since"),
-        until=night_label(until, "--until"),
-        force=force,
-        with_starts=with_starts,
-    )
-    in_order(request.since, request.until)
-    if dry_run:
-        print_plan(request, as_json)
-        return
-    _run(request, as_json, fail_on_alarm=fail_on_alarm)
+        fleet = load(config, output, jobs)
+        request = RunRequest(
+            fleet=fleet,
+            motors=known_motors(motors.split(), fleet),
+            since=night_label(since, "--since"),
+            until=night_label(until, "--until"),
+            force=force,
+            with_starts=with_starts,
+        )
+        in_order(request.since, request.until)
+        if crew is None:
+            print_plan(request, as_json)
+        else:
+            _run(request, crew, as_json, fail_on_alarm=fail_on_alarm)
 
 
 def retry(
@@ -100,14 +104,17 @@ def retry(
 
     Exit codes as those of fit-fleet.
     """
-    from pipeline.fleet import RunRequest
+    with early_crew(config, jobs) as crew:
+        from pipeline.fleet import RunRequest
 
-    fleet = load(config, output, jobs)
-    request = RunRequest(fleet, known_motors(motors.split(), fleet), retry=True)
-    _run(request, as_json)
+        fleet = load(config, output, jobs)
+        request = RunRequest(fleet, known_motors(motors.split(), fleet), retry=True)
+        _run(request, crew, as_json)
 
 
-def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:
+def _run(
+    request: RunRequest, crew: Crew, as_json: bool, *, fail_on_alarm: bool = False
+) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
     from pipeline.fleet import run_fleet
 
@@ -115,7 +122,7 @@ def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> 
     terminated = _catch_termination()
     try:
         with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
-            result = run_fleet(request, reporter.motor)
+            result = run_fleet(request, reporter.motor, crew)
             reporter.summary(result, fleet.output)
         interrupted = result.interrupted
     except KeyboardInterrupt:  # while publishing: what is not yet published is done anew
