@@ -29,9 +29,9 @@ Mask = NDArray[np.bool_]
 Places = NDArray[np.int64]
 
 # Lengths of transforms: short ones waste time between calls, long ones leave the cache.
-SHORTEST_TRANSFORM, SHORTEST_LONGEST_TRANSFORM = 16, 2048
+SHORTEST_TRANSFORM, SHORTEST_LONGEST_TRANSFORM = 16, 4096
 # Points that are transformed at a time.
-BATCH_POINTS = 1 << 16
+BATCH_POINTS = 1 << 15
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -114,7 +114,9 @@ class Motor:
         return ParameterError("motor_paths", f"motor type {self.motor_type!r} {what}")
 
 
-def regressors(motor: Motor, conditions: OperatingConditions) -> NDArray[np.float64]:
+def regressors(
+    motor: Motor, conditions: OperatingConditions, out: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
     r"""Columns in which the motor's flow is linear: y = known + Σ K φ + C_f + ε.
 
     .. math:: z(t) = (\varphi_1, \dots, \varphi_p, 1, \textstyle\sum_{known} K \varphi)
@@ -125,6 +127,8 @@ def regressors(motor: Motor, conditions: OperatingConditions) -> NDArray[np.floa
         The motor.
     conditions
         Operating conditions of n samples.
+    out
+        Where the columns go, shape (n, p + 2); None: into an array of their own.
 
     Returns
     -------
@@ -148,7 +152,7 @@ def regressors(motor: Motor, conditions: OperatingConditions) -> NDArray[np.floa
     """
     column_paths = motor.column_paths
     known_paths = [(path, path.configured_coefficient) for path in motor.known_paths]
-    columns = np.empty((len(conditions), len(column_paths) + 2))
+    columns = np.empty((len(conditions), len(column_paths) + 2)) if out is None else out
     for rows, sides in _chunks(motor, conditions):
         for index, path in enumerate(column_paths):
             columns[rows, index] = _regressor(path, sides)

@@ -98,13 +98,16 @@ def _fit_mode(
     training = statistics.factors_of(TRAINING)
     rows = statistics.rows_of(TRAINING)
 
+    errors: list[Array] = []
+
     def excite(fitted: Fit) -> Excitation:
-        return _excitation(statistics, rows, _error(statistics, rows, fitted))
+        errors.append(_error(statistics, rows, fitted))
+        return _excitation(statistics, rows, errors[0])
 
     found = fit_blocks(spec, night, mode, training, excite, at, statistics.inflation)
     return FittedMode.of(
         found,
-        error=_error(statistics, rows, found.fit),
+        error=errors[0],
         budget=_budget(spec, statistics, found.fit, rows, night, at),
     )
 

@@ -411,22 +411,17 @@ def prediction_rows(
     samples = statistics.samples
     measured = statistics.z[:, -1]
     primary = statistics.z[:, :-1] @ np.append(modes[0].fit.coefficients, 1.0)
-    seen = np.column_stack(
-        [
-            measured,
-            measured - primary,
-            np.abs(samples.pressure_difference_bar),
-            np.abs(samples.speed_rpm),
-        ]
+    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
+    chosen = keep_extremes(
+        np.stack([measured, measured - primary, pressure, speed]).T, PREDICTION_POINTS
     )
-    chosen = keep_extremes(seen, PREDICTION_POINTS)
-    parts = statistics.parts()[chosen].tolist()
+    parts = statistics.parts_of(chosen)
     z = statistics.z[chosen]
     times = [utc(stamp) for stamp in samples.time_us[chosen].tolist()]
     inputs = {
-        "pressure_difference_bar": np.abs(samples.pressure_difference_bar)[chosen].tolist(),
+        "pressure_difference_bar": pressure[chosen].tolist(),
         "oil_temperature_c": samples.oil_temperature_c[chosen].tolist(),
-        "speed_rpm": np.abs(samples.speed_rpm)[chosen].tolist(),
+        "speed_rpm": speed[chosen].tolist(),
         "measured_l_per_min": z[:, -1].tolist(),
     }
     rows: list[Row] = []

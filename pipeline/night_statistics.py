@@ -104,12 +104,10 @@ class NightStatistics:
         chosen = [part is None or block.part == part for block in self.blocks]
         return merge(self.plain_factors[np.array(chosen, dtype=bool)])
 
-    def parts(self) -> NDArray[np.str_]:
-        """Part of each kept sample, shape (n,)."""
-        return np.repeat(
-            np.array([block.part for block in self.blocks], dtype=np.str_),
-            [block.n for block in self.blocks],
-        )
+    def parts_of(self, rows: NDArray[np.int64]) -> list[str]:
+        """Part of some of the kept samples."""
+        ends = np.cumsum([block.n for block in self.blocks])
+        return [self.blocks[at].part for at in np.searchsorted(ends, rows, side="right").tolist()]
 
     def rows_of(self, part: str) -> NDArray[np.bool_]:
         """Which of the kept samples belong to a part, shape (n,)."""
@@ -146,7 +144,9 @@ def night_statistics(
     """
     settings = spec.settings
     conditions = operating_conditions(spec, samples)
-    unsmoothed = np.column_stack([regressors(motor, conditions), samples.leakage_l_per_min])
+    unsmoothed = np.empty((len(samples.index), len(motor.columns)))
+    regressors(motor, conditions, out=unsmoothed[:, :-1])
+    unsmoothed[:, -1] = samples.leakage_l_per_min
     by_hand = HandSet.of(spec.file.periods, night)
     short = split_into_blocks(samples.time_us, night.start_us, settings.windows, by_hand)
     number = np.repeat(np.arange(len(short)), [block.n for block in short])

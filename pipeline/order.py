@@ -67,21 +67,22 @@ class Stamps:
 
     def order(self, time_us: Times, *, puts_in_order: bool) -> Order:
         """As `order_of`."""
-        return self._once(
+        return self.once(
             time_us, puts_in_order, lambda: order_of(time_us, puts_in_order=puts_in_order)
         )
 
     def period_us(self, time_us: Times) -> float | None:
         """As `typical_period_us`."""
-        return self._once(time_us, "period", lambda: typical_period_us(time_us))
+        return self.once(time_us, "period", lambda: typical_period_us(time_us))
 
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
         """How many samples are `jittered`."""
-        return self._once(
+        return self.once(
             time_us, ("jitter", period_us), lambda: int(jittered(time_us, period_us).sum())
         )
 
-    def _once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
+    def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
+        """What `find` finds out of some stamps, under its name: it is called once for them."""
         key = (time_us.ctypes.data, len(time_us), what)
         if key not in self._known:
             self._known[key] = time_us, find()

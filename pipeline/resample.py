@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from pipeline.clean import CleanChannel
 from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
 from pipeline.halts import Halts, settled_halts
 from pipeline.masks import ROUNDING, near, transient
+from pipeline.order import Stamps
 from pipeline.transport_delay import Delay, delay_inputs
 
 # A channel with more than this many samples a cell of the grid is averaged, not interpolated.
@@ -132,7 +134,9 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
     return max(rounded, ceil(SECOND_US / settings.maximum_rate_hz))
 
 
-def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
+def on_grid(
+    channel: CleanChannel, grid_us: Times, period_us: int, stamps: Stamps | None = None
+) -> tuple[Values, Mask, Mask]:
     """A channel on the time base.
 
     Parameters
@@ -143,6 +147,9 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Valu
         Times of the grid, shape (n,).
     period_us
         Period of the grid.
+    stamps
+        What is known of the stamps of channels that were brought onto this very grid before; None:
+        there are none.
 
     Returns
     -------
@@ -159,7 +166,9 @@ def on_grid(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Valu
     on_change = channel.sampling.on_change
     if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
         return _averaged(channel, grid_us, period_us)
-    return _interpolated(channel, grid_us, period_us)
+    time = channel.time_us
+    places = (stamps or Stamps()).once(time, "places", lambda: _places(time, grid_us, period_us))
+    return _interpolated(channel, grid_us, places)
 
 
 def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
@@ -192,31 +201,60 @@ def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np
     return before
 
 
+class _Places(NamedTuple):
+    """Where samples lie on a time base.
+
+    Attributes
+    ----------
+    at
+        First sample at or after each time of the grid; the last one where there is none.
+    between
+        Times of the grid at which there is no sample.
+    left
+        The sample before each of these; -1 where there is none.
+    """
+
+    at: NDArray[np.intp]
+    between: NDArray[np.intp]
+    left: NDArray[np.intp]
+
+
+def _places(time_us: Times, grid_us: Times, period_us: int) -> _Places:
+    before = samples_before(time_us, grid_us, period_us)
+    at = np.minimum(before, len(time_us) - 1)
+    between = np.flatnonzero(time_us[at] != grid_us)
+    return _Places(at, between, before[between] - 1)
+
+
 def _interpolated(
-    channel: CleanChannel, grid_us: Times, period_us: int
+    channel: CleanChannel, grid_us: Times, places: _Places
 ) -> tuple[Values, Mask, Mask]:
+    at, between, left = places
     time, kept = channel.time_us, ~channel.refused
-    # What holds between two samples is told once for both, not at each time between them.
-    distance = np.diff(time, append=time[-1:])
-    value = np.where(kept, channel.value, np.nan)
-    change = np.diff(value, append=value[-1:])
+    # Most times of the grid are those of samples.
+    result, present = channel.value[at], kept[at]
+    result += 0.0
+    silent = np.zeros(len(grid_us), dtype=np.bool_)
+
+    last = len(time) - 1
+    inside = (left >= 0) & (left < last)
+    left = np.clip(left, 0, max(last - 1, 0))
+    # What holds between two samples is told at each time between them, or once for both.
+    few = len(left) < len(time)
+    first = left if few else np.arange(len(time))
+    second = np.minimum(first + 1, last)
+    distance = time[second] - time[first]
     asleep = distance > channel.longest_gap_us
     if channel.ends is not None:
-        asleep |= channel.ends
-    usable = ~asleep & kept & np.append(kept[1:], False)
-
-    before = samples_before(time, grid_us, period_us)
-    at = np.minimum(before, len(time) - 1)
-    result, present = value[at] + 0.0, kept[at]
-    silent = np.zeros(len(grid_us), dtype=np.bool_)
-    # Most times of the grid are those of samples; the others lie between two, or outside.
-    between = np.flatnonzero(time[at] != grid_us)
-    left = before[between] - 1
-    inside = (left >= 0) & (left < len(time) - 1)
-    share = (grid_us[between] - time[left]) / np.maximum(distance[left], 1)
-    result[between] = value[left] + share * change[left]
-    silent[between] = ~inside | asleep[left]
-    present[between] = inside & usable[left]
+        asleep |= channel.ends[first]
+    usable = ~asleep & kept[first] & kept[second]
+    value = np.where(kept[first], channel.value[first], np.nan)
+    change = np.where(kept[second], channel.value[second], np.nan) - value
+    of = slice(None) if few else left
+    share = (grid_us[between] - time[left]) / np.maximum(distance[of], 1)
+    result[between] = value[of] + share * change[of]
+    silent[between] = ~inside | asleep[of]
+    present[between] = inside & usable[of]
     result[~present] = np.nan
     return result, present, silent
 
@@ -301,8 +339,9 @@ def bring_together(
     present: dict[str, Mask] = {}
     found: list[Quality] = []
     logged = np.zeros(len(grid), dtype=np.bool_)
+    stamps = Stamps()
     for name, channel in channels.items():
-        values[name], present[name], silent = on_grid(channel, grid, period)
+        values[name], present[name], silent = on_grid(channel, grid, period, stamps)
         found.append(Quality(name, "gap", len(grid), int(silent.sum())))
         logged |= ~silent
     if "high_port_pressure" in channels:

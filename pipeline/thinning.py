@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -51,13 +53,12 @@ def keep_extremes(columns: ArrayLike, points: int) -> NDArray[np.int64]:
     if n_bins < 1:
         raise ValueError(f"expected at least {2 * c + 2} points for {c} columns, got {points}")
     borders = np.linspace(0, n, n_bins + 1).round().astype(np.int64)
-    first, end = borders[:-1, None], borders[1:, None]
-    # The last row of a shorter bin is looked at twice, which changes no extreme.
-    place = np.minimum(first + np.arange(np.diff(borders).max()), end - 1)
     kept = [np.array([0, n - 1])]
     for column in values.T:
-        inside = column[place]
-        for missing, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):
-            found = extreme(np.where(np.isnan(inside), missing, inside), axis=1)
-            kept.append(np.take_along_axis(place, found[:, None], axis=1)[:, 0])
+        missing = np.isnan(column)
+        for worst, extreme in ((np.inf, np.argmin), (-np.inf, np.argmax)):
+            seen = np.where(missing, worst, column) if missing.any() else column
+            kept.append(
+                np.array([begin + extreme(seen[begin:end]) for begin, end in pairwise(borders)])
+            )
     return np.unique(np.concatenate(kept))
