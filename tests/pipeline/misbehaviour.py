@@ -25,6 +25,15 @@ def do(task: str) -> str:
     return f"{task} done"
 
 
+def own_pid(_: object) -> int:
+    return os.getpid()
+
+
+def own_pid_slowly(seconds: float) -> int:
+    time.sleep(seconds)
+    return os.getpid()
+
+
 def raise_error() -> None:
     raise ZeroDivisionError("not foreseen")
 

@@ -400,6 +400,30 @@ class TestFrozen:
         still[::100] += 1e-9
         assert not frozen(stamps(900), still, 0.0, 60 * SECOND).any()
 
+    @given(st.data())
+    def test_as_looked_at_pair_by_pair(self, data: st.DataObject) -> None:
+        """Few samples tell where no stretch can be: what is found is what all of them tell."""
+        n = data.draw(st.integers(1, 1500))
+        rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+        time = np.cumsum(rng.choice([1, 1, 1, 1, 40], n)) * SECOND
+        resolution = data.draw(st.sampled_from([0.0, 0.1]))
+        value = rng.integers(0, data.draw(st.integers(1, 4)), n) * 0.1
+        for _ in range(data.draw(st.integers(0, 4))):
+            first = data.draw(st.integers(0, n - 1))
+            value[first : first + data.draw(st.integers(1, 400))] = value[first]
+        if resolution:
+            value += rng.uniform(-0.02, 0.02, n)
+        limit = data.draw(st.sampled_from([0.5, 5.0, 20.0, 100.0, 2000.0])) * SECOND
+        expected = np.zeros(n, dtype=bool)
+        grids = [np.floor(value / 0.1 + at) for at in (0.25, 0.75)] if resolution else [value]
+        for step in grids:
+            first = 0
+            for row in range(1, n + 1):
+                if row == n or step[row] != step[first]:
+                    expected[first:row] |= time[row - 1] - time[first] > limit
+                    first = row
+        np.testing.assert_array_equal(frozen(time, value, resolution, limit), expected)
+
     def test_time_counts_and_not_samples(self) -> None:
         assert self.judged(np.full(62, 42.0), rate_hz=1.0).counts["frozen"] == 62
         assert self.judged(np.full(600, 42.0), rate_hz=100.0).counts["frozen"] == 0

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.channel_rules import ChannelRules
 from pipeline.clean import CleanChannel, clean_channel
-from pipeline.clocks import backward_time, jittered, stray_time, written_late
+from pipeline.clocks import _distance_of_nearest, backward_time, jittered, stray_time, written_late
 from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.ingest import RawChannel
 from pipeline.resample import bring_together
@@ -103,6 +103,18 @@ class TestWrittenLate:
         refused = found.counts["backward_time"] + found.counts["duplicate_time"]
         assert (np.diff(found.time_us) > 0).all()
         assert len(found.time_us) + refused == found.n_samples == len(time)
+
+
+class TestNearest:
+    @given(st.lists(st.integers(0, 200), min_size=1, max_size=60), st.data())
+    def test_as_compared_with_each_other_stamp(self, times: list[int], data: st.DataObject) -> None:
+        time = np.array(times, dtype=np.int64)
+        rows = np.array(data.draw(st.lists(st.integers(0, len(times) - 1))), dtype=np.intp)
+        expected = [
+            min((abs(time[row] - one) for one in np.delete(time, row)), default=np.inf)
+            for row in rows
+        ]
+        assert _distance_of_nearest(time, rows).tolist() == expected
 
 
 class TestJitter:

@@ -23,13 +23,15 @@ from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
 from pipeline.worker_process import Loss
-from pipeline.workers import run_tasks
+from pipeline.workers import Crew, run_tasks
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
     MISBEHAVIOUR,
     count_beside_or_die,
     die_once,
     do,
+    own_pid,
+    own_pid_slowly,
     slow_by_parts,
     workers_of,
 )
@@ -37,7 +39,7 @@ from tests.pipeline.misbehaviour import (
 GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
 # Enough for the libraries, and little to eat.
 MEMORY_MIB = 700
-TIMEOUT_S = 3.0
+TIMEOUT_S = 5.0
 
 
 def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
@@ -124,6 +126,21 @@ def test_a_task_that_is_lost_once_is_done_the_second_time(tmp_path: Path) -> Non
 
     assert list(run_tasks(die_once, [str(tmp_path / "died")], lost, execution())) == ["done"]
     assert (tmp_path / "died").exists()
+
+
+def test_workers_stay_for_the_tasks_that_follow() -> None:
+    def lost(_: int, loss: Loss) -> int:
+        raise AssertionError(loss)
+
+    with Crew(2, ["json"]) as crew:
+        first = set(crew.run_tasks(own_pid, range(6), lost, execution()))
+        assert set(crew.run_tasks(own_pid, range(6), lost, execution())) <= first
+        assert len(first) <= 2
+        # One that nobody waits for any more is ended, and there is another for what follows.
+        slow = crew.run_tasks(own_pid_slowly, [0.0, 60.0], lost, execution())
+        next(slow)
+        slow.close()  # type: ignore[attr-defined]
+        assert len(list(crew.run_tasks(own_pid, range(6), lost, execution()))) == 6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts processes in /proc")

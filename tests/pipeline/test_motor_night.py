@@ -60,6 +60,14 @@ def true_coefficients(spec: MotorSpec, flushing: float = 0.0) -> dict[str, float
     return factors | {"flushing": flushing}
 
 
+def test_readings_are_given_up_as_they_are_cleaned(spec: MotorSpec) -> None:
+    """A day at 100 Hz is not to be in memory twice."""
+    operation = operate(NIGHT)
+    channels = raw(operation.time_us, operation.channels(operation.flow(spec.motor(NIGHT, "none"))))
+    assert fit_night(spec, night_of(), channels, {}).status == OK
+    assert channels == {}
+
+
 def simulate(spec: MotorSpec, operation: Operation, flushing: float = 0.0) -> dict[str, Array]:
     motor = spec.motor(NIGHT, "estimated")
     return operation.channels(operation.flow(motor, true_coefficients(spec, flushing)))
