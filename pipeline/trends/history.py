@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -79,10 +79,7 @@ class History:
     @cached_property
     def statuses(self) -> list[str]:
         """Why a night says nothing at all; empty where it does."""
-        return [
-            "" if fitted else self._words(place).status
-            for place, fitted in enumerate(self.fitted.tolist())
-        ]
+        return self._told(self.fitted, lambda words: words.status)
 
     def place_of(self, number: int) -> int:
         """Place of a night by its number."""
@@ -93,14 +90,23 @@ class History:
         place = int(np.searchsorted(self.records["night"], np.datetime64(date)))
         return place if place < len(self) else None
 
-    def why(self, place: int, coefficient: int | None = None) -> str:
-        """Why a coefficient does not count in a night, or (None) the reference leakage."""
-        words = self._words(place)
-        return words.reference if coefficient is None else words.coefficients[coefficient]
+    def why(self, known: NDArray[np.bool_], coefficient: int | None = None) -> tuple[str, ...]:
+        """Why a coefficient does not count in each night, or (None) the reference leakage.
 
-    def _words(self, place: int) -> NightWords:
-        found = self.words.get(place)
-        return found or NightWords(GATED, GATED, (GATED,) * len(self.layout.coefficients))
+        Empty where it is known.
+        """
+
+        def of(words: NightWords) -> str:
+            return words.reference if coefficient is None else words.coefficients[coefficient]
+
+        return tuple(self._told(known, of))
+
+    def _told(self, known: NDArray[np.bool_], of: Callable[[NightWords], str]) -> list[str]:
+        told: list[str] = np.where(known, "", GATED).tolist()
+        for place, words in self.words.items():
+            if told[place]:
+                told[place] = of(words)
+        return told
 
 
 def histories_of(

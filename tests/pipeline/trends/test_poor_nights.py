@@ -93,7 +93,7 @@ def test_a_groups_fit_is_that_of_all_its_samples() -> None:
     leakage, low, high = found.records["reference"][5]
     # Twice the half-width of a 95 % interval is missed once in ten thousand times.
     assert abs(leakage - 1.371423) < high - low < 0.04 * leakage
-    assert found.why(5) == ""
+    assert found.words[5].reference == ""
 
 
 def test_the_other_nights_of_a_group_say_nothing_and_why() -> None:
@@ -217,7 +217,7 @@ def test_a_group_that_says_nothing_either_says_so() -> None:
     assert groups(found) == {4: 2}
     assert np.isfinite(found.records["reference"][4]).all()
     assert np.isnan(found.records["figures"][4]).all()
-    assert "60" in found.why(4, 0)
+    assert "60" in found.words[4].coefficients[0]
 
 
 def test_merging_can_be_turned_off() -> None:
@@ -235,8 +235,8 @@ def test_a_group_hangs_on_no_later_night(until: int) -> None:
         np.testing.assert_array_equal(
             then.records[name], all_nights.records[name][: until + 1], err_msg=name
         )
-    assert [then.why(place) for place in range(until + 1)] == [
-        all_nights.why(place) for place in range(until + 1)
+    assert [then.words[place].reference for place in range(until + 1)] == [
+        all_nights.words[place].reference for place in range(until + 1)
     ]
 
 
