@@ -122,7 +122,8 @@ class Layout:
                 ("fitted", "?"),
                 ("poor", "?"),
                 ("outside", "?"),
-                ("used", "?"),
+                # Last night of those that it was fitted together with.
+                ("together_in", "M8[D]"),
                 ("kind", "S16"),
                 ("minutes", "f8"),
                 ("n_nights", "i2"),
@@ -185,6 +186,7 @@ def blank_records(layout: Layout, nights: Sequence[dt.date]) -> Records:
         if kind.base == np.float64:
             records[name] = np.nan
     records["night"] = np.array(nights, dtype="M8[D]")
+    records["together_in"] = np.datetime64("NaT")
     records["n_nights"] = 1
     return records
 

@@ -37,6 +37,7 @@ from pipeline.trends.history import History
 from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
 from pipeline.trends.segments import segments
 
+BLOCKS_GONE = "statistics of their blocks are not there any more"
 # Reads the blocks of a motor's nights, in order of time.
 ReadBlocks = Callable[[Sequence[dt.date]], pl.DataFrame]
 
@@ -83,9 +84,9 @@ def with_poor_nights(
             _describe(history, records, place, blocks.of(place))
     for row in rows:
         for group in groups_of(row, records["minutes"], records["kind"], most):
-            records["used"][list(group)] = True
-            found = _fit(history, records, group, blocks)
             last = group[-1]
+            records["together_in"][list(group)] = records["night"][last]
+            found = _fit(history, records, group, blocks)
             if isinstance(found, str):
                 before = words.get(last)
                 if before is not None:
@@ -143,9 +144,15 @@ def groups_of(
 def _fill_known(records: Records, known: Records, until: dt.date) -> int:
     """Put in what is known; returns from which place on nights are to be fitted together."""
     records[np.searchsorted(records["night"], known["night"])] = known
-    settled = records["fitted"] | records["used"]
+    settled = records["fitted"] | _used(records)
     settled &= records["night"] < np.datetime64(until)
     return int(np.flatnonzero(settled)[-1]) + 1 if settled.any() else 0
+
+
+def _used(records: Records) -> NDArray[np.bool_]:
+    """Nights that were fitted together with others, whatever came of it."""
+    used: NDArray[np.bool_] = ~np.isnat(records["together_in"])
+    return used
 
 
 def _rows_of_poor(
@@ -158,7 +165,7 @@ def _rows_of_poor(
     numbers = history.numbers
     longest = history.spec.settings.alarms.stale_after_nights
     rows: list[list[int]] = [[]]
-    ends = records["fitted"] | records["used"]
+    ends = records["fitted"] | _used(records)
     for place in (begin + np.flatnonzero((ends | records["poor"])[begin:])).tolist():
         row = rows[-1]
         apart = bool(row) and (
@@ -217,7 +224,10 @@ def _fit(
     history: History, records: Records, group: Sequence[int], blocks: _Blocks
 ) -> tuple[Any, NightWords] | str:
     """Record and words of the last night of a group, fitted together; a text where it cannot be."""
-    whole = pl.concat([blocks.of(place) for place in group])
+    parts = [blocks.of(place) for place in group]
+    if not all(part.height for part in parts):
+        return BLOCKS_GONE
+    whole = pl.concat(parts)
     training = training_of(whole)
     spec, label = history.spec, history.nights[group[-1]]
     factors = triangular_factors(training, len(history.layout.columns))

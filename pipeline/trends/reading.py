@@ -205,7 +205,9 @@ class MotorNights:
     def together(self) -> Records:
         """See above."""
         whole = self._joined(one.together for one in self.months.values())
-        return whole[whole["night"] < np.datetime64(self.until)]
+        until = np.datetime64(self.until)
+        # What was made with later nights is to be made anew.
+        return whole[(whole["night"] < until) & ~(whole["together_in"] >= until)]
 
     def _joined(self, parts: Iterable[Records]) -> Records:
         """Records by night."""

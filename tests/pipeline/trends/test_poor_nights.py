@@ -33,6 +33,7 @@ from tests.pipeline.trends.nights import (
     history,
     motor,
     named,
+    night_of,
     reset,
     standings,
 )
@@ -125,6 +126,20 @@ def test_the_rows_say_how_many_nights() -> None:
     assert waiting["reference_leakage"]["n_nights"] == 1
     assert waiting["reference_leakage"]["value"] is None
     assert "an interval needs 30" in waiting["reference_leakage"]["gated_reason"]
+
+
+def test_nights_whose_blocks_were_pruned_are_left_out() -> None:
+    """It was an internal error, and the motor had no trends any more."""
+    nights = poor(3, 4, 5, 7, 8, 9)
+    blocks = blocks_of(nights).filter(pl.col("night") > night_of(4))
+    found = with_poor_nights(
+        history(nights), (), lambda labels: blocks.filter(pl.col("night").is_in(list(labels)))
+    )
+    assert groups(found) == {9: 3}
+    assert found.words[5].status == (
+        "24.0 minutes of training samples; an interval needs 30; 3 nights together: statistics of "
+        "their blocks are not there any more"
+    )
 
 
 def test_each_night_is_used_once() -> None:
