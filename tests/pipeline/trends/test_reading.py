@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
-import os
 import shutil
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +16,11 @@ import pytest
 
 from pipeline.config import load_fleet
 from pipeline.decisions import record_decision
+from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.retention import old_files, prune
-from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
-from pipeline.store import night_file, write_table
+from pipeline.schema import BLOCK_STATISTICS, FITS, TREND_TABLES, Table
+from pipeline.store import night_file, read_rows, write_table
 from pipeline.trends import kept_nights, reading, stage
 from pipeline.trends.record import note_touched
 from pipeline.verification import verify_tables
@@ -29,7 +29,6 @@ from tests.pipeline.trends.blocks import POOR, blocks_of
 from tests.pipeline.trends.nights import Nights, night_of, publish, ramp, reset
 
 QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
-N = 41
 # Too few samples for any fit: what they are worth is in their blocks alone.
 NOTHING = POOR | {
     "status": "insufficient_data",
@@ -61,26 +60,36 @@ class Fleet:
         Of its config and output.
     forgetful
         Whether nothing is kept from run to run.
+    before
+        Nights before those of which something is to be told; with thirty there are baselines.
     """
 
     folder: Path
     forgetful: bool = False
+    before: int = 0
     motors: dict[str, Nights] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.config = configure(self.folder)
         m1, m2 = load_fleet(self.config).motors
+        n = self.before + 24
+
+        def these(*places: int) -> dict[int, dict[str, Any]]:
+            return dict.fromkeys((self.before + place for place in places), POOR)
+
+        nothing = dict.fromkeys(these(6, 7, 8, 19, 20, 21), NOTHING)
+        zero = 0.05 * (np.arange(n) >= self.before + 12) + 0.001 * np.cos(np.arange(n))
         self.motors = {
             # Groups of three, one of them across the end of the first run; and no log.
             "M1": Nights(
                 m1,
-                N,
-                {"piston_ring": ramp(N, 25, 0.5)},
-                changes=dict.fromkeys((3, 4, 5, 24, 25, 26, 27, 28, 31, 32, 33), POOR)
-                | dict.fromkeys((21, 22, 23, 34, 35, 36), NOTHING),
-                absent=frozenset((13, 14)),
+                n,
+                {"piston_ring": ramp(n, self.before + 9, 0.5)},
+                changes=these(3, 4, 5, 9, 10, 11, 12, 13, 16, 17, 18) | nothing,
+                absent=frozenset((self.before + 1, self.before + 14)),
+                operation={"flow_zero_l_per_min": zero},
             ),
-            "M2": Nights(m2, N, seed=2, changes=dict.fromkeys((34, 35, 36), POOR)),
+            "M2": Nights(m2, n, seed=2, changes=these(19, 20, 21)),
         }
 
     @property
@@ -88,8 +97,8 @@ class Fleet:
         return self.folder / "out"
 
     def publish(self, *places: int) -> None:
-        """Publish some nights of all motors; those of others stay."""
-        labels = [night_of(place) for place in places]
+        """Publish some nights of all motors, which count from those before."""
+        labels = [night_of(self.before + place) for place in places]
         frames = [one.frames() for one in self.motors.values()]
         whole = {name: pl.concat([one[name] for one in frames]) for name in frames[0]}
         here = pl.col("night").is_in(labels)
@@ -119,7 +128,7 @@ class Fleet:
 
 
 def first(fleet: Fleet) -> None:
-    fleet.publish(*range(32))
+    fleet.publish(*range(-fleet.before, 17))
 
 
 def night(place: int) -> Callable[[Fleet], None]:
@@ -129,36 +138,38 @@ def night(place: int) -> Callable[[Fleet], None]:
 def late_log(fleet: Fleet) -> None:
     """Of a night amid groups of the first motor, which is not poor any more."""
     old = fleet.motors["M1"]
-    changes = {place: one for place, one in old.changes.items() if place != 25}
+    changes = {place: one for place, one in old.changes.items() if place != fleet.before + 10}
     fleet.motors["M1"] = replace(old, changes=changes)
-    fleet.publish(25)
-    note_touched(fleet.output, "M1", night_of(25))
+    fleet.publish(10)
+    note_touched(fleet.output, "M1", night_of(fleet.before + 10))
 
 
 def late_log_of_the_other(fleet: Fleet) -> None:
     """In files that hold nights of a group of the first motor."""
     changes = fleet.motors["M2"].changes
-    fleet.motors["M2"] = replace(fleet.motors["M2"], changes={**changes, 27: POOR, 28: POOR})
-    fleet.publish(27, 28)
-    note_touched(fleet.output, "M2", night_of(27))
+    poor = dict.fromkeys((fleet.before + 12, fleet.before + 13), POOR)
+    fleet.motors["M2"] = replace(fleet.motors["M2"], changes={**changes, **poor})
+    fleet.publish(12, 13)
+    note_touched(fleet.output, "M2", night_of(fleet.before + 12))
 
 
 def refit(fleet: Fleet) -> None:
     """Rows of many nights anew, with other figures."""
     fleet.motors = {name: replace(one, seed=one.seed + 5) for name, one in fleet.motors.items()}
-    fleet.publish(*range(20, 34))
+    fleet.publish(*range(8, 19))
     for name in fleet.motors:
-        note_touched(fleet.output, name, night_of(20))
+        note_touched(fleet.output, name, night_of(fleet.before + 8))
 
 
 def written_anew(fleet: Fleet) -> None:
     """The same rows in other files, as `migrate` leaves them, and a night more."""
-    fleet.publish(*range(20, 35))
+    fleet.publish(*range(8, 20))
 
 
 def a_reset_and_a_setting(fleet: Fleet) -> None:
-    record_decision(fleet.output, reset(4))
-    configure(fleet.folder, more="[trend]\nmerge_nights = 2\n")
+    """And a motor less."""
+    record_decision(fleet.output, reset(fleet.before + 4))
+    configure(fleet.folder, ["M1"], more="[trend]\nmerge_nights = 2\n")
 
 
 def damaged(fleet: Fleet) -> None:
@@ -166,35 +177,30 @@ def damaged(fleet: Fleet) -> None:
         whole = bytearray(path.read_bytes())
         whole[(len(whole) * (number % 7)) // 7] ^= 4
         path.write_bytes(whole[: len(whole) // 2] if number % 3 == 1 else whole)
-    fleet.publish(35)
+    fleet.publish(20)
 
 
 def pruned(fleet: Fleet) -> None:
     """The blocks of the older nights: those too poor alone have no figures any more."""
     prune(fleet.output, old_files(fleet.output, {"block_statistics": 8}))
-    fleet.publish(36)
+    fleet.publish(21)
 
 
 def a_lost_file(fleet: Fleet) -> None:
     """Of a night long ago."""
-    night_file(fleet.output, FITS, night_of(21)).unlink()
-    fleet.publish(37)
-
-
-def one_motor_less(fleet: Fleet) -> None:
-    configure(fleet.folder, ["M1"])
-    fleet.publish(38)
+    night_file(fleet.output, FITS, night_of(fleet.before + 6)).unlink()
+    fleet.publish(22)
 
 
 def and_back(fleet: Fleet) -> None:
     configure(fleet.folder)
-    fleet.publish(39)
+    fleet.publish(23)
 
 
 STEPS: tuple[Callable[[Fleet], None], ...] = (
     first,
-    night(32),
-    night(33),
+    night(17),
+    night(18),
     late_log,
     late_log_of_the_other,
     refit,
@@ -203,28 +209,105 @@ STEPS: tuple[Callable[[Fleet], None], ...] = (
     pruned,
     a_reset_and_a_setting,
     a_lost_file,
-    one_motor_less,
     and_back,
-    night(40),
 )
 
 
-@pytest.fixture(
-    params=[True, pytest.param(False, marks=pytest.mark.full)], ids=["folders tell", "files tell"]
+@pytest.mark.parametrize(
+    ("settled_ns", "before"),
+    [
+        pytest.param(0, 0, id="folders tell"),
+        pytest.param(kept_nights.SETTLED_NS, 0, id="files tell", marks=pytest.mark.full),
+        pytest.param(0, 30, id="with baselines", marks=pytest.mark.full),
+    ],
 )
-def settled(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Folders that were just changed are believed where the disk counts fine enough, or not."""
-    if request.param:
-        monkeypatch.setattr(kept_nights, "SETTLED_NS", 0)
-
-
-@pytest.mark.usefixtures("settled")
-def test_whatever_happens_the_bytes_are_those_without_it(tmp_path: Path) -> None:
-    fleets = [Fleet(tmp_path / "kept"), Fleet(tmp_path / "anew", forgetful=True)]
+def test_whatever_happens_the_bytes_are_those_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, settled_ns: int, before: int
+) -> None:
+    """Folders that were just changed are believed only where the disk counts fine enough."""
+    monkeypatch.setattr(kept_nights, "SETTLED_NS", settled_ns)
+    fleets = [
+        Fleet(tmp_path / "kept", before=before),
+        Fleet(tmp_path / "anew", forgetful=True, before=before),
+    ]
     for step in STEPS:
         for fleet in fleets:
             step(fleet)
             fleet.run()
         assert fleets[0].tables() == fleets[1].tables(), step
         assert [one for one in verify_tables(fleets[0].output) if "history" in one.path] == []
-    assert len(fleets[0].tables()) > N
+    assert any(name.startswith("alarms") for name in fleets[0].tables())
+
+
+Reads = list[tuple[str, list[dt.date]]]
+
+
+@pytest.fixture
+def reads(monkeypatch: pytest.MonkeyPatch) -> Reads:
+    """Which nights of which tables trends read."""
+    found: Reads = []
+
+    def watched(output: Path, table: Table, *more: Any, nights: Collection[dt.date]) -> Any:
+        if nights:
+            found.append((table.name, sorted(nights)))
+        return read_rows(output, table, *more, nights=nights)
+
+    monkeypatch.setattr(reading, "read_rows", watched)
+    monkeypatch.setattr(stage, "read_rows", watched)
+    return found
+
+
+@pytest.mark.parametrize("settled_ns", [0, kept_nights.SETTLED_NS])
+def test_a_night_reads_what_is_new(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reads: Reads, settled_ns: int
+) -> None:
+    monkeypatch.setattr(kept_nights, "SETTLED_NS", settled_ns)
+    fleet = Fleet(tmp_path)
+    first(fleet)
+    fleet.run()
+    assert {name for name, _ in reads} == {"fits", "parameters", "operation", "block_statistics"}
+    reads.clear()
+    fleet.run()
+    # The alarms that were published after they had been looked at, and no other table.
+    assert {name for name, _ in reads} <= {"alarms"}
+    reads.clear()
+    fleet.run()
+    assert reads == []
+    for place in (17, 18):
+        fleet.publish(place)
+        fleet.run()
+        tonight = [night_of(place)]
+        expected = {"fits": tonight, "parameters": tonight, "operation": tonight}
+        if place == 18:
+            # The third poor night in a row: they are fitted together, and no other.
+            expected["block_statistics"] = [night_of(one) for one in (16, 17, 18)]
+        assert {name: nights for name, nights in reads if name != "alarms"} == expected
+        reads.clear()
+
+
+def test_of_a_motor_without_nights_nothing_is_read_again(tmp_path: Path, reads: Reads) -> None:
+    """Or every night would read the whole history of the others for it."""
+    fleet = Fleet(tmp_path)
+    fleet.publish(*range(4))
+    configure(tmp_path, ["M1", "M2", "M3"])
+    fleet.run()
+    fleet.run()
+    reads.clear()
+    fleet.publish(4)
+    fleet.run()
+    assert ("fits", [night_of(4)]) in reads
+
+
+def test_a_disk_that_takes_nothing_costs_no_trends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(*_: object) -> None:
+        raise StoreError("store_write", "2026-01 cannot be written: no space")
+
+    monkeypatch.setattr(reading, "write_month", full)
+    fleet = Fleet(tmp_path)
+    fleet.publish(*range(4))
+    fleet.run()
+    assert fleet.kept() == []
+    assert len(fleet.tables()) == 4
+    assert "no space; the next run reads the nights again" in caplog.text
