@@ -211,7 +211,8 @@ class MotorNights:
 
     def _joined(self, parts: Iterable[Records]) -> Records:
         """Records by night."""
-        whole = np.concatenate([blank_records(self.layout, []), *parts])
+        # As bytes: for a concatenation the types of all fields would be compared.
+        whole = np.frombuffer(b"".join(part.tobytes() for part in parts), self.layout.dtype)
         sorted_: Records = whole[np.argsort(whole["night"], kind="stable")]
         return sorted_
 
