@@ -130,10 +130,10 @@ def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> st
 def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[str, KeptMonth]:
     """What is kept of a motor by month, as far as it is whole and was made with the same key."""
     found = {}
-    for path in sorted((kept_folder(output) / motor_id).glob("*")):
+    for path in sorted((kept_folder(output) / motor_id).glob("[0-9]*")):
         try:
             month = KeptMonth.decoded(read(path), key, layout)
-        except (OSError, ValueError):
+        except (OSError, ValueError, KeyError, TypeError):
             continue
         if month is not None:
             found[path.name] = month
@@ -180,7 +180,7 @@ class TableFolders:
 
     def same(self, month: str, kept: KeptMonth) -> bool:
         """Whether no file of a month can have changed."""
-        found = self._months[month]
+        found = self._months.get(month, ())
         return found == kept.folders and NOT_SETTLED not in found
 
     def files(self, table: Table, month: str) -> dict[str, str]:

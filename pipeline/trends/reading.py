@@ -144,7 +144,7 @@ class MotorNights:
     def __post_init__(self) -> None:
         self.until = self.since
         self._records = blank_records(self.layout, [])
-        for month in self.folders.months:
+        for month in self.folders.months.keys() | self.months.keys():
             kept = self.months.get(month)
             if kept is None:
                 self.nights |= self.folders.files_read(month).keys()
@@ -154,7 +154,9 @@ class MotorNights:
 
     def _look_at(self, month: str, kept: KeptMonth) -> None:
         """Which nights of a month are not as they were, or are to be made anew."""
-        if not self.folders.same(month, kept):
+        # What this run may have published is looked at file by file: over a network the time of a
+        # folder can be an older one.
+        if month >= self.since[:7] or not self.folders.same(month, kept):
             self.nights |= _differing(kept.files, self.folders.files_read(month))
             self.alarms |= _differing(kept.alarms, self.folders.files(ALARMS, month))
             blocks = self._blocks(month, kept.blocks)

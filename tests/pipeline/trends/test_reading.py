@@ -19,9 +19,13 @@ from pipeline.decisions import record_decision
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.retention import old_files, prune
-from pipeline.schema import BLOCK_STATISTICS, FITS, TREND_TABLES, Table
+from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
+from pipeline.sealed import seal_bytes
 from pipeline.store import night_file, read_rows, write_table
 from pipeline.trends import kept_nights, reading, stage
+from pipeline.trends.kept_nights import key_of
+from pipeline.trends.night_records import Layout
+from pipeline.trends.reading import read_nights
 from pipeline.trends.record import note_touched
 from pipeline.verification import verify_tables
 from tests.pipeline.simulated import motor_toml, write_configs
@@ -198,7 +202,6 @@ def and_back(fleet: Fleet) -> None:
 
 
 STEPS: tuple[Callable[[Fleet], None], ...] = (
-    first,
     night(17),
     night(18),
     late_log,
@@ -216,8 +219,9 @@ STEPS: tuple[Callable[[Fleet], None], ...] = (
 @pytest.mark.parametrize(
     ("settled_ns", "before"),
     [
-        pytest.param(0, 0, id="folders tell"),
-        pytest.param(kept_nights.SETTLED_NS, 0, id="files tell", marks=pytest.mark.full),
+        # The nights lie in two months.
+        pytest.param(0, 8, id="folders tell"),
+        pytest.param(kept_nights.SETTLED_NS, 8, id="files tell", marks=pytest.mark.full),
         pytest.param(0, 30, id="with baselines", marks=pytest.mark.full),
     ],
 )
@@ -230,6 +234,9 @@ def test_whatever_happens_the_bytes_are_those_without_it(
         Fleet(tmp_path / "kept", before=before),
         Fleet(tmp_path / "anew", forgetful=True, before=before),
     ]
+    first(fleets[0])
+    fleets[0].run()
+    shutil.copytree(fleets[0].output, fleets[1].output)
     for step in STEPS:
         for fleet in fleets:
             step(fleet)
@@ -283,6 +290,54 @@ def test_a_night_reads_what_is_new(
             expected["block_statistics"] = [night_of(one) for one in (16, 17, 18)]
         assert {name: nights for name, nights in reads if name != "alarms"} == expected
         reads.clear()
+
+
+@pytest.fixture
+def two_months(tmp_path: Path) -> Fleet:
+    """Nights from 28 January on, read and kept."""
+    fleet = Fleet(tmp_path, before=26)
+    fleet.publish(*range(9))
+    read(fleet)
+    return fleet
+
+
+def read(fleet: Fleet) -> list[str]:
+    """Nights of the first motor as the next run sees them."""
+    (spec, _) = load_fleet(fleet.config).motors
+    found = read_nights(fleet.output, [spec], (), {}, night_of(fleet.before + 8))["M1"]
+    found.keep("M1", None)
+    assert found.history is not None
+    return [str(night) for night in found.history.nights]
+
+
+def test_nights_of_a_month_that_is_gone_are_gone(two_months: Fleet) -> None:
+    assert read(two_months)[0] == "2026-01-28"
+    for table in (FITS, ALARMS):
+        shutil.rmtree(two_months.output / "tables" / table.name / "month=2026-01", True)
+    assert read(two_months)[0] == "2026-02-01"
+
+
+@pytest.mark.parametrize("content", [b"", b"{}\n", b'{"key": 7}\n', b"[]\n", b"\xff"])
+def test_what_cannot_be_understood_is_read_again(
+    two_months: Fleet, reads: Reads, content: bytes
+) -> None:
+    (spec, _) = load_fleet(two_months.config).motors
+    key = key_of(spec, Layout.of(spec, night_of(0)), ())
+    whole = content.replace(b"7", f'"{key}"'.encode())
+    (old, _) = two_months.kept()
+    old.write_bytes(seal_bytes(whole))
+    before = read(two_months)
+    assert ("fits", [night_of(26 + place) for place in range(4)]) in reads
+    reads.clear()
+    assert read(two_months) == before
+    assert reads == []
+
+
+def test_what_a_killed_run_left_is_no_month(two_months: Fleet) -> None:
+    (old, _) = two_months.kept()
+    shutil.copy(old, old.with_name(".writing-0011"))
+    assert read(two_months) == read(two_months)
+    assert len(set(read(two_months))) == len(read(two_months))
 
 
 def test_of_a_motor_without_nights_nothing_is_read_again(tmp_path: Path, reads: Reads) -> None:
