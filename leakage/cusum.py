@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -133,6 +134,7 @@ def cusum(nights: Nights, values: Array, baseline: Baseline, limit: float) -> Cu
     return Cusum(statistic, is_on, onset, limit)
 
 
+@lru_cache(maxsize=64)
 def cusum_limit(false_alarms_per_year: float, baseline: Baseline) -> float:
     """Limit h at which a healthy indicator is told changed no more often than asked for.
 

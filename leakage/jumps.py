@@ -20,6 +20,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from leakage.autoregression import Array, Nights
+from leakage.medians import row_medians
 from leakage.robust import MAD_TO_SD
 from leakage.slope import check_series
 
@@ -141,6 +142,6 @@ def _levels_before(x: Array, places: NDArray[np.intp]) -> tuple[Array, Array]:
     """Median and robust standard deviation of up to ten values before each place."""
     padded = np.concatenate([np.full(MOST_BEFORE, np.nan), x])
     before = sliding_window_view(padded, MOST_BEFORE)[places]
-    middle = np.nanmedian(before, axis=1)
-    scatter = MAD_TO_SD * np.nanmedian(np.abs(before - middle[:, None]), axis=1)
+    middle = row_medians(before)
+    scatter = MAD_TO_SD * row_medians(np.abs(before - middle[:, None]))
     return middle, scatter

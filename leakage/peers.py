@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from leakage.autoregression import Array
 from leakage.errors import ShapeError
+from leakage.medians import row_medians
 
 # Good nights that say how far something has moved.
 NIGHTS_OF_NOW = 5
@@ -90,7 +91,7 @@ def peer_deviations(log_ratios: Array) -> PeerDeviations:
         rest = np.delete(log_ratios, motor, axis=1)
         n_others[:, motor] = np.delete(known, motor, axis=1).sum(axis=1)
         some = n_others[:, motor] > 0
-        others[some, motor] = np.nanmedian(rest[some], axis=1)
+        others[some, motor] = row_medians(rest[some])
     return PeerDeviations(others, log_ratios - others, n_others)
 
 
@@ -106,7 +107,7 @@ def recent_median(values: Array) -> Array:
     result = np.full(len(values), np.nan)
     if len(good):
         padded = np.concatenate([np.full(NIGHTS_OF_NOW - 1, np.nan), values[good]])
-        medians = np.nanmedian(sliding_window_view(padded, NIGHTS_OF_NOW), axis=1)
+        medians = row_medians(sliding_window_view(padded, NIGHTS_OF_NOW))
         last = np.searchsorted(good, np.arange(len(values)), side="right") - 1
         result[last >= 0] = medians[last[last >= 0]]
     return result

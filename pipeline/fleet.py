@@ -217,7 +217,7 @@ def run_fleet(
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
     ):
         remove_leftovers([output], below=False)
-        remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
+        remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
                 heartbeat.say(last_good_run=_last_good_run(output))

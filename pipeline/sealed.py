@@ -1,4 +1,4 @@
-"""Small JSON documents that tell whether they are whole: a flipped digit would else be believed."""
+"""Small files that tell whether they are whole: a flipped digit would else be believed."""
 
 from __future__ import annotations
 
@@ -34,3 +34,23 @@ def unseal(content: bytes) -> dict[str, Any] | None:
 
 def _digest(document: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(dict(document), sort_keys=True).encode()).hexdigest()
+
+
+def seal_bytes(content: bytes) -> bytes:
+    """Any content, with its hash before it.
+
+    Examples
+    --------
+    >>> unseal_bytes(seal_bytes(b"all nights"))
+    b'all nights'
+    >>> unseal_bytes(seal_bytes(b"all nights").replace(b"all", b"few")) is None
+    True
+    """
+    return hashlib.sha256(content).digest() + content
+
+
+def unseal_bytes(content: bytes) -> bytes | None:
+    """What was sealed; None where it is damaged."""
+    size = hashlib.sha256().digest_size
+    whole = content[size:]
+    return whole if content[:size] == hashlib.sha256(whole).digest() else None

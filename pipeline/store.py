@@ -10,6 +10,7 @@ import datetime as dt
 import errno
 import hashlib
 import logging
+import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -29,6 +30,7 @@ VERSION_KEY = "motor_leakage_schema_version"
 # Ending of a damaged file that a run has put aside.
 PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
+MONTH_PREFIX, ENDING = "month=", ".parquet"
 
 
 def table_folder(output: Path, table: Table) -> Path:
@@ -48,6 +50,44 @@ def last_night(output: Path, table: Table) -> dt.date | None:
         if labels:
             return dt.date.fromisoformat(max(labels))
     return None
+
+
+def month_stamps(output: Path, table: Table) -> dict[str, int]:
+    """When a file of each month of a table was last put there, replaced or removed.
+
+    Returns
+    -------
+    dict of str to int
+        By YYYY-MM, when its folder was changed [ns]. While it stays, all its files do.
+    """
+    return {
+        entry.name.removeprefix(MONTH_PREFIX): entry.stat().st_mtime_ns
+        for entry in _entries(table_folder(output, table))
+        if entry.name.startswith(MONTH_PREFIX)
+    }
+
+
+def night_stamps(output: Path, table: Table, month: str) -> dict[str, str]:
+    """What tells the files of a month from all that were in their places before, by night."""
+    found = {}
+    for entry in _entries(table_folder(output, table) / f"{MONTH_PREFIX}{month}"):
+        if entry.name.endswith(ENDING):
+            state = entry.stat()
+            stamp = f"{state.st_size:x}.{state.st_mtime_ns:x}.{state.st_ino:x}"
+            found[entry.name.removesuffix(ENDING)] = stamp
+    return found
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return list(entries)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise StoreError(
+            "store_read", f"{folder.name} cannot be listed: {error.strerror}"
+        ) from error
 
 
 def write_table(path: Path, rows: pl.DataFrame) -> str:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.decisions import damaged_lines, journal_file
 from pipeline.errors import StoreError
-from pipeline.landing import TEMPORARY_PREFIX
+from pipeline.landing import TEMPORARY_PREFIX, read
 from pipeline.ledger import month_of
 from pipeline.manifest import Manifest, read_manifest
+from pipeline.sealed import unseal_bytes
 from pipeline.store import PUT_ASIDE
+from pipeline.trends.kept_nights import kept_folder
 from pipeline.trends.record import read_record, record_file
 
 AGAIN = "`fit-fleet --force` with that night makes it anew from the logs"
@@ -28,7 +31,7 @@ class TableFault:
         Relative to the folder of the tables; of another file, to the output folder.
     code
         ``table_altered``, ``table_missing``, ``table_unlisted``, ``manifest_damaged``,
-        ``ledger_damaged`` or ``journal_damaged``.
+        ``ledger_damaged``, ``history_damaged`` or ``journal_damaged``.
     message
         In words, with what to do.
     """
@@ -51,6 +54,7 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
     yield from _verify_listed(output)
     yield from _verify_unlisted(output)
     yield from _verify_ledger(output)
+    yield from _verify_history(output)
     yield from _verify_journal(output)
 
 
@@ -105,6 +109,21 @@ def _verify_ledger(output: Path) -> Iterator[TableFault]:
                     "ledger_damaged",
                     "it only saves work: the next run makes anew what it told of",
                 )
+
+
+def _verify_history(output: Path) -> Iterator[TableFault]:
+    for path in sorted(kept_folder(output).glob("*/*")):
+        if path.name.startswith(TEMPORARY_PREFIX):
+            continue
+        with suppress(OSError):
+            if unseal_bytes(read(path)) is not None:
+                continue
+        if path.exists():
+            yield TableFault(
+                path.relative_to(output).as_posix(),
+                "history_damaged",
+                "it only saves work: the next run reads the nights from the tables again",
+            )
 
 
 def _verify_journal(output: Path) -> Iterator[TableFault]:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import platform
+from functools import lru_cache
 from importlib.metadata import version
 
 DEPENDENCIES = ("polars", "pyarrow", "numpy", "scipy")
 
 
+@lru_cache(maxsize=1)
 def own_version() -> str:
     """Version of motor-leakage."""
     return version("motor-leakage")

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leakage.baseline import Baseline
 from leakage.change_points import find_changes
@@ -73,19 +74,17 @@ def change_point_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row
                 yield from _steps(standing, name, place)
 
 
-def _due(standing: Standing, name: str) -> list[bool]:
+def _due(standing: Standing, name: str) -> NDArray[np.bool_]:
     """Nights on which an indicator that has changed is described."""
-    numbers, states = standing.history.numbers, standing.states[name]
-    due: list[bool] = []
-    since = 0
-    before = ""
-    for state, number in zip(states, numbers.tolist(), strict=True):
-        changed = state in CHANGED
-        if changed and state != before:
-            since = number
-        age = number - since
-        due.append(changed and age % (WEEK if age <= MONTH else MONTH) == 0)
-        before = state
+    states = np.array(standing.states[name])
+    changed = np.isin(states, CHANGED)
+    if not changed.any():
+        return changed
+    places = np.arange(len(states))
+    begins = np.append(True, states[1:] != states[:-1])
+    numbers = standing.history.numbers
+    age = numbers - numbers[np.maximum.accumulate(np.where(begins, places, 0))]
+    due: NDArray[np.bool_] = changed & (age % np.where(age <= MONTH, WEEK, MONTH) == 0)
     return due
 
 

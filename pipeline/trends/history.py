@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,13 +15,8 @@ from numpy.typing import NDArray
 from pipeline.config import MotorSpec
 from pipeline.motor_night import NO_NEW_DATA
 from pipeline.nights import nights_between
-from pipeline.schema import FITS, OPERATION, PARAMETERS
-from pipeline.store import read_rows
 from pipeline.trends.night_records import (
-    FIT_COLUMNS,
     GATED,
-    OPERATION_COLUMNS,
-    PARAMETER_COLUMNS,
     Layout,
     NightWords,
     Records,
@@ -85,10 +79,7 @@ class History:
     @cached_property
     def statuses(self) -> list[str]:
         """Why a night says nothing at all; empty where it does."""
-        return [
-            "" if fitted else self._words(place).status
-            for place, fitted in enumerate(self.fitted.tolist())
-        ]
+        return self._told(self.fitted, lambda words: words.status)
 
     def place_of(self, number: int) -> int:
         """Place of a night by its number."""
@@ -99,45 +90,23 @@ class History:
         place = int(np.searchsorted(self.records["night"], np.datetime64(date)))
         return place if place < len(self) else None
 
-    def why(self, place: int, coefficient: int | None = None) -> str:
-        """Why a coefficient does not count in a night, or (None) the reference leakage."""
-        words = self._words(place)
-        return words.reference if coefficient is None else words.coefficients[coefficient]
+    def why(self, known: NDArray[np.bool_], coefficient: int | None = None) -> tuple[str, ...]:
+        """Why a coefficient does not count in each night, or (None) the reference leakage.
 
-    def _words(self, place: int) -> NightWords:
-        found = self.words.get(place)
-        return found or NightWords(GATED, GATED, (GATED,) * len(self.layout.coefficients))
+        Empty where it is known.
+        """
 
+        def of(words: NightWords) -> str:
+            return words.reference if coefficient is None else words.coefficients[coefficient]
 
-def read_histories(
-    output: Path, specs: Sequence[MotorSpec], tonight: dt.date | None = None
-) -> dict[str, History]:
-    """The published nights of some motors.
+        return tuple(self._told(known, of))
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    specs
-        Which motors; one without rows is left out.
-    tonight
-        Nights up to this one are part of the history though they have no row, so that a motor that
-        went silent can be stale.
-
-    Returns
-    -------
-    dict of str to History
-
-    Raises
-    ------
-    StoreError
-        If a table file is damaged.
-    """
-    ids = [spec.motor_id for spec in specs]
-    fits = read_rows(output, FITS, ids, FIT_COLUMNS)
-    parameters = read_rows(output, PARAMETERS, ids, PARAMETER_COLUMNS)
-    operation = read_rows(output, OPERATION, ids, OPERATION_COLUMNS)
-    return histories_of(specs, fits, parameters, operation, tonight)
+    def _told(self, known: NDArray[np.bool_], of: Callable[[NightWords], str]) -> list[str]:
+        told: list[str] = np.where(known, "", GATED).tolist()
+        for place, words in self.words.items():
+            if told[place]:
+                told[place] = of(words)
+        return told
 
 
 def histories_of(
@@ -148,6 +117,17 @@ def histories_of(
     tonight: dt.date | None = None,
 ) -> dict[str, History]:
     """Histories of some motors from rows of `fits`, `parameters` and `operation`."""
+    found = rows_by_night(specs, fits, parameters, operation)
+    return {motor_id: without_gaps(one, tonight) for motor_id, one in found.items()}
+
+
+def rows_by_night(
+    specs: Sequence[MotorSpec],
+    fits: pl.DataFrame,
+    parameters: pl.DataFrame,
+    operation: pl.DataFrame,
+) -> dict[str, History]:
+    """The same without the nights that have no row."""
     by_motor = [
         {str(key[0]): part for key, part in rows.partition_by("motor_id", as_dict=True).items()}
         for rows in (fits.filter("is_primary").sort("night"), parameters, operation)
@@ -165,9 +145,7 @@ def histories_of(
             by_motor[1].get(spec.motor_id, parameters.clear()),
             by_motor[2].get(spec.motor_id, operation.clear()),
         )
-        found[spec.motor_id] = without_gaps(
-            History(spec, layout, records, dict(enumerate(words))), tonight
-        )
+        found[spec.motor_id] = History(spec, layout, records, dict(enumerate(words)))
     return found
 
 
@@ -188,6 +166,7 @@ def without_gaps(history: History, tonight: dt.date | None) -> History:
     places = np.searchsorted(records["night"], history.records["night"])
     records[places] = history.records
     nothing = NightWords(NO_LOG, NO_LOG, (NO_LOG,) * len(history.layout.coefficients))
-    words = dict.fromkeys(range(len(labels)), nothing)
+    gaps = np.setdiff1d(np.arange(len(labels)), places)
+    words = dict.fromkeys(gaps.tolist(), nothing)
     words |= {int(places[place]): one for place, one in history.words.items()}
     return History(history.spec, history.layout, records, words)

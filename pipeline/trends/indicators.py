@@ -74,10 +74,7 @@ class Indicator:
 def reference_leakage(history: History) -> Indicator:
     """Leakage at the fleet's reference conditions."""
     figures = history.records["reference"]
-    gated = tuple(
-        "" if known else history.why(place)
-        for place, known in enumerate(np.isfinite(figures[:, 0]).tolist())
-    )
+    gated = history.why(np.isfinite(figures[:, 0]))
     return Indicator(
         REFERENCE,
         "l/min",
@@ -98,10 +95,7 @@ def coefficients(history: History) -> Iterator[Indicator]:
     layout, n = history.layout, len(history)
     for number, name in enumerate(layout.coefficients):
         figures = history.records["figures"][:, number]
-        gated = tuple(
-            "" if known else history.why(place, number)
-            for place, known in enumerate(np.isfinite(figures[:, 0]).tolist())
-        )
+        gated = history.why(np.isfinite(figures[:, 0]), number)
         is_flow = name == FLUSHING
         unit = "l/min" if is_flow else "m3" if name.startswith("K_") else "1"
         yield Indicator(

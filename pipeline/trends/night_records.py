@@ -80,6 +80,8 @@ PARAMETER_COLUMNS = (
     "reason",
 )
 OPERATION_COLUMNS = ("motor_id", "night", "kept_hours", *OPERATED, *HISTOGRAMS)
+# Value, ends, verdict and reason of a coefficient that a night has not.
+NOTHING_SAID = (None,) * 5
 # Words stand in for those of a night that is not published anew, which nobody sees.
 GATED = "gated"
 
@@ -122,7 +124,8 @@ class Layout:
                 ("fitted", "?"),
                 ("poor", "?"),
                 ("outside", "?"),
-                ("used", "?"),
+                # Last night of those that it was fitted together with.
+                ("together_in", "M8[D]"),
                 ("kind", "S16"),
                 ("minutes", "f8"),
                 ("n_nights", "i2"),
@@ -185,6 +188,7 @@ def blank_records(layout: Layout, nights: Sequence[dt.date]) -> Records:
         if kind.base == np.float64:
             records[name] = np.nan
     records["night"] = np.array(nights, dtype="M8[D]")
+    records["together_in"] = np.datetime64("NaT")
     records["n_nights"] = 1
     return records
 
@@ -219,20 +223,21 @@ def records_of(
     records["fitted"] = ok & ~short
     records["minutes"] = minutes
     records["poor"] = short | (fits["status"] == INSUFFICIENT_DATA).to_numpy()
-    records["mode"] = fits["flushing_mode"].fill_null("").to_numpy()
-    records["model"] = fits["model_hash"].fill_null("").to_numpy()
+    records["mode"] = _texts(fits, "flushing_mode")
+    records["model"] = _texts(fits, "model_hash")
     records["kind"] = records["model"]
     for name, column in SINGLE.items():
         records[name] = _numbers(fits, column)
     for place, column in enumerate(OWN):
         records["own"][:, place] = _numbers(fits, column)
-    same = (fits["columns"].fill_null([]) == list(layout.columns)).to_numpy()
+    expected = list(layout.columns)
+    same = np.array([columns == expected for columns in fits["columns"].to_list()], dtype=np.bool_)
     for name, column, size in (
         ("theta", "coefficients", len(layout.columns) - 2),
         ("covariance", "coefficient_covariance", triangle(len(layout.columns) - 2)),
         ("factor", "night_factor", triangle(len(layout.columns))),
     ):
-        records[name] = np.where(same[:, None], _vectors(fits[column], size), np.nan)
+        records[name] = np.where(same[:, None], _vectors(fits, column, size), np.nan)
     _fill_operation(records, fits, operation)
     statuses = _status_words(fits, short)
     reference = _fill_reference(spec, records, fits)
@@ -244,17 +249,29 @@ def records_of(
     return records, words
 
 
+# Column by column, as an expression of Polars takes longer for the one row of tonight.
+
+
 def _numbers(rows: pl.DataFrame, column: str) -> Array:
-    values: Array = rows[column].cast(pl.Float64).fill_null(np.nan).to_numpy()
-    return values
+    """A column, nan where it is null."""
+    return np.asarray(rows[column].to_numpy(), dtype=np.float64)
 
 
-def _vectors(lists: pl.Series, size: int) -> Array:
+def _texts(rows: pl.DataFrame, column: str) -> list[str]:
+    """A column, empty where it is null."""
+    return [text or "" for text in rows[column].to_list()]
+
+
+def _vectors(rows: pl.DataFrame, column: str, size: int) -> Array:
     """A column of lists as an array, nan where a list is absent or of another length."""
+    lists = rows[column].to_arrow()
     result = np.full((len(lists), size), np.nan)
-    whole = (lists.list.len().fill_null(0) == size).to_numpy()
+    offsets = lists.offsets.to_numpy()
+    whole = np.diff(offsets) == size
+    whole &= np.asarray(lists.is_valid())
     if whole.any():
-        result[whole] = lists.filter(pl.Series(whole)).explode().to_numpy().reshape(-1, size)
+        values = lists.values.to_numpy(zero_copy_only=False)
+        result[whole] = values[offsets[:-1][whole, None] + np.arange(size)]
     return result
 
 
@@ -263,7 +280,7 @@ def _fill_operation(records: Records, fits: pl.DataFrame, operation: pl.DataFram
     for name in ("kept_hours", *OPERATED):
         records[name] = _numbers(rows, name)
     for name, bins in zip(HISTOGRAMS, BINS, strict=True):
-        records[name] = np.nan_to_num(_vectors(rows[name].cast(pl.List(pl.Float64)), bins))
+        records[name] = np.nan_to_num(_vectors(rows, name, bins))
 
 
 def _status_words(fits: pl.DataFrame, short: NDArray[np.bool_]) -> list[str]:
@@ -284,8 +301,7 @@ def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> li
     now = (asked.pressure_bar, asked.temperature_c, asked.speed_rpm)
     before = np.column_stack([_numbers(fits, name) for name in REFERENCE_CONDITIONS])
     elsewhere = np.isfinite(before).all(axis=1) & (before != now).any(axis=1)
-    verdicts = fits["reference_verdict"].fill_null("").to_list()
-    reasons = fits["reference_reason"].fill_null("").to_list()
+    verdicts, reasons = _texts(fits, "reference_verdict"), _texts(fits, "reference_reason")
     records["outside"] = [verdict == "outside_fitted_range" for verdict in verdicts]
     for place, column in enumerate(REFERENCE):
         records["reference"][:, place] = _numbers(fits, column)
@@ -304,19 +320,22 @@ def _fill_figures(
     layout: Layout, records: Records, fits: pl.DataFrame, parameters: pl.DataFrame
 ) -> list[tuple[str, ...]]:
     """Each coefficient where it is identified; otherwise why not."""
+    said = {
+        (night, mode, name): tuple(rest)
+        for night, mode, name, *rest in parameters.select(
+            "night", "flushing_mode", "parameter", "value", "lower", "upper", "verdict", "reason"
+        ).iter_rows()
+        if mode is not None
+    }
     columns = []
     for place, name in enumerate(layout.coefficients):
-        rows = fits.select("night", "flushing_mode").join(
-            parameters.filter(pl.col("parameter") == name),
-            on=("night", "flushing_mode"),
-            how="left",
-            maintain_order="left",
-        )
-        for end, column in enumerate(("value", "lower", "upper")):
-            records["figures"][:, place, end] = _numbers(rows, column)
-        verdicts, reasons = (
-            rows[column].fill_null("").to_list() for column in ("verdict", "reason")
-        )
+        found = [
+            said.get((night, mode, name), NOTHING_SAID)
+            for night, mode in fits.select("night", "flushing_mode").iter_rows()
+        ]
+        values = np.array([one[:3] for one in found], dtype=np.float64)
+        records["figures"][:, place] = values.reshape(-1, 3)
+        verdicts, reasons = ([one[end] or "" for one in found] for end in (3, 4))
         # Nothing was estimated where a coefficient is held fixed.
         words = [
             _gate("" if verdict == "fixed" else verdict, reason)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.baseline import BaselineSettings, fit_baseline
+from leakage.medians import row_medians
 from leakage.peers import recent_median
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
@@ -200,7 +201,7 @@ def _against(own: LogChange, rows: Places, values: Array, known_at: Places) -> P
     n_others = np.isfinite(counted).sum(axis=1)
     others = np.full(len(rows), np.nan)
     some = n_others > 0
-    others[some] = np.nanmedian(counted[some], axis=1)
+    others[some] = row_medians(counted[some])
     # What was known in its own night; earlier nights only serve the baseline.
     own_told = np.where(cut == rows, own.told, np.nan)
     return Peers(others, own_told - others, n_others, comparable)

@@ -37,12 +37,16 @@ from pipeline.trends.history import History
 from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
 from pipeline.trends.segments import segments
 
+BLOCKS_GONE = "statistics of their blocks are not there any more"
 # Reads the blocks of a motor's nights, in order of time.
 ReadBlocks = Callable[[Sequence[dt.date]], pl.DataFrame]
 
 
 def with_poor_nights(
-    history: History, decisions: Sequence[Decision], read_blocks: ReadBlocks
+    history: History,
+    decisions: Sequence[Decision],
+    read_blocks: ReadBlocks,
+    known: tuple[Records, dt.date] | None = None,
 ) -> History:
     """A history in which nights that are too poor alone are fitted together.
 
@@ -54,6 +58,9 @@ def with_poor_nights(
         What people said of it: nights before and after a reset are not fitted together.
     read_blocks
         Rows of `block_statistics` of some nights, with `BLOCK_COLUMNS`.
+    known
+        What this gave before of the nights before one, where it is otherwise than in the history;
+        they are not fitted again, and have no words.
 
     Returns
     -------
@@ -63,21 +70,23 @@ def with_poor_nights(
     """
     most = history.spec.settings.trend.merge_nights
     borders = {part.first for part in segments(history, decisions)}
-    rows = _rows_of_poor(history, borders)
-    unknown = [
-        place for row in rows for place in row if np.isnan(history.records["minutes"][place])
-    ]
-    if most < 2 or not rows:
-        return history
-    blocks = _Blocks(history, [place for row in rows for place in row], read_blocks)
     records, words = history.records.copy(), dict(history.words)
-    for place in unknown:
-        _describe(history, records, place, blocks.of(place))
+    begin = 0
+    if known is not None:
+        begin = _fill_known(records, *known)
+    rows = _rows_of_poor(history, records, borders, begin)
+    if most < 2 or not rows:
+        return history if known is None else replace(history, records=records)
+    poor = [place for row in rows for place in row]
+    blocks = _Blocks(history, poor, read_blocks)
+    for place in poor:
+        if np.isnan(records["minutes"][place]):
+            _describe(history, records, place, blocks.of(place))
     for row in rows:
         for group in groups_of(row, records["minutes"], records["kind"], most):
-            records["used"][list(group)] = True
-            found = _fit(history, records, group, blocks)
             last = group[-1]
+            records["together_in"][list(group)] = records["night"][last]
+            found = _fit(history, records, group, blocks)
             if isinstance(found, str):
                 before = words.get(last)
                 if before is not None:
@@ -132,20 +141,40 @@ def groups_of(
     return groups
 
 
-def _rows_of_poor(history: History, borders: set[int]) -> list[list[int]]:
-    """Rows of two or more poor nights: with no fitted one, no event and no long silence between."""
-    records, numbers = history.records, history.numbers
+def _fill_known(records: Records, known: Records, until: dt.date) -> int:
+    """Put in what is known; returns from which place on nights are to be fitted together."""
+    records[np.searchsorted(records["night"], known["night"])] = known
+    settled = records["fitted"] | _used(records)
+    settled &= records["night"] < np.datetime64(until)
+    return int(np.flatnonzero(settled)[-1]) + 1 if settled.any() else 0
+
+
+def _used(records: Records) -> NDArray[np.bool_]:
+    """Nights that were fitted together with others, whatever came of it."""
+    used: NDArray[np.bool_] = ~np.isnat(records["together_in"])
+    return used
+
+
+def _rows_of_poor(
+    history: History, records: Records, borders: set[int], begin: int
+) -> list[list[int]]:
+    """Rows of two or more poor nights: with no fitted one, no event and no long silence between.
+
+    A night that was used ends a row as well: what was left over before it had its turn.
+    """
+    numbers = history.numbers
     longest = history.spec.settings.alarms.stale_after_nights
     rows: list[list[int]] = [[]]
-    for place in np.flatnonzero(records["fitted"] | records["poor"]).tolist():
+    ends = records["fitted"] | _used(records)
+    for place in (begin + np.flatnonzero((ends | records["poor"])[begin:])).tolist():
         row = rows[-1]
         apart = bool(row) and (
             any(row[-1] < border <= place for border in borders)
             or numbers[place] - numbers[row[-1]] > longest
         )
-        if records["fitted"][place] or apart:
+        if ends[place] or apart:
             rows.append([])
-        if records["poor"][place] and not records["used"][place]:
+        if not ends[place]:
             rows[-1].append(place)
     return [row for row in rows if len(row) > 1]
 
@@ -195,7 +224,10 @@ def _fit(
     history: History, records: Records, group: Sequence[int], blocks: _Blocks
 ) -> tuple[Any, NightWords] | str:
     """Record and words of the last night of a group, fitted together; a text where it cannot be."""
-    whole = pl.concat([blocks.of(place) for place in group])
+    parts = [blocks.of(place) for place in group]
+    if not all(part.height for part in parts):
+        return BLOCKS_GONE
+    whole = pl.concat(parts)
     training = training_of(whole)
     spec, label = history.spec, history.nights[group[-1]]
     factors = triangular_factors(training, len(history.layout.columns))

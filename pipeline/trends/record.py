@@ -45,13 +45,20 @@ def trend_hash(circuit: Sequence[MotorSpec], spec: MotorSpec, decisions: Sequenc
             "version": TRENDS_VERSION,
             "motor": spec.motor_id,
             "circuit": {one.motor_id: config_hash(one) for one in circuit},
-            "resets": [
-                (one.motor_id, one.night.isoformat(), one.indicator, one.note)
-                for one in decisions
-                if one.kind == "baseline_reset" and one.motor_id in motors
-            ],
+            "resets": resets_of(decisions, motors),
         }
     )
+
+
+def resets_of(
+    decisions: Sequence[Decision], motor_ids: Collection[str]
+) -> list[tuple[str, str, str, str]]:
+    """Baselines of some motors that people have reset, as they go into a hash."""
+    return [
+        (one.motor_id, one.night.isoformat(), one.indicator, one.note)
+        for one in decisions
+        if one.kind == "baseline_reset" and one.motor_id in motor_ids
+    ]
 
 
 def record_file(output: Path, motor_id: str) -> Path:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -24,16 +24,18 @@ from leakage.slope import benjamini_hochberg
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
 from pipeline.errors import StoreError
-from pipeline.schema import ALARMS, BLOCK_STATISTICS, TREND_TABLES
+from pipeline.schema import BLOCK_STATISTICS, TREND_TABLES
 from pipeline.store import read_rows, stage
 from pipeline.stored_blocks import BLOCK_COLUMNS
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.eras import Era, eras_of, indicators_of
-from pipeline.trends.history import History, read_histories
+from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
+from pipeline.trends.night_records import Records
 from pipeline.trends.peers import LogChange, Peers, log_change, moved_apart, peers_of_circuit
 from pipeline.trends.poor_nights import with_poor_nights
+from pipeline.trends.reading import MotorNights, read_nights
 from pipeline.trends.record import Record, read_record, trend_hash
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
@@ -137,13 +139,22 @@ def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with threadpool_limits(1):
         ids = [spec.motor_id for spec in task.specs]
+        groups = circuits_of(task.specs)
+        hashes = {
+            spec.motor_id: trend_hash(group, spec, task.decisions)
+            for group in groups
+            for spec in group
+        }
+        first = {one: night for group in groups for one, night in first_nights(task, group, hashes)}
         try:
-            histories = read_histories(task.output, task.specs, task.tonight)
+            nights = read_nights(task.output, task.specs, task.decisions, first, task.tonight)
         except StoreError as error:
             return TrendOutcome(failures=dict.fromkeys(ids, _failure(error)))
         done = _Done(dict(task.given_up))
-        for group in circuits_of(task.specs):
-            _run_circuit(task, group, histories, done)
+        for group in groups:
+            _run_circuit(task, group, hashes, nights, done)
+        for motor_id, one in nights.items():
+            one.keep(motor_id, done.merged.get(motor_id))
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
 
 
@@ -152,6 +163,7 @@ class _Done:
     """What a task has done so far."""
 
     failures: dict[str, Loss]
+    merged: dict[str, Records] = field(default_factory=dict)
     nights: dict[str, int] = field(default_factory=dict)
     records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
@@ -171,25 +183,34 @@ class _Done:
 
 
 def _run_circuit(
-    task: TrendTask, group: Sequence[MotorSpec], histories: Mapping[str, History], done: _Done
+    task: TrendTask,
+    group: Sequence[MotorSpec],
+    hashes: Mapping[str, str],
+    nights: Mapping[str, MotorNights],
+    done: _Done,
 ) -> None:
-    hashes = {spec.motor_id: trend_hash(group, spec, task.decisions) for spec in group}
+    histories = {
+        spec.motor_id: history
+        for spec in group
+        if (history := nights[spec.motor_id].history) is not None
+    }
     spans = nights_to_do(task, group, hashes, histories)
     parts: dict[str, Part] = {}
-    for spec in group if spans else ():
-        motor_id = spec.motor_id
-        if motor_id in histories and motor_id not in done.failures:
+    for motor_id, history in histories.items() if spans else ():
+        if motor_id not in done.failures:
             said = decisions_of(task.decisions, motor_id)
-            part = done.guarded(motor_id, partial(_part, task.output, histories[motor_id], said))
+            known = nights[motor_id].known
+            part = done.guarded(motor_id, partial(_part, task.output, history, said, known))
             if part is not None:
                 parts[motor_id] = part
+                done.merged[motor_id] = part.history.records
     peers = circuit_peers(parts) if len(group) > 1 else {}
     for motor_id, span in spans.items():
         part = parts.get(motor_id)
         if part is None:
             continue
-        others = peers.get(motor_id, {})
-        made = done.guarded(motor_id, partial(_stage_motor, task, part, others, span))
+        others, published = peers.get(motor_id, {}), nights[motor_id].published
+        made = done.guarded(motor_id, partial(_stage_motor, task, part, others, span, published))
         if made is not None:
             done.nights[motor_id], new = made
             done.alarms += new
@@ -227,33 +248,47 @@ def nights_to_do(
     circuit: what one does says what moves all. All of them where the settings or what people said
     changed. A motor that was not asked for gets no new nights.
     """
-    records = {spec.motor_id: read_record(task.output, spec.motor_id) for spec in group}
-    touched = [task.changed_from.get(motor_id) for motor_id in records]
-    touched += [record.redo_from for record in records.values() if record is not None]
-    earliest = [night for night in touched if night is not None]
     found = {}
-    for motor_id, before in records.items():
-        asked = motor_id in task.changed_from
-        if motor_id not in histories or (before is None and not asked):
+    for motor_id, first in first_nights(task, group, hashes):
+        if motor_id not in histories:
             continue
-        first, last = dt.date.min, histories[motor_id].nights[-1]
-        if before is not None:
-            last = last if asked else min(last, before.last_night)
-            if before.trend_hash == hashes[motor_id]:
-                first = min([before.last_night + dt.timedelta(days=1), *earliest])
+        last = histories[motor_id].nights[-1]
+        if motor_id not in task.changed_from:
+            before = read_record(task.output, motor_id)
+            last = last if before is None else min(last, before.last_night)
         if first <= last:
             found[motor_id] = (first, last)
     return found
 
 
-def _part(output: Path, history: History, said: tuple[Decision, ...]) -> Part:
+def first_nights(
+    task: TrendTask, group: Sequence[MotorSpec], hashes: Mapping[str, str]
+) -> Iterator[tuple[str, dt.date]]:
+    """The first night of each motor of a circuit whose trends may have to be made, see above."""
+    records = {spec.motor_id: read_record(task.output, spec.motor_id) for spec in group}
+    touched = [task.changed_from.get(motor_id) for motor_id in records]
+    touched += [record.redo_from for record in records.values() if record is not None]
+    earliest = [night for night in touched if night is not None]
+    for motor_id, before in records.items():
+        if before is not None and before.trend_hash == hashes[motor_id]:
+            yield motor_id, min([before.last_night + dt.timedelta(days=1), *earliest])
+        elif before is not None or motor_id in task.changed_from:
+            yield motor_id, dt.date.min
+
+
+def _part(
+    output: Path,
+    history: History,
+    said: tuple[Decision, ...],
+    known: tuple[Records, dt.date],
+) -> Part:
     """What is known of a motor, its poor nights fitted together."""
 
     def read_blocks(nights: Sequence[dt.date]) -> pl.DataFrame:
         motors = [history.spec.motor_id]
         return read_rows(output, BLOCK_STATISTICS, motors, BLOCK_COLUMNS, nights=nights)
 
-    return Part.of(with_poor_nights(history, said, read_blocks), said)
+    return Part.of(with_poor_nights(history, said, read_blocks, known), said)
 
 
 def decisions_of(decisions: Sequence[Decision], motor_id: str) -> tuple[Decision, ...]:
@@ -340,13 +375,16 @@ def standing_of(part: Part, peers: Mapping[str, Peers]) -> Standing:
 
 
 def _stage_motor(
-    task: TrendTask, part: Part, peers: Mapping[str, Peers], span: tuple[dt.date, dt.date]
+    task: TrendTask,
+    part: Part,
+    peers: Mapping[str, Peers],
+    span: tuple[dt.date, dt.date],
+    published: Sequence[Row],
 ) -> tuple[int, list[Row]]:
     """Stage the rows of some nights of a motor; how many nights, and the new rows of `alarms`."""
     history, motor_id = part.history, part.history.spec.motor_id
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
     standing = standing_of(part, peers)
-    published = read_rows(task.output, ALARMS, [motor_id]).drop("run_id").to_dicts()
     alarms = alarm_rows(standing, places, published)
     made = {
         "trends": trend_rows(standing, places),
@@ -369,7 +407,8 @@ def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
     def said(row: Row) -> tuple[object, ...]:
         return row["night"], row["indicator"], row["to_state"], row["way"] == RECOMPUTED
 
-    before = {said(row) for row in published}
+    made = {row["night"] for row in rows}
+    before = {said(row) for row in published if row["night"] in made}
     return [row for row in rows if said(row) not in before]
 
 

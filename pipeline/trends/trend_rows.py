@@ -111,7 +111,7 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
     numbers, series, years = standing.history.numbers[here], watched.series[here], standing.years
     line = fit_slope(numbers, series, years[here], coverage=trend.confidence)
     hours = standing.hours.total[here] / 1000.0
-    by_hours = fit_slope(numbers, series, hours, coverage=trend.confidence)
+    by_hours = fit_slope(numbers, series, hours, coverage=trend.confidence, median=False)
     row = {
         "n_slope": line.n,
         "slope_start": standing.label(first) if line.slope is not None else None,

@@ -182,8 +182,8 @@ def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> 
             assert path.parent.name == f"month={path.stem[:7]}"
 
 
-def test_nothing_but_tables_ledger_and_lock_is_left(fitted_output: Path) -> None:
-    left = {"tables", "ledger", "manifest", "lock", "heartbeat.json"}
+def test_nothing_but_tables_and_what_saves_work_is_left(fitted_output: Path) -> None:
+    left = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json"}
     assert {path.name for path in fitted_output.iterdir()} == left
     assert not (fitted_output / "staging").exists()
     assert not list(fitted_output.rglob(".writing-*"))

@@ -32,7 +32,7 @@ STAGES = {
     "landing": "pipeline.landing.Prepared.land",
     "recording": "pipeline.publishing.update_manifest",
     "remembering": "pipeline.fleet.write_months",
-    "trends": "pipeline.trends.stage.read_histories",
+    "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
     "remembering trends": "pipeline.fleet.write_record",
     "publishing the run": "pipeline.publishing.Publisher.of_run",

@@ -33,6 +33,7 @@ from tests.pipeline.trends.nights import (
     history,
     motor,
     named,
+    night_of,
     reset,
     standings,
 )
@@ -93,7 +94,7 @@ def test_a_groups_fit_is_that_of_all_its_samples() -> None:
     leakage, low, high = found.records["reference"][5]
     # Twice the half-width of a 95 % interval is missed once in ten thousand times.
     assert abs(leakage - 1.371423) < high - low < 0.04 * leakage
-    assert found.why(5) == ""
+    assert found.words[5].reference == ""
 
 
 def test_the_other_nights_of_a_group_say_nothing_and_why() -> None:
@@ -125,6 +126,20 @@ def test_the_rows_say_how_many_nights() -> None:
     assert waiting["reference_leakage"]["n_nights"] == 1
     assert waiting["reference_leakage"]["value"] is None
     assert "an interval needs 30" in waiting["reference_leakage"]["gated_reason"]
+
+
+def test_nights_whose_blocks_were_pruned_are_left_out() -> None:
+    """It was an internal error, and the motor had no trends any more."""
+    nights = poor(3, 4, 5, 7, 8, 9)
+    blocks = blocks_of(nights).filter(pl.col("night") > night_of(4))
+    found = with_poor_nights(
+        history(nights), (), lambda labels: blocks.filter(pl.col("night").is_in(list(labels)))
+    )
+    assert groups(found) == {9: 3}
+    assert found.words[5].status == (
+        "24.0 minutes of training samples; an interval needs 30; 3 nights together: statistics of "
+        "their blocks are not there any more"
+    )
 
 
 def test_each_night_is_used_once() -> None:
@@ -217,7 +232,7 @@ def test_a_group_that_says_nothing_either_says_so() -> None:
     assert groups(found) == {4: 2}
     assert np.isfinite(found.records["reference"][4]).all()
     assert np.isnan(found.records["figures"][4]).all()
-    assert "60" in found.why(4, 0)
+    assert "60" in found.words[4].coefficients[0]
 
 
 def test_merging_can_be_turned_off() -> None:
@@ -235,8 +250,8 @@ def test_a_group_hangs_on_no_later_night(until: int) -> None:
         np.testing.assert_array_equal(
             then.records[name], all_nights.records[name][: until + 1], err_msg=name
         )
-    assert [then.why(place) for place in range(until + 1)] == [
-        all_nights.why(place) for place in range(until + 1)
+    assert [then.words[place].reference for place in range(until + 1)] == [
+        all_nights.words[place].reference for place in range(until + 1)
     ]
 
 

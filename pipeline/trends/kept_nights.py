@@ -1,0 +1,202 @@
+"""What a run has read and fitted together of a motor's nights, kept for the next one.
+
+One file a motor and month beside the tables. It only saves work: a night is read again where a file
+is not the one that it was read from, and without any of it the same trends come out.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import scipy
+
+from pipeline.config import MotorSpec
+from pipeline.decisions import Decision
+from pipeline.landing import put, read
+from pipeline.night_statistics import hash_of
+from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
+from pipeline.sealed import seal_bytes, unseal_bytes
+from pipeline.settings_hashes import config_hash
+from pipeline.store import month_stamps, night_stamps
+from pipeline.trends.night_records import Layout, Records
+from pipeline.trends.record import TRENDS_VERSION, resets_of
+from pipeline.versions import own_version
+
+# Tables that a record is made from.
+READ = (FITS, PARAMETERS, OPERATION)
+LOOKED_AT = (*READ, BLOCK_STATISTICS, ALARMS)
+# A folder that was changed so shortly before may be changed again without a later time on it: the
+# coarsest file systems count two seconds.
+SETTLED_NS = 10_000_000_000
+NO_FOLDER, NOT_SETTLED = 0, -1
+
+
+@dataclass(frozen=True, slots=True)
+class KeptMonth:
+    """What is kept of a motor's nights of a month; nights are YYYY-MM-DD.
+
+    Attributes
+    ----------
+    folders
+        When the folder of each table was last changed; while none is, all of this holds.
+    files
+        What the files of `READ` were, of each night with fits of any motor.
+    blocks
+        What the file of `block_statistics` was, of each night too poor to be fitted alone.
+    alarms
+        What the file of `alarms` was, of each night with changes of state of any motor.
+    states
+        Of the motor's own: indicator and new state, by night.
+    records
+        As they were read, by night.
+    together
+        Those of them that are otherwise once nights are fitted together.
+    until
+        Nights from this one on are not fitted together yet; None: all are.
+    """
+
+    folders: tuple[int, ...]
+    files: Mapping[str, str]
+    blocks: Mapping[str, str]
+    alarms: Mapping[str, str]
+    states: Mapping[str, Sequence[Sequence[str]]]
+    records: Records
+    together: Records
+    until: str | None = None
+
+    def encoded(self, key: str) -> bytes:
+        """Its file's content."""
+        head = {
+            "key": key,
+            "folders": self.folders,
+            "files": self.files,
+            "blocks": self.blocks,
+            "alarms": self.alarms,
+            "states": self.states,
+            "n": len(self.records),
+            "until": self.until,
+        }
+        text = json.dumps(head, separators=(",", ":"), sort_keys=True).encode()
+        return seal_bytes(b"\n".join((text, self.records.tobytes() + self.together.tobytes())))
+
+    @classmethod
+    def decoded(cls, content: bytes, key: str, layout: Layout) -> KeptMonth | None:
+        """What a file's content says; None where it is damaged, or made by other settings."""
+        whole = unseal_bytes(content)
+        if whole is None:
+            return None
+        text, _, numbers = whole.partition(b"\n")
+        head = json.loads(text)
+        if head["key"] != key:
+            return None
+        records = np.frombuffer(numbers, dtype=layout.dtype)
+        return cls(
+            tuple(head["folders"]),
+            head["files"],
+            head["blocks"],
+            head["alarms"],
+            head["states"],
+            records[: head["n"]],
+            records[head["n"] :],
+            head["until"],
+        )
+
+
+def kept_folder(output: Path) -> Path:
+    """Where the files of all motors lie."""
+    return output / "history"
+
+
+def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> str:
+    """Hash of all that shapes what is kept of a motor beyond the tables."""
+    return hash_of(
+        {
+            "trends": TRENDS_VERSION,
+            "program": own_version(),
+            "libraries": (np.__version__, scipy.__version__, pl.__version__),
+            "records": layout.digest,
+            "config": config_hash(spec),
+            "resets": resets_of(decisions, {spec.motor_id}),
+        }
+    )
+
+
+def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[str, KeptMonth]:
+    """What is kept of a motor by month, as far as it is whole and was made with the same key."""
+    found = {}
+    for path in sorted((kept_folder(output) / motor_id).glob("[0-9]*")):
+        try:
+            month = KeptMonth.decoded(read(path), key, layout)
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+        if month is not None:
+            found[path.name] = month
+    return found
+
+
+def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMonth) -> None:
+    """Keep what is known of a motor's month.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    put(kept_folder(output) / motor_id / month, kept.encoded(key), durable=False)
+
+
+@dataclass(slots=True)
+class TableFolders:
+    """The folders of the tables that trends are made from, looked at once for many motors.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    """
+
+    output: Path
+    _months: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    _nights: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        stamps = [month_stamps(self.output, table) for table in LOOKED_AT]
+        settled = time.time_ns() - SETTLED_NS
+        # Of nights without a log of any motor there may be alarms alone.
+        for month in sorted(stamps[0].keys() | stamps[-1].keys()):
+            found = tuple(one.get(month, NO_FOLDER) for one in stamps)
+            self._months[month] = tuple(NOT_SETTLED if one > settled else one for one in found)
+
+    @property
+    def months(self) -> Mapping[str, tuple[int, ...]]:
+        """By YYYY-MM, when the folder of each table was last changed, where that tells."""
+        return self._months
+
+    def same(self, month: str, kept: KeptMonth) -> bool:
+        """Whether no file of a month can have changed."""
+        found = self._months.get(month, ())
+        return found == kept.folders and NOT_SETTLED not in found
+
+    def files(self, table: Table, month: str) -> dict[str, str]:
+        """What each night's file of a table is."""
+        key = (table.name, month)
+        if key not in self._nights:
+            self._nights[key] = night_stamps(self.output, table, month)
+        return self._nights[key]
+
+    def files_read(self, month: str) -> dict[str, str]:
+        """What each night's files of `READ` are."""
+        key = ("", month)
+        if key not in self._nights:
+            first, *rest = (self.files(table, month) for table in READ)
+            self._nights[key] = {
+                night: "|".join((stamp, *(one.get(night, "") for one in rest)))
+                for night, stamp in first.items()
+            }
+        return self._nights[key]

@@ -1,0 +1,301 @@
+"""What trends need of the tables: most nights as a run before has kept them, the others anew."""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from pipeline.config import MotorSpec
+from pipeline.decisions import Decision
+from pipeline.errors import StoreError
+from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS
+from pipeline.store import read_rows
+from pipeline.trends.history import History, rows_by_night, without_gaps
+from pipeline.trends.kept_nights import KeptMonth, TableFolders, key_of, read_months, write_month
+from pipeline.trends.night_records import (
+    FIT_COLUMNS,
+    OPERATION_COLUMNS,
+    PARAMETER_COLUMNS,
+    Layout,
+    Records,
+    blank_records,
+)
+
+log = logging.getLogger(__name__)
+
+Row = dict[str, Any]
+# After all nights.
+NEVER = "9999-12-31"
+
+
+def read_nights(
+    output: Path,
+    specs: Sequence[MotorSpec],
+    decisions: Sequence[Decision],
+    since: Mapping[str, dt.date],
+    tonight: dt.date,
+) -> dict[str, MotorNights]:
+    """The published nights of some motors.
+
+    Parameters
+    ----------
+    output
+        Output folder, in which nothing is published meanwhile.
+    specs
+        Which motors.
+    decisions
+        What people said of them.
+    since
+        By motor, the first night that is to be made anew; of a motor without one, none is.
+    tonight
+        Nights up to this one are part of the history though they have no row, so that a motor that
+        went silent can be stale.
+
+    Raises
+    ------
+    StoreError
+        If a table file is damaged.
+    """
+    folders = TableFolders(output)
+    found = {}
+    for spec in specs:
+        layout = Layout.of(spec, tonight)
+        key = key_of(spec, layout, decisions)
+        first = since.get(spec.motor_id)
+        found[spec.motor_id] = MotorNights(
+            key,
+            layout,
+            folders,
+            read_months(output, spec.motor_id, key, layout),
+            NEVER if first is None else first.isoformat(),
+        )
+    nights = set[str]().union(*(one.nights for one in found.values()))
+    alarms = set[str]().union(*(one.alarms for one in found.values()))
+    made = rows_by_night(
+        specs,
+        *(
+            read_rows(output, table, list(found), columns, nights=_dates(nights))
+            for table, columns in (
+                (FITS, FIT_COLUMNS),
+                (PARAMETERS, PARAMETER_COLUMNS),
+                (OPERATION, OPERATION_COLUMNS),
+            )
+        ),
+    )
+    rows = read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id")
+    for spec in specs:
+        one = found[spec.motor_id]
+        one.take_nights(spec, made.get(spec.motor_id), nights, tonight)
+        one.take_alarms(rows.filter(pl.col("motor_id") == spec.motor_id).to_dicts(), alarms)
+    return found
+
+
+@dataclass(slots=True)
+class MotorNights:
+    """A motor's nights: what is kept of them, what is to be read, and what comes of both.
+
+    Nights are YYYY-MM-DD where they name files.
+
+    Parameters
+    ----------
+    key, layout
+        What shapes its records.
+    folders
+        The tables.
+    months
+        What is kept.
+    since
+        First night that is to be made anew: from it on words are needed, not figures alone.
+
+    Attributes
+    ----------
+    nights, alarms
+        Nights of which rows are to be read: of the fits, and of `alarms`.
+    until
+        Nights before this one are fitted together as they are to be.
+    history
+        The nights, none fitted together with others; None without rows.
+    together, known
+        Those before `until` that are otherwise once they are fitted together.
+    published
+        The motor's rows of `alarms`: whole from `since` on, before it night, indicator and state.
+    """
+
+    key: str
+    layout: Layout
+    folders: TableFolders
+    months: Mapping[str, KeptMonth]
+    since: str
+    nights: set[str] = field(default_factory=set)
+    alarms: set[str] = field(default_factory=set)
+    until: str = NEVER
+    history: History | None = None
+    published: list[Row] = field(default_factory=list)
+    _records: Records = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.until = self.since
+        self._records = blank_records(self.layout, [])
+        for month in self.folders.months.keys() | self.months.keys():
+            kept = self.months.get(month)
+            if kept is None:
+                self.nights |= self.folders.files_read(month).keys()
+                self.alarms |= self.folders.files(ALARMS, month).keys()
+            else:
+                self._look_at(month, kept)
+
+    def _look_at(self, month: str, kept: KeptMonth) -> None:
+        """Which nights of a month are not as they were, or are to be made anew."""
+        # What this run may have published is looked at file by file: over a network the time of a
+        # folder can be an older one.
+        if month >= self.since[:7] or not self.folders.same(month, kept):
+            self.nights |= _differing(kept.files, self.folders.files_read(month))
+            self.alarms |= _differing(kept.alarms, self.folders.files(ALARMS, month))
+            blocks = self._blocks(month, kept.blocks)
+            self.until = min((self.until, *_differing(kept.blocks, blocks)))
+        if month >= self.since[:7]:
+            self.nights |= {one for one in _labels(kept.records["night"]) if one >= self.since}
+            self.alarms |= {one for one in kept.states if one >= self.since}
+        self.until = min(self.until, kept.until or NEVER)
+
+    def _blocks(self, month: str, nights: Iterable[str]) -> dict[str, str]:
+        """What the files of `block_statistics` are of some nights."""
+        files = self.folders.files(BLOCK_STATISTICS, month)
+        return {night: files.get(night, "") for night in nights}
+
+    def take_nights(
+        self, spec: MotorSpec, made: History | None, nights: Collection[str], tonight: dt.date
+    ) -> None:
+        """Put what was read, of all these nights, beside what is kept of the others."""
+        kept = self._joined(one.records for one in self.months.values())
+        anew = np.isin(kept["night"], np.array(sorted(nights), dtype="M8[D]"))
+        new = blank_records(self.layout, []) if made is None else made.records
+        self.until = min((self.until, *_changed(kept[anew], new)))
+        self._records = self._joined([kept[~anew], new])
+        if len(self._records):
+            places = np.searchsorted(self._records["night"], new["night"]).tolist()
+            words = {} if made is None else {places[at]: one for at, one in made.words.items()}
+            whole = History(spec, self.layout, self._records, words)
+            self.history = without_gaps(whole, tonight)
+
+    def take_alarms(self, rows: Sequence[Row], nights: Collection[str]) -> None:
+        """The same of the rows of `alarms`."""
+        self.published = list(rows)
+        for kept in self.months.values():
+            for night, states in kept.states.items():
+                if night not in nights:
+                    date = dt.date.fromisoformat(night)
+                    self.published += [
+                        {"night": date, "indicator": indicator, "to_state": state}
+                        for indicator, state in states
+                    ]
+
+    @property
+    def known(self) -> tuple[Records, dt.date]:
+        """As `with_poor_nights` takes it."""
+        return self.together, dt.date.fromisoformat(self.until)
+
+    @property
+    def together(self) -> Records:
+        """See above."""
+        whole = self._joined(one.together for one in self.months.values())
+        until = np.datetime64(self.until)
+        # What was made with later nights is to be made anew.
+        return whole[(whole["night"] < until) & ~(whole["together_in"] >= until)]
+
+    def _joined(self, parts: Iterable[Records]) -> Records:
+        """Records by night."""
+        # As bytes: for a concatenation the types of all fields would be compared.
+        whole = np.frombuffer(b"".join(part.tobytes() for part in parts), self.layout.dtype)
+        sorted_: Records = whole[np.argsort(whole["night"], kind="stable")]
+        return sorted_
+
+    def keep(self, motor_id: str, done: Records | None) -> None:
+        """Keep all of it for the next run; one that cannot be kept is made again.
+
+        Parameters
+        ----------
+        motor_id
+            The motor.
+        done
+            Its records, nights fitted together; None where they were not.
+        """
+        states: dict[str, list[tuple[str, str]]] = {}
+        for row in self.published:
+            said = states.setdefault(row["night"].isoformat(), [])
+            said.append((row["indicator"], row["to_state"]))
+        for month in self.folders.months:
+            before = self.months.get(month)
+            if before is not None and month < self.until[:7] and self.folders.same(month, before):
+                continue
+            after = self._month(month, states, done)
+            if before is None or after.encoded(self.key) != before.encoded(self.key):
+                try:
+                    write_month(self.folders.output, motor_id, month, self.key, after)
+                except StoreError as error:
+                    log.warning("%s; the next run reads the nights again", error)
+                    return
+
+    def _month(
+        self, month: str, states: Mapping[str, Sequence[tuple[str, str]]], done: Records | None
+    ) -> KeptMonth:
+        whole = self._records
+        records = whole[whole["night"].astype("M8[M]") == np.datetime64(month)]
+        until = None
+        if done is not None:
+            made = done[np.searchsorted(done["night"], records["night"])]
+        else:
+            made, ready = records.copy(), self.together
+            ready = ready[np.isin(ready["night"], records["night"])]
+            made[np.searchsorted(made["night"], ready["night"])] = ready
+            until = min((one for one in _labels(records["night"]) if one >= self.until), default="")
+        alarms = self.folders.files(ALARMS, month)
+        return KeptMonth(
+            self.folders.months[month],
+            self.folders.files_read(month),
+            self._blocks(month, _labels(records["night"][records["poor"]])),
+            alarms,
+            {night: sorted(states[night]) for night in sorted(alarms.keys() & states.keys())},
+            records,
+            made[_differ(records, made)],
+            until or None,
+        )
+
+
+def _labels(nights: NDArray[np.datetime64]) -> list[str]:
+    labels: list[str] = np.datetime_as_string(nights).tolist()
+    return labels
+
+
+def _dates(nights: Iterable[str]) -> list[dt.date]:
+    return [dt.date.fromisoformat(night) for night in nights]
+
+
+def _differing(before: Mapping[str, str], now: Mapping[str, str]) -> set[str]:
+    """Nights of which a file has come, gone or changed."""
+    return {night for night, _ in before.items() ^ now.items()}
+
+
+def _differ(one: Records, two: Records) -> NDArray[np.bool_]:
+    """Which records are not the same to the bit."""
+    size = one.dtype.itemsize
+    bytes_ = [
+        np.frombuffer(records.tobytes(), dtype=np.uint8).reshape(-1, size) for records in (one, two)
+    ]
+    differ: NDArray[np.bool_] = np.any(bytes_[0] != bytes_[1], axis=1)
+    return differ
+
+
+def _changed(before: Records, now: Records) -> list[str]:
+    """Nights whose record has come, gone or changed."""
+    both, first, second = np.intersect1d(before["night"], now["night"], return_indices=True)
+    odd = np.setxor1d(before["night"], now["night"])
+    return _labels(np.append(odd, both[_differ(before[first], now[second])]))
