@@ -107,10 +107,10 @@ def differences(expected: Surroundings) -> list[str]:
 
 
 def do_task(
-    function: Callable[[Any], Result],
     task: Any,
-    expected: Surroundings,
     brought: Mapping[str, bytes],
+    function: Callable[[Any], Result],
+    expected: Surroundings,
     limits: Execution,
 ) -> Staged[Result] | Loss:
     """Do a task in a staging folder of its own, if the task has one, with what was brought there.
