@@ -5,6 +5,7 @@ All that makes a cluster unfit is found before the first task, and is one error 
 
 from __future__ import annotations
 
+import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -45,6 +46,7 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
             "pip install 'motor-leakage[dask]'",
         ) from error
     with ExitStack() as stack:
+        stack.enter_context(_quiet(logging.WARNING if execution.scheduler else logging.CRITICAL))
         where = execution.scheduler or stack.enter_context(_local(execution))
         client = _client(distributed, where, execution)
         stack.callback(client.close)
@@ -56,6 +58,21 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
 
 
 @contextmanager
+def _quiet(level: int) -> Iterator[None]:
+    """Keep what Dask says of its own workings from those who read what the run says.
+
+    Of workers of this machine that is all of it: what became of their tasks the engine says.
+    """
+    dask = logging.getLogger("distributed")
+    before = dask.level
+    dask.setLevel(level)
+    try:
+        yield
+    finally:
+        dask.setLevel(before)
+
+
+@contextmanager
 def _local(execution: Execution) -> Iterator[Any]:
     """Workers of this machine; a task that killed its worker is tried again by the engine alone."""
     import dask
@@ -63,7 +80,10 @@ def _local(execution: Execution) -> Iterator[Any]:
 
     settings = {
         "distributed.scheduler.allowed-failures": 0,
-        "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+        "distributed.nanny.pre-spawn-environ": {
+            **ENVIRONMENT,
+            "DASK_LOGGING__DISTRIBUTED": "critical",
+        },
     }
     with dask.config.set(settings), ExitStack() as stack:
         try:

@@ -204,7 +204,9 @@ class _Flight:
                 function=self.function,
                 expected=self.engine.expected,
                 limits=self.engine.execution,
-                key=[f"motor-leakage-{self.run}-{number}-{self.sent[number]}" for number in numbers],
+                key=[
+                    f"motor-leakage-{self.run}-{number}-{self.sent[number]}" for number in numbers
+                ],
                 workers=fit,
                 # Never twice for one key by Dask itself unless a worker was lost.
                 retries=0,
@@ -236,7 +238,7 @@ class _Flight:
                 )
 
     def _ended(self) -> list[Future[Any]]:
-        """Tasks that have ended, those that end within a moment with the first; none in `LOOK_S`."""
+        """Tasks that have ended, with those that do a moment later; none where none did."""
         found: list[Future[Any]] = []
         with suppress(Empty):
             found.append(self.ended.get(timeout=LOOK_S))

@@ -206,7 +206,9 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         If there is nothing that tasks could run on.
     """
     fleet, output = request.fleet, request.fleet.output
-    require_space(output, request.specs, fleet.execution.minimum_free_mib)
+    minimum_free_mib = fleet.execution.minimum_free_mib
+    if not fleet.object_store:
+        require_space(output, request.specs, minimum_free_mib)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -215,6 +217,8 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest")])
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
+                # A working copy knows its logs only once it is up to date.
+                require_space(output, request.specs, minimum_free_mib)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             with open_engine(fleet.execution, folders) as run_tasks:

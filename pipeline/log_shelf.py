@@ -59,6 +59,8 @@ class LogShelf:
         What is known of each file by now, by path relative to the log root.
     absent
         Those that are named in the config and absent.
+    unmatched
+        Tells of the globs that match none.
     read
         Paths of those whose content was read.
     """
@@ -74,6 +76,7 @@ class LogShelf:
         self._read_with = reading_hash(spec)
         self._source = logs_of(spec)
         self.absent = self._source.absent
+        self.unmatched = self._source.unmatched
         if looked_at is None:
             looked_at = place_failed(
                 {

@@ -49,6 +49,12 @@ class Processes:
             start("worker", self.address, "--nthreads", "1", "--no-dashboard", *options)
         )
 
+    def wait_for(self, n_workers: int) -> None:
+        from distributed import Client
+
+        with Client(self.address, timeout=PATIENCE_S, set_as_default=False) as client:
+            wait_until(lambda: len(client.run(os.getpid, on_error="ignore")) == n_workers)
+
     def execution(self, **changed: Any) -> Execution:
         settings = {"backend": "dask", "scheduler": self.address, "scheduler_wait_s": PATIENCE_S}
         return Execution.model_validate(settings | changed)
@@ -75,17 +81,10 @@ def scheduler_with(n_workers: int, *options: str) -> Iterator[Processes]:
         for _ in range(n_workers):
             found.add_worker(*options)
         if n_workers:
-            _wait_for(found.address, n_workers)
+            found.wait_for(n_workers)
         yield found
     finally:
         found.end()
-
-
-def _wait_for(address: str, n_workers: int) -> None:
-    from distributed import Client
-
-    with Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
-        client.wait_for_workers(n_workers, timeout=PATIENCE_S)
 
 
 def wait_until(holds: Any) -> None:

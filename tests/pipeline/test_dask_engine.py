@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -29,13 +29,6 @@ from tests.pipeline.dask_tasks import (
     wait_for_word,
 )
 from tests.pipeline.misbehaviour import do
-
-
-@pytest.fixture(scope="module")
-def two_workers() -> Iterator[Processes]:
-    """Two workers whose nannies start them again when they die."""
-    with scheduler_with(2) as processes:
-        yield processes
 
 
 def lost(task: Any, loss: Loss) -> str:

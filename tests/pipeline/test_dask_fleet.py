@@ -8,7 +8,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,18 +20,21 @@ from pipeline.config import load_fleet
 from pipeline.errors import EngineError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.object_store import ObjectStore
+from pipeline.trends.stage import run_trends
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
+from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.s3_server import s3_server
-from tests.pipeline.test_fleet import MOTORS, check_same_tables, output_of, status_of, table_files
+from tests.pipeline.test_fleet import (
+    MOTORS,
+    check_same_tables,
+    output_of,
+    rows,
+    status_of,
+    table_files,
+)
 
 COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
-
-
-@pytest.fixture(scope="module")
-def two_workers() -> Iterator[Processes]:
-    with scheduler_with(2) as processes:
-        yield processes
 
 
 def run(fleet_file: Path, output: Path, execution: Any, progress: Any = None) -> RunResult:
@@ -192,3 +196,33 @@ def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
         assert elsewhere.n_nights == 0
     check_same_tables(tmp_path / "work", fitted_output, "CB400-01", "CB400-02")
     assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "work")
+
+
+def test_trends_without_an_engine_are_made_by_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = mini_fleet(tmp_path, 2, 2)
+
+    @contextmanager
+    def lost_before_trends(*_: object) -> Iterator[Any]:
+        def run_tasks(function: Any, tasks: Sequence[Any], lost: Any) -> Iterator[Any]:
+            if function is run_trends:
+                raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
+            yield from map(function, tasks)
+
+        yield run_tasks
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.fleet.open_engine", lost_before_trends)
+        result = run_fleet(RunRequest(load_fleet(fleet)))
+    # The nights are published, and it is told why the motors have no trends.
+    assert (result.n_nights, result.interrupted) == (4, False)
+    told = {(one.error_code, one.message) for one in result.failed}
+    assert told == {("scheduler_lost", "trends: the connection to the scheduler is lost")}
+    assert len(result.failed) == 2
+    assert rows(output_of(fleet), "fits")["status"].to_list() == ["ok"] * 4
+    assert not (output_of(fleet) / "tables" / "trends").exists()
+    again = run_fleet(RunRequest(load_fleet(fleet)))
+    assert (again.n_nights, again.failed) == (0, ())
+    run_fleet(RunRequest(replace(load_fleet(fleet), output=tmp_path / "whole")))
+    check_same_tables(output_of(fleet), tmp_path / "whole", "M1", "M2")
