@@ -146,13 +146,18 @@ def _in_a_process(
     from distributed.protocol.pickle import dumps
 
     global _process
-    if _process is not None and _process.execution != limits:
+    if _process is not None and _bounds(_process.execution) != _bounds(limits):
         _process.kill()
         _process = None
     with _may_have_children():
         if _process is None:
             _process = Worker(_call, limits)
         return run_task(_process, dumps((function, task)))
+
+
+def _bounds(limits: Execution) -> tuple[float, int]:
+    """What a process is bound to for its life."""
+    return limits.timeout_s, limits.memory_limit_mib
 
 
 def _call(content: bytes) -> Any:

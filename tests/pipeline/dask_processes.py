@@ -78,8 +78,10 @@ def scheduler_with(n_workers: int, *options: str) -> Iterator[Processes]:
                 found.address = line.split()[-1]
                 break
         assert found.address, "the scheduler did not start"
-        for _ in range(n_workers):
+        if n_workers == 1:
             found.add_worker(*options)
+        elif n_workers:
+            found.add_worker("--nworkers", str(n_workers), *options)
         if n_workers:
             found.wait_for(n_workers)
         yield found

@@ -94,7 +94,7 @@ def test_a_task_that_kills_every_worker_fails_alone(two_workers: Processes) -> N
 def test_what_a_task_does_to_its_process_costs_neither_a_worker_nor_another_task(
     two_workers: Processes,
 ) -> None:
-    execution = two_workers.execution(timeout_s=4.0, memory_limit_mib=700)
+    execution = two_workers.execution(timeout_s=2.0)
     losses: dict[str, Loss] = {}
 
     def lose(task: str, loss: Loss) -> None:
@@ -122,21 +122,11 @@ def workers_of(execution: Execution) -> dict[str, int]:
         return found
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_the_process_of_a_worker_lives_on_and_dies_with_it(two_workers: Processes) -> None:
-    execution = two_workers.execution()
-    found = set(run(execution, process_and_worker, list(range(12))))
-    workers = {worker for _, worker in found}
-    assert len(found) == len(workers) <= 2
-    assert workers <= set(workers_of(execution).values())
-    process, worker = min(found)
-    os.kill(worker, signal.SIGKILL)
-    wait_until(lambda: not Path(f"/proc/{process}").exists())
-
-
 @pytest.mark.full
 def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
-    with scheduler_with(2, "--no-nanny") as processes:
+    with scheduler_with(1, "--no-nanny") as processes:
+        processes.add_worker("--no-nanny")
+        processes.wait_for(2)
         execution = processes.execution(scheduler_wait_s=1.0, tasks_in_flight=2)
         found = run(execution, kill_workers_at_three, list(range(8)))
         assert len(found) == 8
@@ -159,24 +149,34 @@ def test_an_exception_of_a_task_is_told(two_workers: Processes) -> None:
     assert found[1].startswith("three: internal: TypeError: bad operand type for abs()")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_a_worker_killed_in_the_middle_costs_nothing(
     two_workers: Processes, tmp_path: Path
 ) -> None:
     execution = two_workers.execution()
-    with connected(execution, Surroundings(own_versions())) as client:
-        engine = DaskEngine(client, execution, Surroundings(own_versions()))
+    expected = Surroundings(own_versions())
+    with connected(execution, expected) as client:
+        engine = DaskEngine(client, execution, expected)
+        # Each worker has one process for its tasks, and keeps it.
+        processes = set(engine.run_tasks(process_and_worker, list(range(12)), lost))
+        assert len(processes) == len({worker for _, worker in processes}) <= 2
         results = engine.run_tasks(wait_for_word, [Wait(n, tmp_path) for n in range(6)], lost)
         found = [next(results)]
-        victim = min(client.run(os.getpid).values())
+        process, victim = min(processes)
+        assert victim in client.run(os.getpid).values()
         os.kill(victim, signal.SIGKILL)
+        wait_until(lambda: not Path(f"/proc/{process}").exists())
         (tmp_path / "go").touch()
         found += results
         assert found[0] == 0
         assert sorted(found) == list(range(6))
 
 
-def test_a_scheduler_that_is_gone_ends_the_run(tmp_path: Path) -> None:
-    with scheduler_with(1) as processes:
+def test_a_scheduler_without_workers_and_one_that_is_gone(tmp_path: Path) -> None:
+    with scheduler_with(0) as processes:
+        error = code_of(processes.execution(scheduler_wait_s=0.5))
+        assert error.code == "scheduler_no_workers"
+        processes.add_worker("--no-nanny")
         with open_engine(processes.execution()) as run_tasks:
             results = run_tasks(wait_for_word, [Wait(n, tmp_path) for n in range(4)], lost)
             assert next(results) == 0
@@ -234,12 +234,6 @@ def test_no_scheduler_at_the_address() -> None:
     error = code_of(Execution(backend="dask", scheduler=address, scheduler_wait_s=0.5))
     assert error.code == "scheduler_unreachable"
     assert address in error.message
-
-
-def test_a_scheduler_without_workers() -> None:
-    with scheduler_with(0) as processes:
-        error = code_of(processes.execution(scheduler_wait_s=0.5))
-    assert error.code == "scheduler_no_workers"
 
 
 @pytest.mark.parametrize("name", ["python", "numpy", "polars", "code of motor-leakage"])

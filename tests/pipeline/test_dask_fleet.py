@@ -5,9 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
@@ -16,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from pipeline.cli import main
 from pipeline.config import load_fleet
 from pipeline.errors import EngineError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
@@ -23,6 +22,7 @@ from pipeline.object_store import ObjectStore
 from pipeline.trends.stage import run_trends
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
+from tests.pipeline.dask_tasks import die_in_a_night, kill_worker_of_parquet
 from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.s3_server import s3_server
 from tests.pipeline.test_fleet import (
@@ -33,8 +33,6 @@ from tests.pipeline.test_fleet import (
     status_of,
     table_files,
 )
-
-COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
 
 
 def run(fleet_file: Path, output: Path, execution: Any, progress: Any = None) -> RunResult:
@@ -68,48 +66,21 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     assert table_files(tmp_path) == table_files(fitted_output)
 
 
-def kill_worker_of_parquet(task: Any) -> Any:
-    """Takes every worker with it that tries the one motor."""
-    from pipeline.motor_task import run_motor
-
-    if task.spec.motor_id == "CB400-02":
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60.0)
-    return run_motor(task)
-
-
-def die_in_a_night(task: Any) -> Any:
-    """The process that has a motor's part dies in one night of it."""
-    import pipeline.motor_task as module
-
-    fit_night = module.fit_night
-
-    def fit_or_die(spec: Any, here: Any, *arguments: Any) -> Any:
-        if str(here.date) == "2026-01-03":
-            os.kill(os.getpid(), signal.SIGKILL)
-        return fit_night(spec, here, *arguments)
-
-    module.fit_night = fit_or_die
-    try:
-        return module.run_part(task)
-    finally:
-        module.fit_night = fit_night
-
-
+@pytest.mark.full
 def test_a_night_that_its_process_dies_of_costs_no_other(
-    two_workers: Processes,
-    own_fleet: OwnFleet,
-    fitted_output: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    two_workers: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fleet = own_fleet("CB400-02")
-    monkeypatch.setattr("pipeline.spread.run_part", die_in_a_night)
-    (outcome,) = run(fleet, output_of(fleet), two_workers.execution(nights_a_part=2)).outcomes
+    fleet = mini_fleet(tmp_path, 1, 3)
+    how = two_workers.execution(nights_a_part=2)
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.spread.run_part", die_in_a_night)
+        (outcome,) = run(fleet, output_of(fleet), how).outcomes
     assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
-    # Done once more, it has the figures of the others' runs.
-    again = replace(load_fleet(fleet), execution=two_workers.execution())
+    # Done once more, it has the figures of a run in which nothing died.
+    again = replace(load_fleet(fleet), execution=how)
     assert run_fleet(RunRequest(again, retry=True)).failed == ()
-    check_same_tables(output_of(fleet), fitted_output, "CB400-02")
+    run(fleet, tmp_path / "whole", load_fleet(fleet).execution)
+    check_same_tables(output_of(fleet), tmp_path / "whole", "M1")
 
 
 @pytest.mark.full
@@ -142,25 +113,23 @@ def test_workers_of_this_machine_write_the_same_bytes(
     assert table_files(tmp_path / "dask") == table_files(tmp_path / "sequential")
 
 
-def test_the_command_ends_with_4_without_a_scheduler(own_fleet: OwnFleet) -> None:
+def test_the_command_ends_with_4_without_a_scheduler(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     fleet = own_fleet("CB400-02")
     text = fleet.read_text("utf-8").replace(
         "[execution]",
         '[execution]\nbackend = "dask"\nscheduler = "tcp://127.0.0.1:1"\nscheduler_wait_s = 0.5',
     )
     fleet.write_text(text, "utf-8")
-    done = subprocess.run(
-        [*COMMAND, "fit-fleet", str(fleet), "--output", "out"],
-        cwd=fleet.parent,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 4
-    assert "scheduler_unreachable: no Dask scheduler answers at tcp://127.0.0.1:1" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert not list((fleet.parent / "out").rglob("*.parquet"))
+    monkeypatch.setattr(sys, "argv", ["motor-leakage", "fit-fleet", str(fleet)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 4
+    err = capfd.readouterr().err
+    assert "scheduler_unreachable: no Dask scheduler answers at tcp://127.0.0.1:1" in err
+    assert "Traceback" not in err
+    assert not list(output_of(fleet).rglob("*.parquet"))
 
 
 @pytest.mark.full

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import psutil
+import pytest
 
 from pipeline.config import Execution, load_fleet
 from pipeline.fleet import RunRequest, run_fleet
@@ -86,6 +87,7 @@ def plain_run(fleet_file: Path, output: Path) -> tuple[int, int]:
     return result.n_nights, len(result.failed)
 
 
+@pytest.mark.full
 def test_ctrl_c_publishes_what_is_finished_and_leaves_no_worker_behind(tmp_path: Path) -> None:
     fleet = mini_fleet(tmp_path, 2, 1, execution='backend = "dask"\nworkers = 1\n')
     folder = tmp_path / "waits"
@@ -104,6 +106,7 @@ def test_ctrl_c_publishes_what_is_finished_and_leaves_no_worker_behind(tmp_path:
     check_same_tables(output_of(fleet), tmp_path / "plain", "M1", "M2")
 
 
+@pytest.mark.full
 def test_a_killed_run_is_repaired_by_a_plain_one(two_workers: Processes, tmp_path: Path) -> None:
     how = f'backend = "dask"\nscheduler = "{two_workers.address}"\n'
     fleet = mini_fleet(tmp_path, 3, 1, execution=how)
