@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pipeline.config import Execution
-from pipeline.dask_worker import Surroundings, differences
+from pipeline.dask_worker import CODE, Surroundings, differences
 from pipeline.errors import EngineError
 
 if TYPE_CHECKING:
@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 ENVIRONMENT = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 # Packages of which client and scheduler must have the same version to understand each other.
 PROTOCOL = ("distributed", "msgpack")
+# Of the run's versions those that a scheduler must have to read a task.
+READERS = ("python", CODE)
 
 
 @contextmanager
@@ -35,7 +37,8 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
         ``dask_missing``: the extra is not installed; ``scheduler_unreachable``: nothing answers at
         the address; ``scheduler_no_workers``; ``scheduler_versions``: scheduler or a worker has
         other versions; ``scheduler_threads``: a worker with several threads; ``scheduler_folders``:
-        a worker that does not see logs or output.
+        a worker that does not see logs or output; ``scheduler_credentials``: one that has no way to
+        the logs' object store.
     """
     try:
         import distributed
@@ -51,6 +54,7 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
         client = _client(distributed, where, execution)
         stack.callback(client.close)
         _require_same_protocol(client, where)
+        _require_same_program(client, where, expected)
         _require_workers(client, where, execution)
         _require_one_thread(client)
         _require_alike(client, expected)
@@ -134,6 +138,21 @@ def _require_same_protocol(client: Client, where: Any) -> None:
         )
 
 
+def _require_same_program(client: Client, where: Any, expected: Surroundings) -> None:
+    """Refuse a scheduler that cannot read tasks: it unpickles them on their way."""
+    versions = {name: expected.versions[name] for name in READERS}
+    try:
+        found = client.run_on_scheduler(differences, Surroundings(versions))
+    except Exception as error:
+        found = [f"{type(error).__name__}: {error}"]
+    if found:
+        raise EngineError(
+            "scheduler_versions",
+            f"the scheduler at {where} has not this program: {'; '.join(found)}; install the same "
+            "motor-leakage there, and start it anew",
+        )
+
+
 def _require_workers(client: Client, where: Any, execution: Execution) -> None:
     try:
         client.wait_for_workers(1, timeout=execution.scheduler_wait_s)
@@ -165,10 +184,14 @@ def _require_alike(client: Client, expected: Surroundings) -> None:
                 "install the same motor-leakage there",
             )
         if found:
-            code = "scheduler_folders" if "folder" in found[0] else "scheduler_versions"
-            todo = (
-                "mount the same folders there"
-                if code == "scheduler_folders"
-                else "install the same requirements.txt there"
-            )
+            code, todo = _kind_of(found[0])
             raise EngineError(code, f"the worker {worker} is unfit: {'; '.join(found)}; {todo}")
+
+
+def _kind_of(difference: str) -> tuple[str, str]:
+    """The code of what makes a worker unfit, and what to do about it."""
+    if difference.startswith("there is no folder"):
+        return "scheduler_folders", "mount the same folders there"
+    if difference.startswith("object store"):
+        return "scheduler_credentials", "start it with the environment that the run has"
+    return "scheduler_versions", "install the same requirements.txt there"

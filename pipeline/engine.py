@@ -28,7 +28,9 @@ class RunTasks(Protocol):
 
 
 @contextmanager
-def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[RunTasks]:
+def open_engine(
+    execution: Execution, folders: Sequence[Path] = (), stores: Sequence[str] = ()
+) -> Iterator[RunTasks]:
     """The configured engine, for all tasks of a run.
 
     Parameters
@@ -37,6 +39,8 @@ def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[
         Which one, and how much of it.
     folders
         What workers elsewhere must see: logs and output.
+    stores
+        URLs of object stores that they must have a way to.
 
     Raises
     ------
@@ -48,7 +52,7 @@ def open_engine(execution: Execution, folders: Sequence[Path] = ()) -> Iterator[
         from pipeline.dask_engine import DaskEngine
         from pipeline.dask_worker import Surroundings, own_versions
 
-        expected = Surroundings(own_versions(), tuple(folders))
+        expected = Surroundings(own_versions(), tuple(folders), tuple(stores))
         with connected(execution, expected) as client:
             yield DaskEngine(client, execution, expected).run_tasks
         return

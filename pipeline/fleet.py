@@ -221,7 +221,8 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
                 require_space(output, request.specs, minimum_free_mib)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
-            with open_engine(fleet.execution, folders) as run_tasks:
+            stores = (fleet.log_url,) if fleet.log_url else ()
+            with open_engine(fleet.execution, folders, stores) as run_tasks:
                 result = _run(request, staging, progress, heartbeat, run_tasks)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)

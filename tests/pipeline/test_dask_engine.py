@@ -13,9 +13,14 @@ from typing import Any
 import pytest
 
 from pipeline.config import Execution
-from pipeline.dask_cluster import _require_one_thread, _require_same_protocol, connected
+from pipeline.dask_cluster import (
+    _require_one_thread,
+    _require_same_program,
+    _require_same_protocol,
+    connected,
+)
 from pipeline.dask_engine import DaskEngine, _Flight
-from pipeline.dask_worker import Surroundings, differences, own_versions
+from pipeline.dask_worker import CODE, Surroundings, differences, own_versions
 from pipeline.engine import open_engine
 from pipeline.errors import EngineError
 from pipeline.worker_process import Loss
@@ -262,6 +267,36 @@ def test_a_scheduler_of_another_protocol_is_refused() -> None:
     assert caught.value.code == "scheduler_versions"
 
 
+def test_a_scheduler_with_other_code_is_refused(two_workers: Processes) -> None:
+    execution = two_workers.execution()
+    with connected(execution, Surroundings(own_versions())) as client:
+        client.run_on_scheduler(pretend_code, "0123")
+        try:
+            error = code_of(execution)
+        finally:
+            client.run_on_scheduler(pretend_code, own_versions()[CODE])
+    assert error.code == "scheduler_versions"
+    assert "the scheduler at" in error.message
+    assert f"code of motor-leakage is 0123 there and {own_versions()[CODE]} here" in error.message
+
+
+def pretend_code(code: str) -> None:
+    """Let the scheduler believe that it has loaded other code; runs there."""
+    import pipeline.dask_worker as worker
+
+    worker._LOADED = code
+
+
+def test_a_scheduler_without_the_program_is_refused() -> None:
+    def absent(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'pipeline'")
+
+    client: Any = SimpleNamespace(run_on_scheduler=absent)
+    with pytest.raises(EngineError, match="No module named 'pipeline'") as caught:
+        _require_same_program(client, "tcp://there:1", Surroundings(own_versions()))
+    assert caught.value.code == "scheduler_versions"
+
+
 def test_a_worker_with_two_threads_is_refused() -> None:
     client = SimpleNamespace(nthreads=lambda: {"tcp://a:1": 1, "tcp://b:1": 2})
     with pytest.raises(EngineError, match=r"tcp://b:1 has 2 threads") as caught:
@@ -275,6 +310,18 @@ def test_workers_that_do_not_see_the_logs_are_refused(
     error = code_of(two_workers.execution(), tmp_path / "nowhere")
     assert error.code == "scheduler_folders"
     assert str(tmp_path / "nowhere") in error.message
+
+
+def test_workers_without_credentials_for_the_logs_are_refused(
+    two_workers: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_KEY", "a2V5")
+    with (
+        pytest.raises(EngineError, match=r"expected one of AZURE_STORAGE_ACCOUNT_KEY") as caught,
+        open_engine(two_workers.execution(), (), ["az://container/logs"]),
+    ):
+        pass
+    assert caught.value.code == "scheduler_credentials"
 
 
 def test_without_the_extra_the_message_says_what_to_install(
