@@ -6,6 +6,7 @@ All that makes a cluster unfit is found before the first task, and is one error 
 from __future__ import annotations
 
 import logging
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 # One thread a worker, for Polars and BLAS as well: with more, tasks of one process would share
 # what `threadpool_limits` holds, and results could depend on their company.
 ENVIRONMENT = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+# Workers of this machine say nothing of their own workings: the engine says what became of a task.
+LOCAL_ENVIRONMENT = {**ENVIRONMENT, "DASK_LOGGING__DISTRIBUTED": "critical"}
 # Packages of which client and scheduler must have the same version to understand each other.
 PROTOCOL = ("distributed", "msgpack")
 # Of the run's versions those that a scheduler must have to read a task.
@@ -63,10 +66,7 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
 
 @contextmanager
 def _quiet(level: int) -> Iterator[None]:
-    """Keep what Dask says of its own workings from those who read what the run says.
-
-    Of workers of this machine that is all of it: what became of their tasks the engine says.
-    """
+    """Keep what Dask says of its own workings from those who read what the run says."""
     dask = logging.getLogger("distributed")
     before = dask.level
     dask.setLevel(level)
@@ -84,12 +84,9 @@ def _local(execution: Execution) -> Iterator[Any]:
 
     settings = {
         "distributed.scheduler.allowed-failures": 0,
-        "distributed.nanny.pre-spawn-environ": {
-            **ENVIRONMENT,
-            "DASK_LOGGING__DISTRIBUTED": "critical",
-        },
+        "distributed.nanny.pre-spawn-environ": LOCAL_ENVIRONMENT,
     }
-    with dask.config.set(settings), ExitStack() as stack:
+    with _environment_kept(), dask.config.set(settings), ExitStack() as stack:
         try:
             cluster = LocalCluster(
                 n_workers=execution.workers,
@@ -102,6 +99,20 @@ def _local(execution: Execution) -> Iterator[Any]:
                 "scheduler_unreachable", f"no Dask cluster can be started on this machine: {error}"
             ) from error
         yield stack.enter_context(cluster)
+
+
+@contextmanager
+def _environment_kept() -> Iterator[None]:
+    """Take back what is meant for workers: their nannies put it into this process as well."""
+    before = {name: os.environ.get(name) for name in LOCAL_ENVIRONMENT}
+    try:
+        yield
+    finally:
+        for name, text in before.items():
+            if text is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = text
 
 
 def _client(distributed: Any, where: Any, execution: Execution) -> Client:

@@ -201,11 +201,14 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     LockedError
         If another run writes to the same output.
     StoreError
-        If nothing can be published, or there is too little room for it.
+        If nothing can be published, there is too little room for it, or the logs' object store
+        cannot be listed.
     EngineError
         If there is nothing that tasks could run on.
     """
     fleet, output = request.fleet, request.fleet.output
+    if fleet.log_url:
+        _require_logs(fleet.log_url)
     minimum_free_mib = fleet.execution.minimum_free_mib
     if not fleet.object_store:
         require_space(output, request.specs, minimum_free_mib)
@@ -229,6 +232,11 @@ def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunRe
     for fault in notify(fleet.settings.alarms, fleet.name, result.alarms):
         log.warning("%s", fault)
     return result
+
+
+def _require_logs(url: str) -> None:
+    """Refuse a run whose logs nobody can list: each of its motors would fail of it."""
+    next(ObjectStore.at(url).list(), None)
 
 
 def refresh(fleet: Fleet) -> int:

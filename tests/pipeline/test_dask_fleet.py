@@ -106,10 +106,12 @@ def test_workers_of_this_machine_write_the_same_bytes(
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     fleet = own_fleet("CB400-01", "CB400-02")
-    execution = load_fleet(fleet).execution
+    execution, environment = load_fleet(fleet).execution, dict(os.environ)
     for backend in ("dask", "sequential"):
         how = execution.model_copy(update={"backend": backend})
         run(fleet, tmp_path / backend, how)
+    # What is meant for its workers stays with them.
+    assert dict(os.environ) == environment
     assert table_files(tmp_path / "dask") == table_files(tmp_path / "sequential")
 
 

@@ -111,6 +111,28 @@ def test_a_log_that_is_removed_after_it_was_listed_is_missing(
     assert f"{FIRST}.parquet" in (outcome.message or "")
 
 
+@pytest.mark.parametrize(
+    ("url", "key_id", "code"),
+    [(URL, "", "object_store_credentials"), ("s3://absent/logs", "a", "object_store_bucket")],
+)
+def test_a_run_whose_logs_cannot_be_listed_ends_with_4(
+    server: Server,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    url: str,
+    key_id: str,
+    code: str,
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.configure(fleet=QUICK.replace("../logs", url))
+    if not key_id:
+        monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    ended = CliRunner().invoke(app, ["fit-fleet", str(shop.fleet)])
+    assert isinstance(ended.exception, StoreError)  # for which the command ends with 4
+    assert ended.exception.code == code
+    assert not shop.output.exists()
+
+
 # Check
 
 
