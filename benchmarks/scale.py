@@ -216,7 +216,7 @@ def _overhead(folder: Path) -> Part:
     return Part(
         "Overhead of a task",
         f"{EMPTY_TASKS} tasks that do nothing, and {QUICK_TASKS} that only stage rows, two "
-        "workers: what a motor costs beyond its work.",
+        "workers: what a motor costs beyond its work. Loky starts its workers in it.",
         ("Engine", "Stages", "A task", "Tasks/s"),
         rows,
     )

@@ -104,15 +104,13 @@ def _local(execution: Execution) -> Iterator[Any]:
 @contextmanager
 def _environment_kept() -> Iterator[None]:
     """Take back what is meant for workers: their nannies put it into this process as well."""
-    before = {name: os.environ.get(name) for name in LOCAL_ENVIRONMENT}
+    before = dict(os.environ)
     try:
         yield
     finally:
-        for name, text in before.items():
-            if text is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = text
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _client(distributed: Any, where: Any, execution: Execution) -> Client:

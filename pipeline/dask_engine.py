@@ -185,14 +185,14 @@ class _Flight:
         """How many tasks may be in flight; of those that carry much, no more than are done."""
         most = self.engine.execution.tasks_in_flight
         if self._is_large(number):
-            return min(most, AHEAD * max(len(self.engine.client.nthreads()), 1))
+            return min(most, AHEAD * max(len(self._workers()), 1))
         return most
 
     def _send(self, numbers: Sequence[int]) -> None:
         self.sent.update(numbers)
         fit = None
         if self.refused:
-            fit = sorted(set(self.engine.client.nthreads()) - self.refused) or None
+            fit = sorted(self._workers()) or None
         tasks = [self.tasks[number] for number in numbers]
         with warnings.catch_warnings():
             # What a joining task is sent is large; scattered, it would be lost with its worker.

@@ -191,6 +191,20 @@ def test_a_scheduler_without_workers_and_one_that_is_gone(tmp_path: Path) -> Non
         assert all("scheduler_lost: " in one for one in rest)
 
 
+def test_a_scheduler_that_does_not_answer_is_no_error_of_a_task(tmp_path: Path) -> None:
+    def gone() -> None:
+        raise OSError("timed out")
+
+    client: Any = SimpleNamespace(nthreads=gone)
+    engine = DaskEngine(client, Execution(backend="dask"), Surroundings({}))
+    # How many tasks with much to carry may be in flight depends on how many workers there are.
+    joining = SimpleNamespace(parts=("a",), staging=tmp_path)
+    flight = _Flight(engine, abs, {0: joining, 1: joining, 2: joining})
+    flight.waiting.extend([0, 1, 2])
+    assert [flight._may_send() for _ in range(3)] == [[0], [1], [2]]
+    assert flight._most(0) == 2
+
+
 def test_a_run_that_is_stopped_takes_its_tasks_back(two_workers: Processes, tmp_path: Path) -> None:
     execution = two_workers.execution()
     with connected(execution, Surroundings(own_versions())) as client:
