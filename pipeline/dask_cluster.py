@@ -199,8 +199,11 @@ def _require_alike(client: Client, expected: Surroundings) -> None:
 
 def _kind_of(difference: str) -> tuple[str, str]:
     """The code of what makes a worker unfit, and what to do about it."""
+    code, todo = "scheduler_versions", "install the same requirements.txt there"
     if difference.startswith("there is no folder"):
-        return "scheduler_folders", "mount the same folders there"
-    if difference.startswith("object store"):
-        return "scheduler_credentials", "start it with the environment that the run has"
-    return "scheduler_versions", "install the same requirements.txt there"
+        code = "scheduler_folders"
+        todo = "mount the same folders there"
+    elif difference.startswith("object store"):
+        code = "scheduler_credentials"
+        todo = "start it with the environment that the run has"
+    return code, todo
