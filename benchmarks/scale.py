@@ -1,10 +1,17 @@
 """Past one machine: throughput over Dask against worker processes, and what a scheduler costs.
 
-Scheduler and workers are processes of this machine, so figures show overhead, not a network.
+Scheduler and workers are processes of this machine, so figures show overhead, not a network. The
+load told of each part is that of the machine before it began; unless it was near 0, times are too
+long.
+
+`--only PART,PART` does some of the parts; what the others found in runs before stays
+(`scale.json`).
 """
 
 from __future__ import annotations
 
+import argparse
+import json
 import os
 import subprocess
 import sys
@@ -12,13 +19,13 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import psutil
 
-from benchmarks.results_file import Part, write_parts
+from benchmarks.results_file import RESULTS, Part, write_parts
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
 from pipeline.engine import open_engine
@@ -27,11 +34,15 @@ from pipeline.worker_process import Loss
 
 ROOT = Path(__file__).parent.parent
 MIB = 1 << 20
-# A task of the simulated fleet: sleeps, and stages about what a motor's night stages.
+STORED = RESULTS / "scale.json"
+# A task of the simulated fleet takes what a light night takes, and stages about as much.
 FLEET_TASKS = 10_000
-TASK_S = 0.01
+TASK_S = 0.1
 STAGED_BYTES = 20_000
+# They sleep: so many workers have room on two cores.
+FLEET_WORKERS = 8
 EMPTY_TASKS = 2_000
+QUICK_TASKS = 4_000
 YEAR = 365
 
 
@@ -55,28 +66,45 @@ def sleep_and_stage(task: Night) -> int:
     return task.number
 
 
-def main() -> None:
+def main(options: Sequence[str] = ()) -> None:
     """Measure and write `benchmarks/results/scale.md`."""
-    load = os.getloadavg()[0]
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        write_demo(folder / "demo", nights=6, minutes=60.0, workers=2)
-        parts = [
-            _throughput(folder),
-            _overhead(folder),
-            _large_fleet(folder),
-            _year(folder),
-            _sizes(folder),
-        ]
-    text = (
-        f"Two cores; load of the machine before it began: {load:.1f}, after: "
-        f"{os.getloadavg()[0]:.1f}. Above 2 the times are too long by about that factor over 2."
-    )
-    write_parts("scale", "Past one machine", text, parts)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks scale")
+    parser.add_argument("--only", default=",".join(PARTS))
+    asked = parser.parse_args(list(options)).only.split(",")
+    if strangers := sorted(set(asked) - set(PARTS)):
+        parser.error(f"no part {', '.join(strangers)}; there are {', '.join(PARTS)}")
+    stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
+    for name in asked:
+        load = os.getloadavg()[0]
+        with tempfile.TemporaryDirectory() as folder:
+            _say(f"{name}: begins")
+            part, seconds = _with_time(PARTS[name], Path(folder))
+            _say(f"{name}: {seconds:.0f} s")
+        text = f"{part.text} Load before it began: {load:.1f}."
+        stored[name] = asdict(replace(part, text=text))
+        STORED.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
+    parts = [Part(**stored[name]) for name in PARTS if name in stored]
+    write_parts("scale", "Past one machine", f"{os.cpu_count()} cores. {__doc__}", parts)
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"{line}\n")
+    sys.stderr.flush()
+
+
+def _with_time(function: Callable[[Path], Part], folder: Path) -> tuple[Part, float]:
+    begin = time.perf_counter()
+    part = function(folder)
+    return part, time.perf_counter() - begin
+
+
+def _demo(folder: Path, nights: int, minutes: float) -> Fleet:
+    write_demo(folder / "demo", nights=nights, minutes=minutes, workers=2)
+    return load_fleet(folder / "demo" / "configs" / "fleet.toml")
 
 
 @contextmanager
-def _cluster(n_workers: int) -> Iterator[tuple[Execution, psutil.Process]]:
+def _cluster(n_workers: int) -> Iterator[tuple[Execution, list[psutil.Process]]]:
     """A scheduler and workers as processes of their own, and the way to them."""
     environment = os.environ | {"PYTHONPATH": str(ROOT), "POLARS_MAX_THREADS": "1"}
 
@@ -102,7 +130,7 @@ def _cluster(n_workers: int) -> Iterator[tuple[Execution, psutil.Process]]:
             client.wait_for_workers(n_workers)
         yield (
             Execution(backend="dask", scheduler=address, workers=n_workers),
-            psutil.Process(scheduler.pid),
+            [psutil.Process(process.pid) for process in processes],
         )
     finally:
         for process in reversed(processes):
@@ -132,7 +160,7 @@ def _fit(fleet: Fleet, output: Path, execution: Execution, motors: tuple[str, ..
 
 
 def _throughput(folder: Path) -> Part:
-    fleet = load_fleet(folder / "demo" / "configs" / "fleet.toml")
+    fleet = _demo(folder, 6, 60.0)
     nights = 6 * len(fleet.motors)
     rows = []
     for backend in ("loky", "dask"):
@@ -140,11 +168,12 @@ def _throughput(folder: Path) -> Part:
             with _engine(backend, workers) as execution:
                 seconds = _fit(fleet, folder / f"{backend}-{workers}", execution)
             rows.append([backend, str(workers), f"{seconds:.1f} s", f"{nights / seconds:.1f}"])
+            _say(f"throughput: {backend}, {workers} workers: {seconds:.1f} s")
     return Part(
         "Throughput",
         f"The demo fleet, {len(fleet.motors)} motors with 6 nights of 60 minutes each: a whole "
-        "run, tables, trends and the start of the workers of loky included. One worker of loky is "
-        "the run's own process.",
+        "run, tables, trends and the start of the workers of loky included; over Dask workers are "
+        "there, and start the process for their tasks.",
         ("Engine", "Workers", "Run", "Nights/s"),
         rows,
     )
@@ -176,25 +205,37 @@ def _overhead(folder: Path) -> Part:
     rows = []
     for backend in ("loky", "dask"):
         with _engine(backend, 2) as execution:
-            seconds = _run_tasks(execution, _tasks(EMPTY_TASKS, 0.0, 0, folder))
-        each = 1000 * seconds / EMPTY_TASKS
-        rows.append([backend, f"{each:.2f} ms", f"{EMPTY_TASKS / seconds:.0f}"])
+            for n, staged in ((EMPTY_TASKS, 0), (QUICK_TASKS, STAGED_BYTES)):
+                staging = folder / f"{backend}-{staged}"
+                staging.mkdir()
+                seconds = _run_tasks(execution, _tasks(n, 0.0, staged, staging))
+                size = f"{staged // 1000} kB"
+                each = f"{1000 * seconds / n:.2f} ms"
+                rows.append([backend, size, each, f"{n / seconds:.0f}"])
+                _say(f"overhead: {backend}, {size}: {each}")
     return Part(
         "Overhead of a task",
-        f"{EMPTY_TASKS} tasks that do nothing, two workers: what a motor costs beyond its work.",
-        ("Engine", "A task", "Tasks/s"),
+        f"{EMPTY_TASKS} tasks that do nothing, and {QUICK_TASKS} that only stage rows, two "
+        "workers: what a motor costs beyond its work. Loky starts its workers in it.",
+        ("Engine", "Stages", "A task", "Tasks/s"),
         rows,
     )
 
 
 @contextmanager
-def _largest(process: psutil.Process) -> Iterator[list[int]]:
-    """Largest resident memory of a process while it is looked at, ten times a second [bytes]."""
-    found, ended = [process.memory_info().rss], threading.Event()
+def _largest(processes: Callable[[], dict[str, list[psutil.Process]]]) -> Iterator[dict[str, int]]:
+    """Largest resident memory of a process of each kind, looked at ten times a second [bytes]."""
+    found: dict[str, int] = {}
+    ended = threading.Event()
 
     def look() -> None:
-        while not ended.wait(0.1):
-            found[0] = max(found[0], process.memory_info().rss)
+        while True:
+            for kind, members in processes().items():
+                for process in members:
+                    with suppress(psutil.Error):
+                        found[kind] = max(found.get(kind, 0), process.memory_info().rss)
+            if ended.wait(0.1):
+                return
 
     thread = threading.Thread(target=look)
     thread.start()
@@ -210,36 +251,72 @@ def _large_fleet(folder: Path) -> Part:
     staging.mkdir()
     rows = []
     for in_flight in (256, FLEET_TASKS):
-        with _cluster(2) as (execution, scheduler):
+        with _cluster(FLEET_WORKERS) as (execution, (scheduler, *_)):
             bounded = execution.model_copy(update={"tasks_in_flight": in_flight})
             tasks = _tasks(FLEET_TASKS, TASK_S, STAGED_BYTES, staging)
             own = psutil.Process()
             before = own.memory_info().rss
-            with _largest(scheduler) as there, _largest(own) as here:
+            kinds = {"scheduler": [scheduler], "client": [own]}
+            with _largest(lambda kinds=kinds: kinds) as largest:
                 seconds = _run_tasks(bounded, tasks)
         rows.append(
             [
                 str(in_flight),
                 f"{seconds:.0f} s",
                 f"{FLEET_TASKS / seconds:.0f}",
-                f"{100 * FLEET_TASKS * TASK_S / 2 / seconds:.0f} %",
-                f"{there[0] / MIB:.0f} MiB",
-                f"{(here[0] - before) / MIB:.0f} MiB",
+                f"{100 * FLEET_TASKS * TASK_S / FLEET_WORKERS / seconds:.0f} %",
+                f"{largest['scheduler'] / MIB:.0f} MiB",
+                f"{(largest['client'] - before) / MIB:.0f} MiB",
             ]
         )
+        _say(f"fleet: {in_flight} in flight: {seconds:.0f} s")
     return Part(
         f"{FLEET_TASKS} motors through a scheduler",
-        f"Simulated motors of {TASK_S:g} s (a tenth of the 0.1 s that a light night takes, so that "
-        f"the scheduler is what is measured) that stage {STAGED_BYTES // 1000} kB each, two "
-        "workers. Share of work: time that the workers slept of the time that they had.",
+        f"Simulated motors of {TASK_S:g} s that sleep and stage {STAGED_BYTES // 1000} kB each, "
+        f"{FLEET_WORKERS} workers. Share of work: time that the workers slept of the time that "
+        "they had.",
         ("Tasks in flight", "Run", "Tasks/s", "Share of work", "Scheduler", "Client, more"),
         rows,
     )
 
 
+def _worker_memory(folder: Path) -> Part:
+    fleet = _demo(folder, 3, 60.0)
+    with _cluster(1) as (execution, (_, nanny)):
+
+        def kinds() -> dict[str, list[psutil.Process]]:
+            found: dict[str, list[psutil.Process]] = {"nanny": [nanny]}
+            with suppress(psutil.Error):
+                for child in nanny.children(recursive=True):
+                    found.setdefault(_kind(child), []).append(child)
+            return found
+
+        with _largest(kinds) as largest:
+            _fit(fleet, folder / "out", execution)
+    rows = [[kind, f"{largest[kind] / MIB:.0f} MiB"] for kind in KINDS if kind in largest]
+    return Part(
+        "Memory of a Dask worker",
+        "Largest resident memory of each of its processes in a run over the demo, one worker. "
+        "That of the process for tasks grows with a night's readings.",
+        ("Process", "Largest"),
+        rows,
+    )
+
+
+KINDS = ("nanny", "worker", "process for tasks", "trackers of resources")
+
+
+def _kind(process: psutil.Process) -> str:
+    """What a child of a nanny is for."""
+    words = " ".join(process.cmdline())
+    if "resource_tracker" in words:
+        return KINDS[3]
+    return KINDS[2] if "popen_loky" in words else KINDS[1]
+
+
 def _year(folder: Path) -> Part:
-    write_demo(folder / "year", nights=YEAR, minutes=20.0, workers=2)
-    fleet = load_fleet(folder / "year" / "configs" / "fleet.toml")
+    fleet = _demo(folder, YEAR, 20.0)
+    _say("year: logs are written")
     motor = fleet.motors[0].motor_id
     rows = []
     whole: float | None = None
@@ -254,6 +331,7 @@ def _year(folder: Path) -> Part:
             output = folder / f"year-{backend}-{nights_a_part}"
             seconds = _fit(fleet, output, how, (motor,))
         whole = whole or seconds
+        _say(f"year: {backend}, {nights_a_part} nights a part: {seconds:.0f} s")
         rows.append(
             [
                 backend,
@@ -272,9 +350,11 @@ def _year(folder: Path) -> Part:
 
 
 def _sizes(folder: Path) -> Part:
-    """Bytes of each table for a motor's night, from the tables of the first part."""
-    tables = folder / "loky-1" / "tables"
-    nights = 36
+    """Bytes of each table for a motor's night."""
+    fleet = _demo(folder, 6, 60.0)
+    _fit(fleet, folder / "out", Execution(backend="loky", workers=2))
+    tables = folder / "out" / "tables"
+    nights = 6 * len(fleet.motors)
     rows = []
     total = 0
     for table in sorted(tables.iterdir()):
@@ -287,8 +367,18 @@ def _sizes(folder: Path) -> Part:
     rows.append(["all", f"{total / nights / 1000:.1f} kB", f"{total / nights * YEAR / 1e6:.1f} MB"])
     return Part(
         "What a motor stores",
-        "Tables of the first part, six motors a file. A day of 24 h has up to 96 blocks and 720 "
-        "points of a night instead of the 30 and 720 here.",
+        "Tables of the fleet of the first part, six motors a file. A day of 24 h has up to 96 "
+        "blocks and 720 points of a night instead of the 30 and 720 here.",
         ("Table", "A motor's night", "A motor's year"),
         rows,
     )
+
+
+PARTS: dict[str, Callable[[Path], Part]] = {
+    "throughput": _throughput,
+    "overhead": _overhead,
+    "fleet": _large_fleet,
+    "memory": _worker_memory,
+    "year": _year,
+    "sizes": _sizes,
+}

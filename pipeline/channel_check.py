@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,7 +64,7 @@ class ChannelCheck:
 
 
 def check_channels(
-    spec: MotorSpec, records: Mapping[str, FileRecord], paths: Mapping[str, Path]
+    spec: MotorSpec, records: Mapping[str, FileRecord], path_of: Callable[[str], Path]
 ) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...]]:
     """Look into the newest log of a motor that can be read and is not too large.
 
@@ -72,8 +72,10 @@ def check_channels(
     ----------
     spec
         The motor.
-    records, paths
-        What is known of its logs, and where they lie, by name.
+    records
+        What is known of its logs, by name.
+    path_of
+        Where a log lies.
 
     Returns
     -------
@@ -90,7 +92,7 @@ def check_channels(
         return (), ()
     newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
     try:
-        log = read_log(paths[newest], spec.file.log_source())
+        log = read_log(path_of(newest), spec.file.log_source())
     except LogError as error:
         return (), (f"{error.code}: {error.message}",)
     suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from pipeline.channel_check import ChannelCheck, check_channels
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
-from pipeline.errors import UsageError
+from pipeline.errors import LogError
 from pipeline.ledger import FileRecord
-from pipeline.logs import (
-    change_of,
-    find_logs,
-    growing,
-    labels_of,
-    look_at,
-    spanned,
-    without_match,
-)
+from pipeline.log_source import LogSource, logs_of
+from pipeline.logs import change_of, failed, growing, labels_of, look_at, spanned
+
+# Objects of a motor that are opened: a check answers in seconds.
+OPENED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,34 +51,41 @@ class MotorCheck:
 
 
 def check_motor(spec: MotorSpec) -> MotorCheck:
-    """Look at the ends of each of a motor's logs, and into the newest; nothing is written."""
-    if spec.log_url:
-        raise UsageError(
-            "check_object_store",
-            f"the logs lie at {spec.log_url}; expected a folder: copy some of them and name it in "
-            "folders.logs",
-        )
-    paths, absent = find_logs(spec)
-    records = {name: _looked_at(name, path, spec) for name, path in paths.items()}
+    """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
+
+    Of logs in an object store, which have to be copied for it, the first and the last few by name.
+
+    Raises
+    ------
+    StoreError
+        If an object store cannot be read.
+    """
+    logs = logs_of(spec)
+    names = _some(logs.names) if spec.log_url else logs.names
+    records = {name: _looked_at(name, logs, spec) for name in names}
     nights = {label for record in records.values() for label in labels_of(record)}
-    channels, unread = check_channels(spec, records, paths)
+    channels, unread = check_channels(spec, records, logs.path)
     broken = [record for record in records.values() if record.status == "failed"]
     written = [record for record in records.values() if record.status == "growing"]
     return MotorCheck(
         motor_id=spec.motor_id,
         motor_type=spec.file.motor_type,
         log_format=spec.file.logs.format,
-        n_files=len(paths),
+        n_files=len(logs.names),
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*map(_fault, broken), *map(_absent, absent), *unread),
+        faults=(*map(_fault, broken), *map(_absent, logs.absent), *unread),
         placeholders=(
             *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
             *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
         ),
         channels=channels,
-        notes=(*map(_fault, written), *without_match(spec)),
+        notes=(
+            *map(_fault, written),
+            *_left_out(spec, len(names), len(logs.names)),
+            *logs.unmatched(),
+        ),
     )
 
 
@@ -92,7 +95,25 @@ def _oils(spec: MotorSpec) -> list[OilFile]:
     return [spec.oils[name] for name in dict.fromkeys(names)]
 
 
-def _looked_at(name: str, path: Path, spec: MotorSpec) -> FileRecord:
+def _some(names: Sequence[str]) -> Sequence[str]:
+    """The first and the last by name; the last are the newest where names hold a date."""
+    return names if len(names) <= OPENED else (names[0], *names[1 - OPENED :])
+
+
+def _left_out(spec: MotorSpec, n_opened: int, n_files: int) -> tuple[str, ...]:
+    if n_opened == n_files:
+        return ()
+    return (
+        f"{n_opened} of {n_files} objects were opened, the first and the last by name below "
+        f"{spec.log_url}: nights and channels are theirs",
+    )
+
+
+def _looked_at(name: str, logs: LogSource, spec: MotorSpec) -> FileRecord:
+    try:
+        path = logs.path(name)
+    except LogError as error:  # replaced or removed since it was listed
+        return failed(FileRecord(name, 0, 0, None), error)
     record = look_at(name, path)
     if record.status == "failed":
         return record

@@ -5,13 +5,15 @@ All that makes a cluster unfit is found before the first task, and is one error 
 
 from __future__ import annotations
 
+import logging
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pipeline.config import Execution
-from pipeline.dask_worker import Surroundings, differences
+from pipeline.dask_worker import CODE, Surroundings, differences
 from pipeline.errors import EngineError
 
 if TYPE_CHECKING:
@@ -20,8 +22,12 @@ if TYPE_CHECKING:
 # One thread a worker, for Polars and BLAS as well: with more, tasks of one process would share
 # what `threadpool_limits` holds, and results could depend on their company.
 ENVIRONMENT = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+# Workers of this machine say nothing of their own workings: the engine says what became of a task.
+LOCAL_ENVIRONMENT = {**ENVIRONMENT, "DASK_LOGGING__DISTRIBUTED": "critical"}
 # Packages of which client and scheduler must have the same version to understand each other.
 PROTOCOL = ("distributed", "msgpack")
+# Of the run's versions those that a scheduler must have to read a task.
+READERS = ("python", CODE)
 
 
 @contextmanager
@@ -34,7 +40,8 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
         ``dask_missing``: the extra is not installed; ``scheduler_unreachable``: nothing answers at
         the address; ``scheduler_no_workers``; ``scheduler_versions``: scheduler or a worker has
         other versions; ``scheduler_threads``: a worker with several threads; ``scheduler_folders``:
-        a worker that does not see logs or output.
+        a worker that does not see logs or output; ``scheduler_credentials``: one that has no way to
+        the logs' object store.
     """
     try:
         import distributed
@@ -45,14 +52,28 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
             "pip install 'motor-leakage[dask]'",
         ) from error
     with ExitStack() as stack:
+        stack.enter_context(_quiet(logging.WARNING if execution.scheduler else logging.CRITICAL))
         where = execution.scheduler or stack.enter_context(_local(execution))
         client = _client(distributed, where, execution)
         stack.callback(client.close)
         _require_same_protocol(client, where)
+        _require_same_program(client, where, expected)
         _require_workers(client, where, execution)
         _require_one_thread(client)
         _require_alike(client, expected)
         yield client
+
+
+@contextmanager
+def _quiet(level: int) -> Iterator[None]:
+    """Keep what Dask says of its own workings from those who read what the run says."""
+    dask = logging.getLogger("distributed")
+    before = dask.level
+    dask.setLevel(level)
+    try:
+        yield
+    finally:
+        dask.setLevel(before)
 
 
 @contextmanager
@@ -63,9 +84,9 @@ def _local(execution: Execution) -> Iterator[Any]:
 
     settings = {
         "distributed.scheduler.allowed-failures": 0,
-        "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
+        "distributed.nanny.pre-spawn-environ": LOCAL_ENVIRONMENT,
     }
-    with dask.config.set(settings), ExitStack() as stack:
+    with _environment_kept(), dask.config.set(settings), ExitStack() as stack:
         try:
             cluster = LocalCluster(
                 n_workers=execution.workers,
@@ -78,6 +99,18 @@ def _local(execution: Execution) -> Iterator[Any]:
                 "scheduler_unreachable", f"no Dask cluster can be started on this machine: {error}"
             ) from error
         yield stack.enter_context(cluster)
+
+
+@contextmanager
+def _environment_kept() -> Iterator[None]:
+    """Take back what is meant for workers: their nannies put it into this process as well."""
+    before = dict(os.environ)
+    try:
+        yield
+    finally:
+        for name in os.environ.keys() - before.keys():
+            del os.environ[name]
+        os.environ.update(before)
 
 
 def _client(distributed: Any, where: Any, execution: Execution) -> Client:
@@ -114,6 +147,21 @@ def _require_same_protocol(client: Client, where: Any) -> None:
         )
 
 
+def _require_same_program(client: Client, where: Any, expected: Surroundings) -> None:
+    """Refuse a scheduler that cannot read tasks: it unpickles them on their way."""
+    versions = {name: expected.versions[name] for name in READERS}
+    try:
+        found = client.run_on_scheduler(differences, Surroundings(versions))
+    except Exception as error:
+        found = [f"{type(error).__name__}: {error}"]
+    if found:
+        raise EngineError(
+            "scheduler_versions",
+            f"the scheduler at {where} has not this program: {'; '.join(found)}; install the same "
+            "motor-leakage there, and start it anew",
+        )
+
+
 def _require_workers(client: Client, where: Any, execution: Execution) -> None:
     try:
         client.wait_for_workers(1, timeout=execution.scheduler_wait_s)
@@ -145,10 +193,17 @@ def _require_alike(client: Client, expected: Surroundings) -> None:
                 "install the same motor-leakage there",
             )
         if found:
-            code = "scheduler_folders" if "folder" in found[0] else "scheduler_versions"
-            todo = (
-                "mount the same folders there"
-                if code == "scheduler_folders"
-                else "install the same requirements.txt there"
-            )
+            code, todo = _kind_of(found[0])
             raise EngineError(code, f"the worker {worker} is unfit: {'; '.join(found)}; {todo}")
+
+
+def _kind_of(difference: str) -> tuple[str, str]:
+    """The code of what makes a worker unfit, and what to do about it."""
+    code, todo = "scheduler_versions", "install the same requirements.txt there"
+    if difference.startswith("there is no folder"):
+        code = "scheduler_folders"
+        todo = "mount the same folders there"
+    elif difference.startswith("object store"):
+        code = "scheduler_credentials"
+        todo = "start it with the environment that the run has"
+    return code, todo

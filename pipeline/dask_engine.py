@@ -36,8 +36,11 @@ Result = TypeVar("Result")
 
 # How often to look whether there are workers while nothing finishes.
 LOOK_S = 1.0
-# Results that are asked for in one request; those of joined parts are large, and come alone.
+# Tasks that are sent, and results that are asked for, in one request: each costs scheduler and run
+# some milliseconds. Joined parts are large, and go and come alone.
 TOGETHER = 32
+# How long a result waits for others to be asked for with it.
+GATHER_S = 0.02
 # Tasks in flight for each worker where their own content is large.
 AHEAD = 2
 # How often a task is sent anew, for reasons that are not its own, before it counts as lost.
@@ -159,58 +162,66 @@ class _Flight:
 
     def _submit(self) -> None:
         """Fill up what is in flight; suspects go last, and each alone."""
-        while self._may_send():
-            self._send(self.waiting.popleft())
+        while together := self._may_send():
+            self._send(together)
         if self.suspects and not self.under_way:
             number = self.suspects.popleft()
             self.alone.add(number)
-            self._send(number)
+            self._send([number])
 
-    def _may_send(self) -> bool:
+    def _may_send(self) -> list[int]:
+        """The next tasks to be sent in one request; none where enough are in flight."""
         if not self.waiting or not self.alone.isdisjoint(self.under_way.values()):
-            return False
-        return len(self.under_way) < self._most(self.waiting[0])
+            return []
+        room = self._most(self.waiting[0]) - len(self.under_way)
+        together = 1 if self._is_large(self.waiting[0]) else TOGETHER
+        return [self.waiting.popleft() for _ in range(min(room, together, len(self.waiting)))]
+
+    def _is_large(self, number: int) -> bool:
+        """Whether much travels with a task and its result."""
+        return bool(getattr(self.tasks[number], "parts", ()))
 
     def _most(self, number: int) -> int:
         """How many tasks may be in flight; of those that carry much, no more than are done."""
         most = self.engine.execution.tasks_in_flight
-        if getattr(self.tasks[number], "parts", ()):
-            return min(most, AHEAD * max(len(self.engine.client.nthreads()), 1))
+        if self._is_large(number):
+            return min(most, AHEAD * max(len(self._workers()), 1))
         return most
 
-    def _send(self, number: int) -> None:
-        self.sent[number] += 1
+    def _send(self, numbers: Sequence[int]) -> None:
+        self.sent.update(numbers)
         fit = None
         if self.refused:
-            fit = sorted(set(self.engine.client.nthreads()) - self.refused) or None
+            fit = sorted(self._workers()) or None
+        tasks = [self.tasks[number] for number in numbers]
         with warnings.catch_warnings():
             # What a joining task is sent is large; scattered, it would be lost with its worker.
             warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
-            future = self.engine.client.submit(
+            futures = self.engine.client.map(
                 do_task,
-                self.function,
-                self.tasks[number],
-                self.engine.expected,
-                _needed(self.tasks[number]),
-                self.engine.execution,
-                key=f"motor-leakage-{self.run}-{number}-{self.sent[number]}",
+                tasks,
+                [_needed(task) for task in tasks],
+                function=self.function,
+                expected=self.engine.expected,
+                limits=self.engine.execution,
+                key=[
+                    f"motor-leakage-{self.run}-{number}-{self.sent[number]}" for number in numbers
+                ],
                 workers=fit,
                 # Never twice for one key by Dask itself unless a worker was lost.
                 retries=0,
                 pure=False,
             )
-        self.under_way[future] = number
-        future.add_done_callback(self.ended.put)
+        for number, future in zip(numbers, futures, strict=True):
+            self.under_way[future] = number
+            future.add_done_callback(self.ended.put)
 
     def _next(self) -> list[Future[Any]]:
         """The next tasks that ended, however they did; gives up where none can end any more."""
         wait_s = self.engine.execution.scheduler_wait_s
         without_workers_since = None
         while True:
-            with suppress(Empty):
-                ended = [self.ended.get(timeout=LOOK_S)]
-                while len(ended) < TOGETHER and not self.ended.empty():
-                    ended.append(self.ended.get())
+            if ended := self._ended():
                 known = [future for future in dict.fromkeys(ended) if future in self.under_way]
                 if known:
                     return known
@@ -226,6 +237,16 @@ class _Flight:
                     "scheduler_lost", f"the scheduler has had no worker for {wait_s:g} s"
                 )
 
+    def _ended(self) -> list[Future[Any]]:
+        """Tasks that have ended, with those that do a moment later; none where none did."""
+        found: list[Future[Any]] = []
+        with suppress(Empty):
+            found.append(self.ended.get(timeout=LOOK_S))
+            until = time.monotonic() + GATHER_S
+            while len(found) < min(TOGETHER, len(self.under_way)):
+                found.append(self.ended.get(timeout=max(0.0, until - time.monotonic())))
+        return found
+
     def _brought_together(
         self, ended: Sequence[Future[Any]]
     ) -> dict[Future[Any], Staged[Any] | Loss]:
@@ -234,7 +255,7 @@ class _Flight:
         finished = [
             one
             for one in ended
-            if one.status == "finished" and not getattr(self._task(one), "parts", ())
+            if one.status == "finished" and not self._is_large(self.under_way[one])
         ]
         if len(finished) < 2:
             return {}
@@ -247,9 +268,6 @@ class _Flight:
             log.info("results are asked for one by one: %s", error)
             return {}
         return dict(zip(finished, results, strict=True))
-
-    def _task(self, future: Future[Any]) -> Any:
-        return self.tasks[self.under_way[future]]
 
     def _workers(self) -> set[str]:
         """Workers that a task may go to; none while the scheduler does not answer."""

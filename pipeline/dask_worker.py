@@ -24,7 +24,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from pipeline.config import Execution
+from pipeline.errors import StoreError
 from pipeline.landing import scratch
+from pipeline.object_store import ObjectStore
 from pipeline.worker_process import Done, Loss
 from pipeline.workers import Worker, run_task
 
@@ -32,6 +34,7 @@ Result = TypeVar("Result")
 
 # What shapes the bytes of a result, beside the code itself.
 PACKAGES = ("numpy", "polars", "pyarrow", "scipy")
+CODE = "code of motor-leakage"
 SOURCES = ("leakage", "pipeline")
 
 # The process that does this worker's tasks; it has one at a time.
@@ -48,10 +51,13 @@ class Surroundings:
         By name, from :func:`own_versions`.
     folders
         Folders that it must see: of the logs, and of the output.
+    stores
+        URLs that it must have a client and credentials for.
     """
 
     versions: Mapping[str, str]
     folders: tuple[Path, ...] = ()
+    stores: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +74,7 @@ class StrangeWorkerError(Exception):
 
 def own_versions() -> dict[str, str]:
     """Versions of this process: Python, the packages that shape figures, and a hash of the code."""
-    return {**_package_versions(), "code of motor-leakage": _code_hash()}
+    return {**_package_versions(), CODE: _LOADED}
 
 
 @cache
@@ -82,7 +88,6 @@ def _package_versions() -> Mapping[str, str]:
     return found
 
 
-@cache
 def _code_hash() -> str:
     """Hash of the sources: two checkouts may differ under one version number."""
     digest = hashlib.sha256()
@@ -93,6 +98,10 @@ def _code_hash() -> str:
     return digest.hexdigest()[:12]
 
 
+# Of the code that this process has loaded: by the first task, another may lie on the disk.
+_LOADED = _code_hash()
+
+
 def differences(expected: Surroundings) -> list[str]:
     """What this process has not in common with the run, in words; empty: nothing."""
     own = own_versions()
@@ -101,16 +110,27 @@ def differences(expected: Surroundings) -> list[str]:
         for name, wanted in expected.versions.items()
         if own.get(name) != wanted
     ]
-    return found + [
+    found += [
         f"there is no folder {folder} there" for folder in expected.folders if not folder.is_dir()
     ]
+    return found + [fault for url in expected.stores if (fault := _fault_of_store(url))]
+
+
+@cache
+def _fault_of_store(url: str) -> str:
+    """Why this process has no way to an object store, in words; nothing is asked of the store."""
+    try:
+        ObjectStore.at(url)
+    except StoreError as error:
+        return f"object store: {error.message}"
+    return ""
 
 
 def do_task(
-    function: Callable[[Any], Result],
     task: Any,
-    expected: Surroundings,
     brought: Mapping[str, bytes],
+    function: Callable[[Any], Result],
+    expected: Surroundings,
     limits: Execution,
 ) -> Staged[Result] | Loss:
     """Do a task in a staging folder of its own, if the task has one, with what was brought there.

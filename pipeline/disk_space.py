@@ -10,7 +10,7 @@ from pathlib import Path
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
 from pipeline.ledger import read_ledger
-from pipeline.logs import find_logs
+from pipeline.log_source import logs_of
 from pipeline.schema import FITS
 from pipeline.store import table_folder
 
@@ -59,18 +59,10 @@ def require_space(output: Path, specs: Sequence[MotorSpec], minimum_free_mib: fl
 
 
 def new_files(output: Path, spec: MotorSpec) -> int:
-    """Log files of a motor that its ledger does not know by name and size; none in a store."""
-    if spec.log_url:
-        return 0
+    """Log files of a motor that its ledger does not know by name and size."""
     known = read_ledger(output, spec.motor_id).files
-    found = 0
-    for name, path in find_logs(spec)[0].items():
-        try:
-            size = path.stat().st_size
-        except OSError:
-            continue
-        found += name not in known or known[name].size != size
-    return found
+    sizes = logs_of(spec).sizes()
+    return sum(name not in known or known[name].size != size for name, size in sizes.items())
 
 
 def bytes_a_night(output: Path) -> int:

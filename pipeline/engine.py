@@ -29,7 +29,10 @@ class RunTasks(Protocol):
 
 @contextmanager
 def open_engine(
-    execution: Execution, folders: Sequence[Path] = (), crew: Crew | None = None
+    execution: Execution,
+    folders: Sequence[Path] = (),
+    stores: Sequence[str] = (),
+    crew: Crew | None = None,
 ) -> Iterator[RunTasks]:
     """The configured engine, for all tasks of a run.
 
@@ -39,6 +42,8 @@ def open_engine(
         Which one, and how much of it.
     folders
         What workers elsewhere must see: logs and output.
+    stores
+        URLs of object stores that they must have a way to.
     crew
         Workers of this machine that were started before; None: there are none.
 
@@ -52,7 +57,7 @@ def open_engine(
         from pipeline.dask_engine import DaskEngine
         from pipeline.dask_worker import Surroundings, own_versions
 
-        expected = Surroundings(own_versions(), tuple(folders))
+        expected = Surroundings(own_versions(), tuple(folders), tuple(stores))
         with connected(execution, expected) as client:
             yield DaskEngine(client, execution, expected).run_tasks
         return

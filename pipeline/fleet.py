@@ -206,12 +206,17 @@ def run_fleet(
     LockedError
         If another run writes to the same output.
     StoreError
-        If nothing can be published, or there is too little room for it.
+        If nothing can be published, there is too little room for it, or the logs' object store
+        cannot be listed.
     EngineError
         If there is nothing that tasks could run on.
     """
     fleet, output = request.fleet, request.fleet.output
-    require_space(output, request.specs, fleet.execution.minimum_free_mib)
+    if fleet.log_url:
+        _require_logs(fleet.log_url)
+    minimum_free_mib = fleet.execution.minimum_free_mib
+    if not fleet.object_store:
+        require_space(output, request.specs, minimum_free_mib)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -220,15 +225,23 @@ def run_fleet(
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
+                # A working copy knows its logs only once it is up to date.
+                require_space(output, request.specs, minimum_free_mib)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
-            with open_engine(fleet.execution, folders, crew) as run_tasks:
+            stores = (fleet.log_url,) if fleet.log_url else ()
+            with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
                 result = _run(request, staging, progress, heartbeat, run_tasks)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
     for fault in notify(fleet.settings.alarms, fleet.name, result.alarms):
         log.warning("%s", fault)
     return result
+
+
+def _require_logs(url: str) -> None:
+    """Refuse a run whose logs nobody can list: each of its motors would fail of it."""
+    next(ObjectStore.at(url).list(), None)
 
 
 def refresh(fleet: Fleet) -> int:

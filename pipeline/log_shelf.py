@@ -64,6 +64,8 @@ class LogShelf:
         What is known of each file by now, by path relative to the log root.
     absent
         Those that are named in the config and absent.
+    unmatched
+        Tells of the globs that match none.
     read
         Paths of those whose content was read.
     """
@@ -81,6 +83,7 @@ class LogShelf:
         self._read_with = reading_hash(spec)
         self._source = logs_of(spec)
         self.absent = self._source.absent
+        self.unmatched = self._source.unmatched
         self._ahead: dict[str, RawLog] = {}
         only = reads_ahead and len(set(self._source.names) - before.keys()) == 1
         if looked_at is None:

@@ -11,6 +11,7 @@ import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -24,10 +25,12 @@ from pipeline.logs import (
     GLOB_CHARACTERS,
     LookInto,
     change_of,
+    failed,
     find_logs,
     growing,
     inspect_log,
     legible,
+    without_match,
 )
 from pipeline.object_store import ObjectChangedError, ObjectStore, StoredObject
 
@@ -69,6 +72,12 @@ class LogSource(Protocol):
     def change_of(self, record: FileRecord) -> LogError | None:
         """What is no more as it was when a log was looked at; None: nothing."""
 
+    def unmatched(self) -> tuple[str, ...]:
+        """What to say of the globs that match none."""
+
+    def sizes(self) -> dict[str, int]:
+        """Sizes of those that are there, by name; none is opened [bytes]."""
+
 
 class FolderLogs:
     """Logs in a folder.
@@ -98,6 +107,18 @@ class FolderLogs:
         """As `LogSource`."""
         return change_of(record, self.path(record.path))
 
+    def unmatched(self) -> tuple[str, ...]:
+        """As `LogSource`."""
+        return without_match(self._spec)
+
+    def sizes(self) -> dict[str, int]:
+        """As `LogSource`."""
+        found = {}
+        for name, path in self._paths.items():
+            with suppress(OSError):  # gone, or not to be read: told when it is looked at
+                found[name] = path.stat().st_size
+        return found
+
 
 class StoredLogs:
     """Logs in an object store, each copied to a scratch folder while it is read.
@@ -116,7 +137,7 @@ class StoredLogs:
     def __init__(self, spec: MotorSpec) -> None:
         self._spec = spec
         self._store = ObjectStore.at(spec.log_url)
-        self._found, self.absent = _matching(self._store, spec.file.logs.files)
+        self._found, self.absent, self._unmatched = _matching(self._store, spec.file.logs.files)
         self.names = tuple(sorted(self._found))
         self._folder = Path(tempfile.mkdtemp(prefix="motor-leakage-logs-"))
         weakref.finalize(self, remove_all, self._folder)
@@ -132,7 +153,8 @@ class StoredLogs:
         try:
             path = self.path(name)
         except LogError as error:
-            return growing(_record(name, found), error)
+            became = failed if error.code == "log_missing" else growing
+            return became(_record(name, found), error)
         record = inspect_log(name, path, None, self._spec, look_into)
         record = replace(record, modified_ns=_modified_ns(found), inode=_number(found.tag))
         if before is not None and before.sha256 == record.sha256 and record.sha256:
@@ -154,6 +176,9 @@ class StoredLogs:
             with scratch(path) as stream:
                 self._store.fetch(found, stream)
         except ObjectChangedError as error:
+            if self._store.tag_of(found.key) is None:
+                how = "it was removed after it had been listed"
+                raise LogError("log_missing", Path(name), how) from error
             raise _changed(path) from error
         os.utime(path, ns=(_modified_ns(found), _modified_ns(found)))
         self._copies[name] = path
@@ -168,6 +193,15 @@ class StoredLogs:
         if found is None or self._store.tag_of(found.key) in (found.tag, None):
             return None
         return _changed(Path(record.path))
+
+    def unmatched(self) -> tuple[str, ...]:
+        """As `LogSource`."""
+        url = self._spec.log_url
+        return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
+
+    def sizes(self) -> dict[str, int]:
+        """As `LogSource`."""
+        return {name: found.size for name, found in self._found.items()}
 
 
 def _changed(path: Path) -> LogError:
@@ -194,13 +228,14 @@ def _number(tag: str) -> int:
 
 def _matching(
     store: ObjectStore, patterns: tuple[str, ...]
-) -> tuple[dict[str, StoredObject], list[str]]:
-    """Objects that a motor's patterns name, by key; and patterns that name one that is absent.
+) -> tuple[dict[str, StoredObject], list[str], list[str]]:
+    """Objects by key that patterns name; patterns of one that is absent; globs without a match.
 
     Only the folder that a pattern names before its first wildcard is listed.
     """
     found: dict[str, StoredObject] = {}
     absent: list[str] = []
+    unmatched: list[str] = []
     listed: dict[str, Mapping[str, StoredObject]] = {}
     for pattern in patterns:
         plain = re.split(r"[*?\[]", pattern)[0]
@@ -212,10 +247,13 @@ def _matching(
             found[legible(pattern)] = here[pattern]
         elif GLOB_CHARACTERS & set(pattern):
             fits = _as_path_glob(pattern)
-            found |= {legible(key): one for key, one in here.items() if fits.fullmatch(key)}
+            matches = {legible(key): one for key, one in here.items() if fits.fullmatch(key)}
+            found |= matches
+            if not matches:
+                unmatched.append(pattern)
         else:
             absent.append(pattern)
-    return found, absent
+    return found, absent, unmatched
 
 
 def _as_path_glob(pattern: str) -> re.Pattern[str]:

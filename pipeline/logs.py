@@ -61,9 +61,6 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
 
 def without_match(spec: MotorSpec) -> tuple[str, ...]:
     """What to say of the globs of a motor's logs that match no file."""
-    if spec.log_url:
-        globs = (one for one in spec.file.logs.files if GLOB_CHARACTERS & set(one))
-        return tuple(f"no object matches {pattern} below {spec.log_url}" for pattern in globs)
     return tuple(
         f"no file matches {pattern} below {spec.log_root}"
         for pattern in spec.file.logs.files

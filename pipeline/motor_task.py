@@ -37,7 +37,7 @@ from pipeline.ledger import (
     read_settings,
 )
 from pipeline.log_shelf import LogShelf, Sight
-from pipeline.logs import labels_of, legible, reaches_us, slice_night, without_match
+from pipeline.logs import labels_of, legible, reaches_us, slice_night
 from pipeline.messages import speak_as_told
 from pipeline.motor_night import (
     FAILED,
@@ -678,7 +678,7 @@ class _Nights:
     def _why_nothing(self, status: str) -> str | None:
         """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
         if not self.logs.files:
-            return "; ".join(without_match(self.spec)) or None
+            return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:
             return None
         label = min(label for label, one in self.done.items() if one.status == status)

@@ -43,6 +43,8 @@ CREDENTIALS = {
     ),
 }
 SCHEMES = tuple(CREDENTIALS)
+# Another S3-compatible server: the names that the client reads, the first found.
+ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
 # A server that fails is asked again this often, with longer and longer waits in between.
 RETRIES = 5
 PART = 8 << 20
@@ -79,7 +81,8 @@ class ObjectStore:
         ------
         StoreError
             ``object_store_missing``: the extra is not installed; ``object_store_credentials``: the
-            environment has none.
+            environment has none; ``object_store_http``: it names a server without encryption, and
+            does not say that this is meant.
         """
         scheme = url.partition("://")[0]
         try:
@@ -95,6 +98,8 @@ class ObjectStore:
                 f"{url}: the environment has no credentials; expected one of "
                 f"{', '.join(CREDENTIALS[scheme])}",
             )
+        if scheme == "s3":
+            _require_http_allowed()
         second = dt.timedelta(seconds=1)
         waits = {"init_backoff": second / 10, "max_backoff": 5 * second, "base": 2}
         retries = {"max_retries": RETRIES, "backoff": waits, "retry_timeout": 60 * second}
@@ -235,6 +240,18 @@ class ObjectStore:
 
 class ObjectChangedError(Exception):
     """An object is no more the one that was listed; carries its key."""
+
+
+def _require_http_allowed() -> None:
+    """All that reads the tables later asks for the same word: Polars, Delta Lake."""
+    name = next((name for name in ENDPOINTS if name in os.environ), None)
+    allowed = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true", "yes", "on", "y", "t")
+    if name and os.environ[name].startswith("http://") and not allowed:
+        raise StoreError(
+            "object_store_http",
+            f"{name} is {os.environ[name]}, without encryption; expected https://, or "
+            "AWS_ALLOW_HTTP=true beside it",
+        )
 
 
 def _is_absent_bucket(error: Exception) -> bool:

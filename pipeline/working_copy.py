@@ -94,8 +94,10 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
     ------
     StoreError
         If it cannot be brought up to date, or not be published: nothing of it is then.
+        ``store_copy``: without a URL, the folder is the working copy of one.
     """
     if not url:
+        _require_no_copy(output)
         yield
         return
     store = ObjectStore.at(url)
@@ -106,6 +108,18 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
     yield
     with interrupts_held():
         push(store, output, snapshot, started_ns)
+
+
+def _require_no_copy(output: Path) -> None:
+    """What is changed in a working copy and not published would be taken for what is published."""
+    record = output / RECORD
+    if record.exists():
+        raise StoreError(
+            "store_copy",
+            f"{output} is the working copy of an object store, to which this would publish "
+            f"nothing: run with its folders.object_store and folders.output, choose another "
+            f"output, or remove {record} to part from the store",
+        )
 
 
 def read_snapshot(store: ObjectStore) -> Snapshot:

@@ -23,7 +23,10 @@ ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as demo/configs/fleet.toml.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
-Output = Annotated[Path | None, typer.Option(help="Output folder, instead of the config's.")]
+Output = Annotated[
+    Path | None,
+    typer.Option(help="Output folder instead of the config's; it goes into no object store."),
+]
 Motors = Annotated[
     str, typer.Option(help="Ids of the motors to do, with blanks between; all if empty.")
 ]
@@ -37,14 +40,18 @@ def loaded(config: Path) -> Fleet:
 
 
 def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
+    """The fleet of a config, with what the command line says instead of it.
+
+    A run into another output folder is private: nothing is taken from or put into an object store.
+    """
     from pipeline.config import ConfigError, Fault
 
     fleet = loaded(config)
     if logs and not fleet.log_url and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])
-    if output is not None:
-        fleet = replace(fleet, output=output.resolve())
+    if output is not None and output.resolve() != fleet.output:
+        fleet = replace(fleet, output=output.resolve(), object_store="")
     if jobs is not None:
         fleet = replace(fleet, execution=fleet.execution.model_copy(update={"workers": jobs}))
     return fleet

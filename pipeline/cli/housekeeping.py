@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -105,14 +107,21 @@ def migrate(
         say(f"{found.total()} files {word}; the tables' schema version is {SCHEMA_VERSION}")
 
 
-def pull(config: ConfigFile, output: Output = None) -> None:
+def pull(
+    config: ConfigFile,
+    output: Annotated[
+        Path | None, typer.Option(help="Folder of the copy, instead of the config's output.")
+    ] = None,
+) -> None:
     """Bring the output folder up to date with the object store that it is published to.
 
     Example: motor-leakage pull demo/configs/fleet.toml
     """
     from pipeline.fleet import refresh
 
-    fleet = load(config, output, None, logs=False)
+    fleet = load(config, None, None, logs=False)
+    if output is not None:
+        fleet = replace(fleet, output=output.resolve())
     if not fleet.object_store:
         say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
         return

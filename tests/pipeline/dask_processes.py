@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -30,7 +32,7 @@ def start(*arguments: str) -> subprocess.Popen[str]:
         [sys.executable, "-m", "dask", *arguments],
         env=environment,
         stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
         text=True,
         start_new_session=True,
     )
@@ -49,43 +51,43 @@ class Processes:
             start("worker", self.address, "--nthreads", "1", "--no-dashboard", *options)
         )
 
+    def wait_for(self, n_workers: int) -> None:
+        from distributed import Client
+
+        with Client(self.address, timeout=PATIENCE_S, set_as_default=False) as client:
+            wait_until(lambda: len(client.run(os.getpid, on_error="ignore")) == n_workers)
+
     def execution(self, **changed: Any) -> Execution:
         settings = {"backend": "dask", "scheduler": self.address, "scheduler_wait_s": PATIENCE_S}
         return Execution.model_validate(settings | changed)
 
     def end(self) -> None:
         for process in (*self.workers, self.scheduler):
-            if process.poll() is None:
+            with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
-            process.communicate()
+            process.wait()
 
 
 @contextmanager
 def scheduler_with(n_workers: int, *options: str) -> Iterator[Processes]:
     """A scheduler with some workers, all ended afterwards."""
-    process = start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard")
-    assert process.stderr is not None
-    found = Processes(process, "")
-    try:
-        for line in process.stderr:
-            if "Scheduler at:" in line:
-                found.address = line.split()[-1]
-                break
-        assert found.address, "the scheduler did not start"
-        for _ in range(n_workers):
-            found.add_worker(*options)
-        if n_workers:
-            _wait_for(found.address, n_workers)
-        yield found
-    finally:
-        found.end()
-
-
-def _wait_for(address: str, n_workers: int) -> None:
-    from distributed import Client
-
-    with Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
-        client.wait_for_workers(n_workers, timeout=PATIENCE_S)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "scheduler.json"
+        where = ("--host", "127.0.0.1", "--port", "0", "--scheduler-file", str(file))
+        found = Processes(start("scheduler", "--no-dashboard", *where), "")
+        try:
+            wait_until(file.exists)
+            wait_until(lambda: file.read_text("utf-8").endswith("}"))
+            found.address = json.loads(file.read_text("utf-8"))["address"]
+            if n_workers == 1:
+                found.add_worker(*options)
+            elif n_workers:
+                found.add_worker("--nworkers", str(n_workers), *options)
+            if n_workers:
+                found.wait_for(n_workers)
+            yield found
+        finally:
+            found.end()
 
 
 def wait_until(holds: Any) -> None:

@@ -7,6 +7,7 @@ import signal
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from tests.pipeline.dask_processes import wait_until
 
@@ -51,3 +52,31 @@ def wait_for_word(task: Wait) -> int:
     if task.number:
         wait_until((task.folder / "go").exists)
     return task.number
+
+
+def kill_worker_of_parquet(task: Any) -> Any:
+    """Takes every worker with it that tries the one motor."""
+    from pipeline.motor_task import run_motor
+
+    if task.spec.motor_id == "CB400-02":
+        os.kill(os.getppid(), signal.SIGKILL)
+        time.sleep(60.0)
+    return run_motor(task)
+
+
+def die_in_a_night(task: Any) -> Any:
+    """The process that has a motor's part dies in one night of it."""
+    import pipeline.motor_task as module
+
+    fit_night = module.fit_night
+
+    def fit_or_die(spec: Any, here: Any, *arguments: Any) -> Any:
+        if str(here.date) == "2026-01-03":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return fit_night(spec, here, *arguments)
+
+    module.fit_night = fit_or_die
+    try:
+        return module.run_part(task)
+    finally:
+        module.fit_night = fit_night

@@ -7,11 +7,14 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.client import HTTPConnection
+from pathlib import Path
 from typing import Any
 
 import pytest
 from moto.moto_server.werkzeug_app import DomainDispatcherApplication, create_backend_app
 from werkzeug.serving import make_server
+
+from pipeline.object_store import ObjectStore
 
 SIGNATURE = "AWS4-HMAC-SHA256 Credential=a/20260101/us-east-1/s3/aws4_request, Signature=x"
 
@@ -61,7 +64,8 @@ def s3_server(monkeypatch: pytest.MonkeyPatch, bucket: str) -> Iterator[Server]:
     server = make_server("127.0.0.1", 0, found, threaded=True)
     server.log = lambda *_: None  # type: ignore[method-assign]
     server.RequestHandlerClass.log = lambda *_: None  # type: ignore[attr-defined]
-    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    # Looked at this often whether it is to end [s].
+    thread = threading.Thread(target=server.serve_forever, args=(0.02,), daemon=True)
     thread.start()
     found.port = server.server_port
     try:
@@ -89,3 +93,11 @@ def _make_bucket(port: int, bucket: str) -> None:
         connection.request(method, path, headers={"Authorization": SIGNATURE})
         assert connection.getresponse().status == 200
         connection.close()
+
+
+def upload(folder: Path, url: str) -> None:
+    """Put all files of a folder below a URL."""
+    store = ObjectStore.at(url)
+    for path in sorted(folder.rglob("*")):
+        if path.is_file():
+            store.create(path.relative_to(folder).as_posix(), path.read_bytes())

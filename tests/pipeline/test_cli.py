@@ -109,7 +109,6 @@ def test_2_for_a_broken_config_before_anything_is_read(
         raise AssertionError
 
     monkeypatch.setattr("pipeline.log_source.find_logs", forbidden)
-    monkeypatch.setattr("pipeline.check.find_logs", forbidden)
     change(fleet, f"motors/{CSV}.toml", 'oil = "vg68"', 'oil = "vg99"')
     change(fleet, "fleet.toml", "workers = 2", "workers = 0")
     before = sorted(fleet.parent.parent.rglob("*"))

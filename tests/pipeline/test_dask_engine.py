@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -13,9 +13,14 @@ from typing import Any
 import pytest
 
 from pipeline.config import Execution
-from pipeline.dask_cluster import _require_one_thread, _require_same_protocol, connected
+from pipeline.dask_cluster import (
+    _require_one_thread,
+    _require_same_program,
+    _require_same_protocol,
+    connected,
+)
 from pipeline.dask_engine import DaskEngine, _Flight
-from pipeline.dask_worker import Surroundings, differences, own_versions
+from pipeline.dask_worker import CODE, Surroundings, differences, own_versions
 from pipeline.engine import open_engine
 from pipeline.errors import EngineError
 from pipeline.worker_process import Loss
@@ -29,13 +34,6 @@ from tests.pipeline.dask_tasks import (
     wait_for_word,
 )
 from tests.pipeline.misbehaviour import do
-
-
-@pytest.fixture(scope="module")
-def two_workers() -> Iterator[Processes]:
-    """Two workers whose nannies start them again when they die."""
-    with scheduler_with(2) as processes:
-        yield processes
 
 
 def lost(task: Any, loss: Loss) -> str:
@@ -101,7 +99,7 @@ def test_a_task_that_kills_every_worker_fails_alone(two_workers: Processes) -> N
 def test_what_a_task_does_to_its_process_costs_neither_a_worker_nor_another_task(
     two_workers: Processes,
 ) -> None:
-    execution = two_workers.execution(timeout_s=4.0, memory_limit_mib=700)
+    execution = two_workers.execution(timeout_s=2.0)
     losses: dict[str, Loss] = {}
 
     def lose(task: str, loss: Loss) -> None:
@@ -129,21 +127,11 @@ def workers_of(execution: Execution) -> dict[str, int]:
         return found
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_the_process_of_a_worker_lives_on_and_dies_with_it(two_workers: Processes) -> None:
-    execution = two_workers.execution()
-    found = set(run(execution, process_and_worker, list(range(12))))
-    workers = {worker for _, worker in found}
-    assert len(found) == len(workers) <= 2
-    assert workers <= set(workers_of(execution).values())
-    process, worker = min(found)
-    os.kill(worker, signal.SIGKILL)
-    wait_until(lambda: not Path(f"/proc/{process}").exists())
-
-
 @pytest.mark.full
 def test_workers_that_nobody_starts_again_do_not_keep_a_run_waiting() -> None:
-    with scheduler_with(2, "--no-nanny") as processes:
+    with scheduler_with(1, "--no-nanny") as processes:
+        processes.add_worker("--no-nanny")
+        processes.wait_for(2)
         execution = processes.execution(scheduler_wait_s=1.0, tasks_in_flight=2)
         found = run(execution, kill_workers_at_three, list(range(8)))
         assert len(found) == 8
@@ -166,24 +154,34 @@ def test_an_exception_of_a_task_is_told(two_workers: Processes) -> None:
     assert found[1].startswith("three: internal: TypeError: bad operand type for abs()")
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
 def test_a_worker_killed_in_the_middle_costs_nothing(
     two_workers: Processes, tmp_path: Path
 ) -> None:
     execution = two_workers.execution()
-    with connected(execution, Surroundings(own_versions())) as client:
-        engine = DaskEngine(client, execution, Surroundings(own_versions()))
+    expected = Surroundings(own_versions())
+    with connected(execution, expected) as client:
+        engine = DaskEngine(client, execution, expected)
+        # Each worker has one process for its tasks, and keeps it.
+        processes = set(engine.run_tasks(process_and_worker, list(range(12)), lost))
+        assert len(processes) == len({worker for _, worker in processes}) <= 2
         results = engine.run_tasks(wait_for_word, [Wait(n, tmp_path) for n in range(6)], lost)
         found = [next(results)]
-        victim = min(client.run(os.getpid).values())
+        process, victim = min(processes)
+        assert victim in client.run(os.getpid).values()
         os.kill(victim, signal.SIGKILL)
+        wait_until(lambda: not Path(f"/proc/{process}").exists())
         (tmp_path / "go").touch()
         found += results
         assert found[0] == 0
         assert sorted(found) == list(range(6))
 
 
-def test_a_scheduler_that_is_gone_ends_the_run(tmp_path: Path) -> None:
-    with scheduler_with(1) as processes:
+def test_a_scheduler_without_workers_and_one_that_is_gone(tmp_path: Path) -> None:
+    with scheduler_with(0) as processes:
+        error = code_of(processes.execution(scheduler_wait_s=0.5))
+        assert error.code == "scheduler_no_workers"
+        processes.add_worker("--no-nanny")
         with open_engine(processes.execution()) as run_tasks:
             results = run_tasks(wait_for_word, [Wait(n, tmp_path) for n in range(4)], lost)
             assert next(results) == 0
@@ -191,6 +189,20 @@ def test_a_scheduler_that_is_gone_ends_the_run(tmp_path: Path) -> None:
             rest = list(results)
         assert len(rest) == 3
         assert all("scheduler_lost: " in one for one in rest)
+
+
+def test_a_scheduler_that_does_not_answer_is_no_error_of_a_task(tmp_path: Path) -> None:
+    def gone() -> None:
+        raise OSError("timed out")
+
+    client: Any = SimpleNamespace(nthreads=gone)
+    engine = DaskEngine(client, Execution(backend="dask"), Surroundings({}))
+    # How many tasks with much to carry may be in flight depends on how many workers there are.
+    joining = SimpleNamespace(parts=("a",), staging=tmp_path)
+    flight = _Flight(engine, abs, {0: joining, 1: joining, 2: joining})
+    flight.waiting.extend([0, 1, 2])
+    assert [flight._may_send() for _ in range(3)] == [[0], [1], [2]]
+    assert flight._most(0) == 2
 
 
 def test_a_run_that_is_stopped_takes_its_tasks_back(two_workers: Processes, tmp_path: Path) -> None:
@@ -243,12 +255,6 @@ def test_no_scheduler_at_the_address() -> None:
     assert address in error.message
 
 
-def test_a_scheduler_without_workers() -> None:
-    with scheduler_with(0) as processes:
-        error = code_of(processes.execution(scheduler_wait_s=0.5))
-    assert error.code == "scheduler_no_workers"
-
-
 @pytest.mark.parametrize("name", ["python", "numpy", "polars", "code of motor-leakage"])
 def test_workers_of_other_versions_are_refused(
     two_workers: Processes, monkeypatch: pytest.MonkeyPatch, name: str
@@ -275,6 +281,36 @@ def test_a_scheduler_of_another_protocol_is_refused() -> None:
     assert caught.value.code == "scheduler_versions"
 
 
+def test_a_scheduler_with_other_code_is_refused(two_workers: Processes) -> None:
+    execution = two_workers.execution()
+    with connected(execution, Surroundings(own_versions())) as client:
+        client.run_on_scheduler(pretend_code, "0123")
+        try:
+            error = code_of(execution)
+        finally:
+            client.run_on_scheduler(pretend_code, own_versions()[CODE])
+    assert error.code == "scheduler_versions"
+    assert "the scheduler at" in error.message
+    assert f"code of motor-leakage is 0123 there and {own_versions()[CODE]} here" in error.message
+
+
+def pretend_code(code: str) -> None:
+    """Let the scheduler believe that it has loaded other code; runs there."""
+    import pipeline.dask_worker as worker
+
+    worker._LOADED = code
+
+
+def test_a_scheduler_without_the_program_is_refused() -> None:
+    def absent(*_: object) -> None:
+        raise ModuleNotFoundError("No module named 'pipeline'")
+
+    client: Any = SimpleNamespace(run_on_scheduler=absent)
+    with pytest.raises(EngineError, match="No module named 'pipeline'") as caught:
+        _require_same_program(client, "tcp://there:1", Surroundings(own_versions()))
+    assert caught.value.code == "scheduler_versions"
+
+
 def test_a_worker_with_two_threads_is_refused() -> None:
     client = SimpleNamespace(nthreads=lambda: {"tcp://a:1": 1, "tcp://b:1": 2})
     with pytest.raises(EngineError, match=r"tcp://b:1 has 2 threads") as caught:
@@ -288,6 +324,18 @@ def test_workers_that_do_not_see_the_logs_are_refused(
     error = code_of(two_workers.execution(), tmp_path / "nowhere")
     assert error.code == "scheduler_folders"
     assert str(tmp_path / "nowhere") in error.message
+
+
+def test_workers_without_credentials_for_the_logs_are_refused(
+    two_workers: Processes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_KEY", "a2V5")
+    with (
+        pytest.raises(EngineError, match=r"expected one of AZURE_STORAGE_ACCOUNT_KEY") as caught,
+        open_engine(two_workers.execution(), (), ["az://container/logs"]),
+    ):
+        pass
+    assert caught.value.code == "scheduler_credentials"
 
 
 def test_without_the_extra_the_message_says_what_to_install(

@@ -5,32 +5,34 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from pipeline.cli import main
 from pipeline.config import load_fleet
 from pipeline.errors import EngineError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.object_store import ObjectStore
+from pipeline.trends.stage import run_trends
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
+from tests.pipeline.dask_tasks import die_in_a_night, kill_worker_of_parquet
+from tests.pipeline.mini_fleet import mini_fleet
 from tests.pipeline.s3_server import s3_server
-from tests.pipeline.test_fleet import MOTORS, check_same_tables, output_of, status_of, table_files
-
-COMMAND = (sys.executable, "-c", "from pipeline.cli import main; main()")
-
-
-@pytest.fixture(scope="module")
-def two_workers() -> Iterator[Processes]:
-    with scheduler_with(2) as processes:
-        yield processes
+from tests.pipeline.test_fleet import (
+    MOTORS,
+    check_same_tables,
+    output_of,
+    rows,
+    status_of,
+    table_files,
+)
 
 
 def run(fleet_file: Path, output: Path, execution: Any, progress: Any = None) -> RunResult:
@@ -64,48 +66,21 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     assert table_files(tmp_path) == table_files(fitted_output)
 
 
-def kill_worker_of_parquet(task: Any) -> Any:
-    """Takes every worker with it that tries the one motor."""
-    from pipeline.motor_task import run_motor
-
-    if task.spec.motor_id == "CB400-02":
-        os.kill(os.getppid(), signal.SIGKILL)
-        time.sleep(60.0)
-    return run_motor(task)
-
-
-def die_in_a_night(task: Any) -> Any:
-    """The process that has a motor's part dies in one night of it."""
-    import pipeline.motor_task as module
-
-    fit_night = module.fit_night
-
-    def fit_or_die(spec: Any, here: Any, *arguments: Any) -> Any:
-        if str(here.date) == "2026-01-03":
-            os.kill(os.getpid(), signal.SIGKILL)
-        return fit_night(spec, here, *arguments)
-
-    module.fit_night = fit_or_die
-    try:
-        return module.run_part(task)
-    finally:
-        module.fit_night = fit_night
-
-
+@pytest.mark.full
 def test_a_night_that_its_process_dies_of_costs_no_other(
-    two_workers: Processes,
-    own_fleet: OwnFleet,
-    fitted_output: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    two_workers: Processes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    fleet = own_fleet("CB400-02")
-    monkeypatch.setattr("pipeline.spread.run_part", die_in_a_night)
-    (outcome,) = run(fleet, output_of(fleet), two_workers.execution(nights_a_part=2)).outcomes
+    fleet = mini_fleet(tmp_path, 1, 3)
+    how = two_workers.execution(nights_a_part=2)
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.spread.run_part", die_in_a_night)
+        (outcome,) = run(fleet, output_of(fleet), how).outcomes
     assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
-    # Done once more, it has the figures of the others' runs.
-    again = replace(load_fleet(fleet), execution=two_workers.execution())
+    # Done once more, it has the figures of a run in which nothing died.
+    again = replace(load_fleet(fleet), execution=how)
     assert run_fleet(RunRequest(again, retry=True)).failed == ()
-    check_same_tables(output_of(fleet), fitted_output, "CB400-02")
+    run(fleet, tmp_path / "whole", load_fleet(fleet).execution)
+    check_same_tables(output_of(fleet), tmp_path / "whole", "M1")
 
 
 @pytest.mark.full
@@ -131,32 +106,32 @@ def test_workers_of_this_machine_write_the_same_bytes(
 ) -> None:
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
     fleet = own_fleet("CB400-01", "CB400-02")
-    execution = load_fleet(fleet).execution
+    execution, environment = load_fleet(fleet).execution, dict(os.environ)
     for backend in ("dask", "sequential"):
         how = execution.model_copy(update={"backend": backend})
         run(fleet, tmp_path / backend, how)
+    # What is meant for its workers stays with them.
+    assert dict(os.environ) == environment
     assert table_files(tmp_path / "dask") == table_files(tmp_path / "sequential")
 
 
-def test_the_command_ends_with_4_without_a_scheduler(own_fleet: OwnFleet) -> None:
+def test_the_command_ends_with_4_without_a_scheduler(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     fleet = own_fleet("CB400-02")
     text = fleet.read_text("utf-8").replace(
         "[execution]",
         '[execution]\nbackend = "dask"\nscheduler = "tcp://127.0.0.1:1"\nscheduler_wait_s = 0.5',
     )
     fleet.write_text(text, "utf-8")
-    done = subprocess.run(
-        [*COMMAND, "fit-fleet", str(fleet), "--output", "out"],
-        cwd=fleet.parent,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 4
-    assert "scheduler_unreachable: no Dask scheduler answers at tcp://127.0.0.1:1" in done.stderr
-    assert "Traceback" not in done.stderr
-    assert not list((fleet.parent / "out").rglob("*.parquet"))
+    monkeypatch.setattr(sys, "argv", ["motor-leakage", "fit-fleet", str(fleet)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 4
+    err = capfd.readouterr().err
+    assert "scheduler_unreachable: no Dask scheduler answers at tcp://127.0.0.1:1" in err
+    assert "Traceback" not in err
+    assert not list(output_of(fleet).rglob("*.parquet"))
 
 
 @pytest.mark.full
@@ -192,3 +167,33 @@ def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
         assert elsewhere.n_nights == 0
     check_same_tables(tmp_path / "work", fitted_output, "CB400-01", "CB400-02")
     assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "work")
+
+
+def test_trends_without_an_engine_are_made_by_the_next_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = mini_fleet(tmp_path, 2, 2)
+
+    @contextmanager
+    def lost_before_trends(*_: object) -> Iterator[Any]:
+        def run_tasks(function: Any, tasks: Sequence[Any], lost: Any) -> Iterator[Any]:
+            if function is run_trends:
+                raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
+            yield from map(function, tasks)
+
+        yield run_tasks
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pipeline.fleet.open_engine", lost_before_trends)
+        result = run_fleet(RunRequest(load_fleet(fleet)))
+    # The nights are published, and it is told why the motors have no trends.
+    assert (result.n_nights, result.interrupted) == (4, False)
+    told = {(one.error_code, one.message) for one in result.failed}
+    assert told == {("scheduler_lost", "trends: the connection to the scheduler is lost")}
+    assert len(result.failed) == 2
+    assert rows(output_of(fleet), "fits")["status"].to_list() == ["ok"] * 4
+    assert not (output_of(fleet) / "tables" / "trends").exists()
+    again = run_fleet(RunRequest(load_fleet(fleet)))
+    assert (again.n_nights, again.failed) == (0, ())
+    run_fleet(RunRequest(replace(load_fleet(fleet), output=tmp_path / "whole")))
+    check_same_tables(output_of(fleet), tmp_path / "whole", "M1", "M2")

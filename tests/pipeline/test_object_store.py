@@ -141,3 +141,14 @@ def test_without_the_extra_the_message_says_what_to_install(
     with pytest.raises(StoreError, match=r"motor-leakage\[s3\]") as error:
         ObjectStore.at(URL)
     assert code_of(error) == "object_store_missing"
+
+
+def test_a_server_without_encryption_has_to_be_meant(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("AWS_ALLOW_HTTP")
+    with pytest.raises(StoreError, match=r"AWS_ENDPOINT_URL is http://127\.0\.0\.1:") as error:
+        ObjectStore.at(URL)
+    assert code_of(error) == "object_store_http"
+    monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
+    assert ObjectStore.at(URL).get("nothing") is None

@@ -43,6 +43,7 @@ def run(fleet_file: Path, output: Path, **execution: Any) -> Any:
     return run_fleet(RunRequest(replace(fleet, execution=how, output=output)))
 
 
+@pytest.mark.full  # over Dask, and without worker processes, among those that judge every change
 def test_a_motor_in_parts_of_a_night_has_the_rows_that_it_has_in_one(
     own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path
 ) -> None:
@@ -126,10 +127,13 @@ def test_a_log_over_the_border_of_two_parts(workshop: Workshop, tmp_path: Path) 
 def test_the_model_before_is_the_one_of_another_part(workshop: Workshop, tmp_path: Path) -> None:
     for number in range(4):
         workshop.log(FIRST + number * DAY, seed=number)
-    run(workshop.fleet, tmp_path / "out", backend="loky", nights_a_part=2)
-    found = rows(tmp_path / "out", "fits")["previous_model_fit_percent"].to_list()
-    assert found[0] is None
-    assert None not in found[1:]
+    outcomes(workshop, tmp_path / "parts", 2)
+    (file,) = (tmp_path / "parts" / "fits").glob("*.arrow")
+    found = pl.read_ipc(file).filter(pl.col("is_primary")).sort("night")
+    judged = found["previous_model_fit_percent"].to_list()
+    assert judged[0] is None
+    assert len(judged) == 4
+    assert None not in judged[1:]
 
 
 def test_a_log_that_changes_between_the_parts_waits(
@@ -259,6 +263,7 @@ def test_a_part_that_is_lost_nobody_knows_where_fails_its_motor(
     assert (outcome.error_code, outcome.message) == ("worker_died", "it died")
 
 
+@pytest.mark.full
 def test_a_night_of_a_part_that_kills_its_worker_process_costs_no_other(
     own_fleet: OwnFleet,
     fitted_output: Path,

@@ -20,15 +20,15 @@ import pytest
 
 import pipeline.object_store
 import pipeline.working_copy
+from pipeline.cli.arguments import load
 from pipeline.config import load_fleet
 from pipeline.decisions import Decision, read_decisions, record_decision
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, RunResult, refresh, run_fleet
-from pipeline.log_source import StoredLogs
 from pipeline.object_store import ObjectStore
 from pipeline.working_copy import ROOT, Snapshot, pull, push, read_snapshot
 from tests.conftest import OwnFleet
-from tests.pipeline.s3_server import Request, Server, never, s3_server
+from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
 from tests.pipeline.test_fleet import CSV, PARQUET, output_of, status_of, table_files
 from tests.pipeline.workshop import DAY, Workshop
 
@@ -42,13 +42,6 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
     monkeypatch.setattr(pipeline.object_store, "RETRIES", 1)
     with s3_server(monkeypatch, BUCKET) as found:
         yield found
-
-
-def upload(folder: Path, url: str) -> None:
-    store = ObjectStore.at(url)
-    for path in sorted(folder.rglob("*")):
-        if path.is_file():
-            store.create(path.relative_to(folder).as_posix(), path.read_bytes())
 
 
 def run(fleet_file: Path, output: Path, **changed: Any) -> RunResult:
@@ -150,22 +143,20 @@ def test_a_query_engine_reads_the_list_itself(server: Server, tmp_path: Path) ->
     assert found == [("M1", FIRST, "ok")]
 
 
-@pytest.mark.parametrize("failing", ["files/", "lists/", ROOT])
-def test_puts_that_fail_leave_what_was_published(
-    server: Server, tmp_path: Path, failing: str
-) -> None:
+def test_puts_that_fail_leave_what_was_published(server: Server, tmp_path: Path) -> None:
     shop = Workshop.at(tmp_path)
     shop.log(FIRST)
     run(shop.fleet, shop.output)
     before, tables = ObjectStore.at(URL).get(ROOT), published()
     shop.log(FIRST + DAY)
-    server.fails = lambda asked: asked.method == "PUT" and failing in asked.path
-    with pytest.raises(StoreError) as error:
-        run(shop.fleet, shop.output)
-    assert error.value.code == "store_write"
-    server.fails = never
-    assert ObjectStore.at(URL).get(ROOT) == before
-    assert published() == tables
+    for failing in ("files/", "lists/", ROOT):
+        server.fails = lambda asked, key=failing: asked.method == "PUT" and key in asked.path
+        with pytest.raises(StoreError) as error:
+            run(shop.fleet, shop.output)
+        assert error.value.code == "store_write"
+        server.fails = never
+        assert ObjectStore.at(URL).get(ROOT) == before
+        assert published() == tables
     # The next run, here or elsewhere, does it as if nothing had been.
     assert run(shop.fleet, shop.output).n_nights == 1
     run(shop.fleet, tmp_path / "folder", object_store="")
@@ -301,59 +292,6 @@ def test_a_damaged_object_is_not_believed(server: Server, tmp_path: Path) -> Non
     assert error.value.code == "store_read"
 
 
-# Logs
-
-
-def stored(workshop: Workshop, **changed: Any) -> Any:
-    """The workshop's motor with its logs in the bucket."""
-    task = workshop.task()
-    spec = replace(task.spec, log_url=f"s3://{BUCKET}/logs")
-    return replace(task, spec=spec, **changed)
-
-
-def test_a_log_that_is_replaced_while_it_is_read_waits(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
-    store = ObjectStore.at(f"s3://{BUCKET}/logs")
-    upload(tmp_path / "logs", store.url)
-    key = f"M1/{FIRST}.parquet"
-    other = shop.log(FIRST, seed=9).read_bytes()
-
-    def swap(asked: Request) -> None:
-        # Asked for its tag after it was read: by then somebody has replaced it.
-        if asked.method == "HEAD" and asked.path.endswith(key):
-            server.before = never
-            listed = store.get(key)
-            assert listed is not None
-            store.replace(key, other, listed[1])
-
-    server.before = swap
-    outcome = pipeline.motor_task.run_motor(stored(shop))
-    assert outcome.files == {"growing": 1, "read": 1}
-    assert outcome.nights == (FIRST + DAY,)
-    assert "it was replaced while it was read" in outcome.growing[0]
-
-
-def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) -> None:
-    names = ["M1/a.csv", "M1/b.csv", "M1/old/c.csv", "M1/a[1].csv", "M10/a.csv", "M1/b.txt"]
-    store = ObjectStore.at(f"s3://{BUCKET}/logs")
-    shop = Workshop.at(tmp_path)
-    for name in names:
-        store.create(name, b"x")
-        (tmp_path / "logs" / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "logs" / name).write_bytes(b"x")
-    for patterns in (["M1/*.csv"], ["M1/**/*.csv"], ["M1/a[1].csv"], ["*/a.csv"], ["M1/[!a].csv"]):
-        shop.configure(files=json.dumps(patterns)[1:-1])
-        spec = stored(shop).spec
-        here = pipeline.log_source.FolderLogs(shop.task().spec)
-        there = StoredLogs(spec)
-        assert there.names == here.names
-        assert here.names
-    shop.configure(files='"M1/absent.csv"')
-    assert StoredLogs(stored(shop).spec).absent == ["M1/absent.csv"]
-
-
 def test_nothing_is_published_without_credentials(
     server: Server, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -363,3 +301,38 @@ def test_nothing_is_published_without_credentials(
         run(fleet, output_of(fleet))
     assert error.value.code == "object_store_credentials"
     assert not list(output_of(fleet).rglob("*.parquet"))
+
+
+# A run that is not published
+
+
+def test_a_run_into_another_output_is_private(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    shop.log(FIRST + DAY)
+    url = f'[folders]\nobject_store = "{URL}"\n'
+    shop.fleet.write_text(shop.fleet.read_text("utf-8").replace("[folders]\n", url), "utf-8")
+    server.forget()
+    private = load(shop.fleet, tmp_path / "private", None)
+    assert run_fleet(RunRequest(private)).n_nights == 2
+    assert not server.requests
+    # The config's own output by its name is the working copy, as ever.
+    assert load(shop.fleet, shop.output, None).object_store == URL
+    assert run_fleet(RunRequest(load(shop.fleet, shop.output, None))).n_nights == 1
+    assert published().keys() == table_files(tmp_path / "private").keys()
+
+
+def test_a_working_copy_is_not_written_to_without_being_published(
+    server: Server, tmp_path: Path
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    tables = table_files(shop.output)
+    shop.log(FIRST + DAY)
+    with pytest.raises(StoreError, match="is the working copy of an object store") as error:
+        run(shop.fleet, shop.output, object_store="")
+    assert error.value.code == "store_copy"
+    assert table_files(shop.output) == tables
+    assert run(shop.fleet, shop.output).n_nights == 1

@@ -90,7 +90,7 @@ class Workshop:
         return outcome
 
     def task(self) -> MotorTask:
-        (spec,) = load_fleet(self.folder / "configs" / "fleet.toml").motors
+        spec, *_ = load_fleet(self.folder / "configs" / "fleet.toml").motors
         staging = self.folder / "staging"
         staging.mkdir(exist_ok=True)
         return MotorTask(spec, self.output, staging)
