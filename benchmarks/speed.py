@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import re
 import shutil
 import statistics
@@ -22,10 +23,12 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from benchmarks.day_fleets import DAY_MINUTES, MOTORS, log_of, logs_of, make_fleet, write_day
@@ -49,6 +52,8 @@ READERS = {
 GOALS = {"parquet": 10.0, "csv": 2.5, "mcap": 1.3}
 OFFICIAL_MOTORS = 2
 SAMPLES = (100_000, 1_000_000, 8_640_000)
+# As many days at 100 Hz are a hundred million samples.
+DAYS = 12
 FLEETS = (1, 10, 100, 1000)
 SMALL_MINUTES = 20.0
 USER_STARTS, TIMED_STARTS = 50, 3
@@ -74,6 +79,7 @@ def main(options: Sequence[str] = ()) -> None:
     for name in asked.only.split(","):
         with tempfile.TemporaryDirectory() as folder:
             begin = time.perf_counter()
+            sys.stderr.write(f"{name}: begins, load {os.getloadavg()[0]:.1f}\n")
             part = PARTS[name](Asked(Path(folder), asked.repeats, asked.motors))
             sys.stderr.write(f"{name}: {time.perf_counter() - begin:.0f} s\n")
         stored[name] = asdict(part)
@@ -256,7 +262,15 @@ def growth(asked: Asked) -> Part:
         cost = interleaved({"": lambda c=config: first_night(c, 1)}, min(asked.repeats, 3))[""]
         taken.append((n, cost.processor_s))
         rows.append([f"{n:,} samples of a day", *_seconds(cost), ""])
-    rows[-1][-1] = _slope(taken)
+    config = make_fleet(day, asked.folder / "fleet", "parquet", 1)
+    (log,) = logs_of(config)
+    for number in range(1, DAYS):
+        pq.write_table(_later(whole, number), log.with_name(f"{number}.parquet"))
+    cost = first_night(config, 1)
+    taken.append((DAYS * whole.num_rows, cost.processor_s))
+    what = f"{DAYS * whole.num_rows:,} samples of {DAYS} days, {worker_peak_mib(config):.0f} MiB"
+    rows.append([what, *_seconds(cost), _slope(taken)])
+    del whole
     shutil.rmtree(day)
     write_day(day, SMALL_MINUTES, 1.0, "parquet")
     taken = []
@@ -268,7 +282,8 @@ def growth(asked: Asked) -> Part:
         rows.append([f"{n} motors of {SMALL_MINUTES:g} min", *_seconds(cost), parent])
     rows[-1][-1] += f", {_slope(taken)}"
     text = (
-        "Samples of one motor-day in Parquet (a day at 100 Hz, thinned); motors with a short log. "
+        "Samples of one motor in Parquet (a day at 100 Hz, thinned; several days), one worker; "
+        "motors with a short log, two workers. "
         "A slope of 1 on logarithmic axes is growth in proportion; what does not grow (the start "
         "of the processes) is below it. " + _nights()
     )
@@ -278,6 +293,13 @@ def growth(asked: Asked) -> Part:
 def _thinned(table: pa.Table, n: int) -> pa.Table:
     rows = np.linspace(0, table.num_rows - 1, min(n, table.num_rows)).astype(np.int64)
     return table.take(pa.array(rows))
+
+
+def _later(table: pa.Table, days: int) -> pa.Table:
+    """The same log some days later."""
+    shift = pa.scalar(timedelta(days=days), pa.duration("us"))
+    place = table.schema.get_field_index("timestamp")
+    return table.set_column(place, table.schema.field(place), pc.add(table.column(place), shift))
 
 
 def _slope(taken: Sequence[tuple[int, float]]) -> str:
