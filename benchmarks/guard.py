@@ -148,11 +148,13 @@ def _cases(folder: Path) -> list[Case]:
         read = READERS[reader]()
         return lambda: read(logs[name])
 
+    def fitting() -> object:
+        return fit_night(spec, night(NIGHT, spec.settings.nights), dict(channels), {})
+
     parquet, csv = fastest("pyarrow_parquet", "parquet"), fastest("pyarrow_csv", "csv")
     return [
         Case("motor-night, whole run / reading its Parquet", whole, parquet, 40),
-        Case("motor-night without reading / QR of as many samples",
-             lambda: fit_night(spec, night(NIGHT, spec.settings.nights), channels, {}), qr, 10),
+        Case("motor-night without reading / QR of as many samples", fitting, qr, 10),
         Case("Parquet, ours / PyArrow", reading("parquet"), parquet, 10),
         Case("CSV, ours / PyArrow", reading("csv"), csv, 2),
         Case("MCAP, ours / official reader", reading("mcap"), fastest("official_mcap", "mcap")),
