@@ -5,9 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from pipeline.config import MotorSpec
@@ -22,7 +20,6 @@ from pipeline.logs import (
     labels_of,
     place_failed,
     reaches_us,
-    spanned,
 )
 from pipeline.night_rows import utc
 from pipeline.nights import Night, night_of, nights_between
@@ -55,8 +52,6 @@ class LogShelf:
         What was known of its files.
     looked_at
         What another task of this run has seen of them; none is then looked at again.
-    reads_ahead
-        Whether contents will be wanted: what is new is then read at once, if it is one file.
 
     Attributes
     ----------
@@ -75,8 +70,6 @@ class LogShelf:
         spec: MotorSpec,
         before: Mapping[str, FileRecord],
         looked_at: Mapping[str, FileRecord] | None = None,
-        *,
-        reads_ahead: bool = False,
     ) -> None:
         self._spec = spec
         self._before = before
@@ -84,15 +77,11 @@ class LogShelf:
         self._source = logs_of(spec)
         self.absent = self._source.absent
         self.unmatched = self._source.unmatched
-        self._ahead: dict[str, RawLog] = {}
-        only = reads_ahead and len(set(self._source.names) - before.keys()) == 1
         if looked_at is None:
             looked_at = place_failed(
                 {
                     name: replace(
-                        self._source.look_at(
-                            name, self._known(name), self._read_ahead if only else None
-                        ),
+                        self._source.look_at(name, self._known(name)),
                         read_with=self._read_with,
                     )
                     for name in self._source.names
@@ -105,17 +94,6 @@ class LogShelf:
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
-
-    def _read_ahead(self, record: FileRecord, path: Path, spec: MotorSpec) -> FileRecord:
-        """Look into a file by reading it whole: mostly it is the one new log of a night."""
-        # One at a time is in memory; and of one that cannot be read, its ends may still tell.
-        with suppress(LogError):
-            if not self._ahead:
-                log = read_log(path, spec.file.log_source())
-                found = covered(record, log, spec)
-                self._ahead[record.path] = log
-                return found
-        return spanned(record, path, spec)
 
     def _known(self, name: str) -> FileRecord | None:
         """What was known of a file, if it was understood as it is now."""
@@ -197,9 +175,7 @@ class LogShelf:
             return None
         content: RawLog | None = None
         try:
-            content = self._ahead.pop(name, None)
-            if content is None:
-                content = read_log(self._source.path(name), self._spec.file.log_source())
+            content = read_log(self._source.path(name), self._spec.file.log_source())
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None
@@ -219,7 +195,7 @@ class LogShelf:
     def let_go_until(self, label: dt.date) -> None:
         """Give up contents that no night after this one needs."""
         for name in list(self._open):
-            if max(self.touched(name) | self.reached(name)) <= label:
+            if max(self.touched(name) | self.reached(name), default=label) <= label:
                 del self._open[name]
 
     def recall(self, here: Night, known: Mapping[str, Sight], used: tuple[str, ...]) -> bool:

@@ -23,7 +23,6 @@ from pipeline.landing import remove_all, scratch
 from pipeline.ledger import FileRecord
 from pipeline.logs import (
     GLOB_CHARACTERS,
-    LookInto,
     change_of,
     failed,
     find_logs,
@@ -52,13 +51,8 @@ class LogSource(Protocol):
     names: tuple[str, ...]
     absent: list[str]
 
-    def look_at(
-        self, name: str, before: FileRecord | None, look_into: LookInto | None = None
-    ) -> FileRecord:
-        """What is known of a log; one that is as it was before is not opened.
-
-        Parameters as of `inspect_log`.
-        """
+    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+        """What is known of a log; one that is as it was before is not opened."""
 
     def path(self, name: str) -> Path:
         """A file with its content.
@@ -93,11 +87,9 @@ class FolderLogs:
         self._paths, self.absent = find_logs(spec)
         self.names = tuple(self._paths)
 
-    def look_at(
-        self, name: str, before: FileRecord | None, look_into: LookInto | None = None
-    ) -> FileRecord:
+    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
         """As `LogSource`."""
-        return inspect_log(name, self._paths[name], before, self._spec, look_into)
+        return inspect_log(name, self._paths[name], before, self._spec)
 
     def path(self, name: str) -> Path:
         """As `LogSource`; of one that is gone, where it was."""
@@ -143,9 +135,7 @@ class StoredLogs:
         weakref.finalize(self, remove_all, self._folder)
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
-    def look_at(
-        self, name: str, before: FileRecord | None, look_into: LookInto | None = None
-    ) -> FileRecord:
+    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
         """As `LogSource`."""
         found = self._found[name]
         if before is not None and before.sha256 and _is_known(before, found):
@@ -155,7 +145,7 @@ class StoredLogs:
         except LogError as error:
             became = failed if error.code == "log_missing" else growing
             return became(_record(name, found), error)
-        record = inspect_log(name, path, None, self._spec, look_into)
+        record = inspect_log(name, path, None, self._spec)
         record = replace(record, modified_ns=_modified_ns(found), inode=_number(found.tag))
         if before is not None and before.sha256 == record.sha256 and record.sha256:
             return replace(before, modified_ns=record.modified_ns, inode=record.inode)

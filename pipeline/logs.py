@@ -7,7 +7,7 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -75,17 +75,7 @@ def legible(text: str) -> str:
     return one_line(text, LONGEST_PATH)
 
 
-# Tells which nights a file covers, of which nothing but size, time and hash is known.
-LookInto = Callable[[FileRecord, Path, MotorSpec], FileRecord]
-
-
-def inspect_log(
-    name: str,
-    path: Path,
-    before: FileRecord | None,
-    spec: MotorSpec,
-    look_into: LookInto | None = None,
-) -> FileRecord:
+def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpec) -> FileRecord:
     """What is known of a file: as before while its content is the same, else from a look at it.
 
     Parameters
@@ -96,8 +86,6 @@ def inspect_log(
         What was known of it; None for a file not seen.
     spec
         The motor.
-    look_into
-        How to look into a file whose content is new; None: as `spanned`.
 
     Returns
     -------
@@ -112,17 +100,13 @@ def inspect_log(
     # What could not be read has no hash: its permissions may be others by now.
     if before and before.sha256 and same:
         return before if before.inode == record.inode else replace(before, inode=record.inode)
-    found = _inspected(record, path, before, spec, look_into or spanned)
+    found = _inspected(record, path, before, spec)
     why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
     return found if why is None else growing(found, why)
 
 
 def _inspected(
-    record: FileRecord,
-    path: Path,
-    before: FileRecord | None,
-    spec: MotorSpec,
-    look_into: LookInto,
+    record: FileRecord, path: Path, before: FileRecord | None, spec: MotorSpec
 ) -> FileRecord:
     """What a look into a file of another size or time tells."""
     try:
@@ -131,7 +115,7 @@ def _inspected(
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
         return replace(before, modified_ns=record.modified_ns, inode=record.inode)
-    return look_into(record, path, spec)
+    return spanned(record, path, spec)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:

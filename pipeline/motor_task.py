@@ -276,7 +276,7 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     StoreError
         If a published table that it needs is damaged.
     """
-    return _Nights(task, reads_ahead=False).plan()
+    return _Nights(task).plan()
 
 
 def run_motor(task: MotorTask) -> MotorOutcome | SplitMotor:
@@ -416,7 +416,7 @@ def _without_failures(ledger: Ledger) -> Ledger:
 class _Nights:
     """A motor's nights while its task works through them."""
 
-    def __init__(self, task: MotorTask, *, reads_ahead: bool = True) -> None:
+    def __init__(self, task: MotorTask) -> None:
         self.task = task
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
@@ -425,9 +425,7 @@ class _Nights:
         if task.retry:
             self.before = _without_failures(self.before)
         with self._timed("read_s"):
-            self.logs = LogShelf(
-                self.spec, self.before.files, task.looked_at, reads_ahead=reads_ahead
-            )
+            self.logs = LogShelf(self.spec, self.before.files, task.looked_at)
         self.made = _read_parts(task)
         self.hashes = SettingsHashes(self.spec)
         self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)

@@ -104,7 +104,7 @@ def loss_of(error: BaseException) -> Loss:
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
 
-def serve(run: Connection, stderr: Connection, modules: Sequence[str]) -> None:
+def serve(run: Connection, stderr: Connection, modules: Sequence[str], run_pid: int) -> None:
     """Do tasks until there is nobody left who sends any.
 
     Parameters
@@ -115,11 +115,13 @@ def serve(run: Connection, stderr: Connection, modules: Sequence[str]) -> None:
         Takes what is written to stderr.
     modules
         What to load before there is a task.
+    run_pid
+        Process of the run.
     """
     global _run
     os.dup2(stderr.fileno(), sys.stderr.fileno())
     stderr.close()
-    _end_with_the_run()
+    _end_with_the_run(run_pid)
     # A terminal sends it to all processes; the run decides what comes of its tasks.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # The run sends SIGALRM when the time is up. Told from C, without the interpreter, which may
@@ -134,13 +136,22 @@ def serve(run: Connection, stderr: Connection, modules: Sequence[str]) -> None:
             given: Assignment = run.recv()
         except EOFError:
             return
-        _, most = resource.getrlimit(resource.RLIMIT_DATA)
-        resource.setrlimit(resource.RLIMIT_DATA, (given.memory_limit_mib * MIB, most))
+        _limit_memory(given.memory_limit_mib * MIB)
         sign_of_life("")
         run.send(attempt(given.function, given.task))
 
 
-def _end_with_the_run() -> None:
+def _limit_memory(limit: int) -> None:
+    """Limit the data of this process [bytes], within what the system lets it have."""
+    _, most = resource.getrlimit(resource.RLIMIT_DATA)
+    if most != resource.RLIM_INFINITY:
+        limit = min(limit, most)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, most))
+
+
+def _end_with_the_run(run_pid: int) -> None:
     """Have the kernel kill this process when the run dies; elsewhere it ends after its task."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != run_pid:  # it has died already
+            os._exit(0)

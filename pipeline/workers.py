@@ -12,10 +12,11 @@ import os
 import re
 import signal
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from multiprocessing.connection import wait
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Self, TypeVar
@@ -218,11 +219,12 @@ class Worker:
         # A daemon is ended when the run ends, however that comes.
         self.process = context.Process(
             target=serve,
-            args=(theirs, their_stderr, tuple(modules)),
+            args=(theirs, their_stderr, tuple(modules), os.getpid()),
             env=ENVIRONMENT,
             daemon=True,
         )
-        self.process.start()
+        with _deaf_to_interrupts():
+            self.process.start()
         # Once it is the only one to hold them, they close with it.
         theirs.close()
         their_stderr.close()
@@ -287,6 +289,19 @@ class Worker:
         if self.process.exitcode is None:
             os.kill(self.process.pid, signal.SIGKILL)
             self.process.join()
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Have processes that are started here ignore what a terminal sends to all of them."""
+    if threading.current_thread() is not threading.main_thread():  # only there it can be set
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _died(exit_code: int) -> str:

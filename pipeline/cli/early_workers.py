@@ -38,5 +38,5 @@ def _n_workers(config: Path, jobs: int | None) -> int:
         if execution.get("backend", "loky") != "loky":
             return 0
         return int(jobs or execution.get("workers", 2))
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError, OverflowError, RecursionError):
         return 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import datetime as dt
 import signal
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -70,7 +71,7 @@ def fit_fleet(
     Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
     config; 3: another run holds the output; 4: nothing could be published.
     """
-    with nullcontext() if dry_run else early_crew(config, jobs) as crew:
+    with _stoppable(), nullcontext() if dry_run else early_crew(config, jobs) as crew:
         from pipeline.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -104,7 +105,7 @@ def retry(
 
     Exit codes as those of fit-fleet.
     """
-    with early_crew(config, jobs) as crew:
+    with _stoppable(), early_crew(config, jobs) as crew:
         from pipeline.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -119,16 +120,11 @@ def _run(
     from pipeline.fleet import run_fleet
 
     fleet = request.fleet
-    terminated = _catch_termination()
-    try:
-        with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
-            result = run_fleet(request, reporter.motor, crew)
-            reporter.summary(result, fleet.output)
-        interrupted = result.interrupted
-    except KeyboardInterrupt:  # while publishing: what is not yet published is done anew
-        interrupted = True
-    if interrupted:
-        raise typer.Exit(EXIT_TERMINATED if terminated else EXIT_INTERRUPTED)
+    with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
+        result = run_fleet(request, reporter.motor, crew)
+        reporter.summary(result, fleet.output)
+    if result.interrupted:
+        raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed or alarmed else EXIT_OK)
 
@@ -178,8 +174,12 @@ def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoRetu
     raise UsageError("unknown_night", f"no log of {motor} covers the night of {label}: {there}")
 
 
-def _catch_termination() -> list[int]:
-    """Let SIGTERM end a run as SIGINT does; the list tells afterwards that it came."""
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Let SIGTERM end a command as SIGINT does, each with its exit code.
+
+    What a run is not done with is done by the next one.
+    """
     came: list[int] = []
 
     def stop(number: int, _: FrameType | None) -> None:
@@ -187,4 +187,7 @@ def _catch_termination() -> list[int]:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, stop)
-    return came
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise typer.Exit(EXIT_TERMINATED if came else EXIT_INTERRUPTED) from None

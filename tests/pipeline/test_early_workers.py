@@ -22,6 +22,8 @@ from pipeline.worker_process import Loss
         ('[execution]\nbackend = "dask"\n', None, 0),
         ("not toml", None, 0),
         ("execution = 7", 2, 0),
+        ("[execution]\nworkers = inf\n", None, 0),
+        ("a = " + "[" * 5000, None, 0),
         ('[execution]\nworkers = "many"\n', None, 0),
     ],
 )

@@ -25,7 +25,6 @@ import pipeline.logs
 from pipeline.check import check_fleet
 from pipeline.config import load_fleet
 from pipeline.ledger import read_ledger
-from pipeline.log_shelf import LogShelf
 from pipeline.logs import change_of, look_at
 from pipeline.settings_hashes import config_hash
 from tests.pipeline.simulated import CANONICAL, NIGHT, load_motor, motor_toml, operate
@@ -206,11 +205,6 @@ def test_what_grows_waits_and_the_next_run_reads_it(
             if place == "pipeline.log_shelf.read_log":
                 # What it has so far reads: a log that is whole and then written on.
                 patch.setattr(pipeline.logs, "time_span", lambda *_: ends(site.nights[NIGHT + DAY]))
-            if place == "pipeline.logs.time_span":
-                # As where there is more than one new file: then only the ends are looked at.
-                patch.setattr(
-                    LogShelf, "_read_ahead", lambda _, *more: pipeline.logs.spanned(*more)
-                )
             writing_during(patch, place, other, before=before)
             outcome = workshop.run()
         assert (outcome.status, outcome.error_code) == ("no_new_data", None)

@@ -17,7 +17,6 @@ from polars.testing import assert_frame_equal
 
 import pipeline.log_shelf
 import pipeline.log_source
-import pipeline.logs
 import pipeline.motor_task
 from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, plan_fleet
@@ -151,31 +150,6 @@ def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPa
 
 
 # What a change touches
-
-
-def test_the_one_new_file_of_a_night_is_opened_once_and_of_more_the_ends_are_looked_at(
-    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    opened: list[str] = []
-
-    def noting(what: str, real: Callable[..., Any]) -> Callable[..., Any]:
-        def note(path: Path, *more: Any) -> Any:
-            opened.append(f"{what} {path.name}")
-            return real(path, *more)
-
-        return note
-
-    monkeypatch.setattr(pipeline.log_shelf, "read_log", noting("read", pipeline.log_shelf.read_log))
-    monkeypatch.setattr(pipeline.logs, "time_span", noting("look at", pipeline.logs.time_span))
-    for night in (NIGHT, NIGHT + DAY):
-        path = workshop.log(night)
-        assert workshop.run().nights == (night,)
-        assert opened == [f"read {path.name}"]
-        opened.clear()
-    paths = [workshop.log(NIGHT + days * DAY) for days in (2, 3)]
-    workshop.run()
-    looked_at, read = [f"look at {path.name}" for path in paths], [f"read {p.name}" for p in paths]
-    assert opened == looked_at + read
 
 
 def test_a_plan_reads_no_log(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
