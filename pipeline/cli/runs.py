@@ -174,6 +174,10 @@ def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoRetu
     raise UsageError("unknown_night", f"no log of {motor} covers the night of {label}: {there}")
 
 
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM came. Python itself dies of a bare KeyboardInterrupt that came while it loaded."""
+
+
 @contextmanager
 def _stoppable() -> Iterator[None]:
     """Let SIGTERM end a command as SIGINT does, each with its exit code.
@@ -184,7 +188,7 @@ def _stoppable() -> Iterator[None]:
 
     def stop(number: int, _: FrameType | None) -> None:
         came.append(number)
-        raise KeyboardInterrupt
+        raise _Terminated
 
     signal.signal(signal.SIGTERM, stop)
     try:
