@@ -7,6 +7,7 @@ file under a name of its own where there are too many for the disk.
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from datetime import date
 from pathlib import Path
@@ -36,7 +37,7 @@ def log_of(day: Path, name: str) -> Path:
 
 
 def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = False) -> Path:
-    """Make a fleet of n motors with a day's log in a format each; returns its config."""
+    """Make a fleet of n motors with a day's log in a format and a tank each; returns its config."""
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(day / "configs", folder / "configs")
     motors = folder / "configs" / "motors"
@@ -46,7 +47,10 @@ def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = Fal
     log = log_of(day, name)
     for number in range(1, n + 1):
         motor_id = f"M{number:04}"
-        (motors / f"{motor_id}.toml").write_text(text.replace(MOTORS[name], motor_id), "utf-8")
+        own = re.sub(
+            "(oil_circuit = ).*", rf'\1"tank of {motor_id}"', text.replace(MOTORS[name], motor_id)
+        )
+        (motors / f"{motor_id}.toml").write_text(own, "utf-8")
         target = folder / "logs" / motor_id / log.name
         target.parent.mkdir(parents=True)
         (os.link if linked else shutil.copyfile)(log, target)

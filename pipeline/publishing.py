@@ -91,7 +91,8 @@ class Publisher:
                 self._vacate(table, motors, forget)
         nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
         for night in sorted(nights):
-            here = {table: _of_night(motors, night) for table, motors in staged.items()}
+            # Of one table at a time: with all of them a large fleet would fill the memory.
+            here = {table: partial(_of_night, some, night) for table, some in staged.items()}
             self._night(night, here, forget, finish or {})
 
     def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
@@ -127,12 +128,12 @@ class Publisher:
                     motor_id: kept.filter(pl.col("motor_id") == motor_id).drop("run_id")
                     for motor_id in left
                 }
-                self._night(night, {table: rows_of}, forget, {})
+                self._night(night, {table: partial(dict, rows_of)}, forget, {})
 
     def _night(
         self,
         night: dt.date,
-        new: Mapping[Table, Rows],
+        new: Mapping[Table, Callable[[], Rows]],
         forget: Forget,
         finish: Mapping[str, Finish],
     ) -> None:
@@ -140,8 +141,8 @@ class Publisher:
         manifest = read_manifest(self.output, f"{night:%Y-%m}", night.isoformat()) or Manifest()
         files: list[NightFile] = []
         with ExitStack() as undone:
-            for table, motors in new.items():
-                if not motors:
+            for table, rows_of in new.items():
+                if not (motors := rows_of()):
                     continue
                 last = partial(_finished, finish.get(table.name), list(motors))
                 name = f"{table.name}/month={night:%Y-%m}/{night}.parquet"
