@@ -34,14 +34,7 @@ from pipeline.ledger import Ledger, forget_night, read_settings, write_months, w
 from pipeline.log_shelf import FATES
 from pipeline.logs import legible
 from pipeline.motor_night import FAILED
-from pipeline.motor_task import (
-    MotorOutcome,
-    MotorTask,
-    Step,
-    lost,
-    plan_motor,
-    run_motor,
-)
+from pipeline.motor_task import plan_motor, run_motor
 from pipeline.night_statistics import hash_of
 from pipeline.notify import notify
 from pipeline.object_store import ObjectStore
@@ -65,6 +58,7 @@ from pipeline.settings_hashes import settings_of, why_anew
 from pipeline.spread import run_motors
 from pipeline.status import last_good_run
 from pipeline.store import last_night
+from pipeline.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.trends.record import (
     forget_records,
     note_touched,

@@ -14,8 +14,6 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from enum import Enum
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -25,11 +23,9 @@ import polars as pl
 from polars.exceptions import PanicException
 from threadpoolctl import threadpool_limits
 
-from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
 from pipeline.landing import scratch
 from pipeline.ledger import (
-    FileRecord,
     Ledger,
     NightRecord,
     changed_months,
@@ -56,6 +52,17 @@ from pipeline.refit import StoredNights, is_refit, judged
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
 from pipeline.settings_hashes import SettingsHashes, settings_of, why_anew
 from pipeline.store import night_file, read_rows, stage
+from pipeline.tasks import (
+    MadeNight,
+    MotorOutcome,
+    MotorTask,
+    PartOutcome,
+    PartTask,
+    SplitMotor,
+    Step,
+    Work,
+    lost,
+)
 from pipeline.worker_process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -65,207 +72,6 @@ Made = TypeVar("Made")
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
-# A motor of which more nights than this take their worker with them is given up as a whole.
-MOST_GIVEN_UP = 3
-
-
-class Work(Enum):
-    """How far a night is made anew: from its log, from its statistics, or the model before only."""
-
-    READ = "read"
-    REFIT = "refit"
-    JUDGE = "judge"
-
-
-@dataclass(frozen=True, slots=True)
-class Step:
-    """A night that is to be made anew: how far, and why, in words."""
-
-    work: Work
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class MotorTask:
-    """What a worker needs to do a motor: plain data, small enough to send.
-
-    Attributes
-    ----------
-    spec
-        The motor with its resolved config.
-    output
-        Output folder, for the ledger (read only).
-    staging
-        Folder for this run's staged rows.
-    since, until
-        Labels of the first and last night to do; None: no limit.
-    force
-        Whether to make nights anew from their logs that nothing has changed of.
-    retry
-        Whether to try nights and logs again that failed.
-    with_starts
-        Whether nights that are, or were, fitted anew without their log get the starts of their
-        search.
-    given_up
-        Nights that this run's workers were lost in, each time.
-    nights_a_part
-        A motor with more nights to read than this is split into parts of so many; 0: never.
-    looked_at
-        What an earlier task of this run has seen of its logs; None: nothing.
-    parts
-        Files below the staging folder with nights that other tasks have made.
-    """
-
-    spec: MotorSpec
-    output: Path
-    staging: Path
-    since: dt.date | None = None
-    until: dt.date | None = None
-    force: bool = False
-    retry: bool = False
-    with_starts: bool = False
-    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
-    nights_a_part: int = 0
-    looked_at: Mapping[str, FileRecord] | None = None
-    parts: tuple[str, ...] = ()
-
-    def wants(self, label: dt.date) -> bool:
-        """Whether a night lies within the asked-for range."""
-        return (self.since is None or label >= self.since) and (
-            self.until is None or label <= self.until
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class MotorOutcome:
-    """What came of a motor in a run.
-
-    Attributes
-    ----------
-    status
-        failed if a night failed; else ok if a night was fitted; else what came of its nights.
-    error_code, message
-        The first failure; without one, why there is no fit at all, and no code.
-    counts
-        Nights by outcome.
-    nights
-        Labels of the nights whose rows are staged.
-    inputs
-        Hashes of the contents that were read, in the order of the files.
-    files
-        Log files by what came of them: read, unchanged, growing, failed or left.
-    growing
-        What there is to say of each file that is changed while it is read.
-    n_refitted
-        Nights that were fitted anew from their stored statistics, without a log.
-    reasons
-        Nights by why they were made anew.
-    ledger
-        What is to be remembered of the months that changed, once its rows are published.
-    seconds
-        Time by stage.
-    peak_memory_mib
-        Largest memory of the worker so far.
-    """
-
-    motor_id: str
-    status: str
-    error_code: str | None = None
-    message: str | None = None
-    counts: Mapping[str, int] = field(default_factory=dict)
-    nights: tuple[dt.date, ...] = ()
-    inputs: tuple[str, ...] = ()
-    files: Mapping[str, int] = field(default_factory=dict)
-    growing: tuple[str, ...] = ()
-    n_refitted: int = 0
-    reasons: Mapping[str, int] = field(default_factory=dict)
-    ledger: Mapping[str, Ledger] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    peak_memory_mib: float | None = None
-
-    @property
-    def finished(self) -> bool:
-        """Whether the task came to its end, whatever came of its nights."""
-        return self.peak_memory_mib is not None
-
-
-@dataclass(frozen=True, slots=True)
-class SplitMotor:
-    """A motor with so many nights to read that other tasks are to make them.
-
-    Attributes
-    ----------
-    looked_at
-        What was seen of its logs.
-    parts
-        Nights of each part, in order of time.
-    """
-
-    motor_id: str
-    looked_at: Mapping[str, FileRecord]
-    parts: tuple[tuple[dt.date, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class PartTask:
-    """Some nights of a motor, to be read and fitted apart from the others.
-
-    Attributes
-    ----------
-    motor
-        The motor's own task.
-    nights
-        Which nights.
-    staging
-        Folder in which they are left, as `name`.
-    """
-
-    motor: MotorTask
-    nights: tuple[dt.date, ...]
-    staging: Path
-
-    @property
-    def name(self) -> str:
-        """Its file below the staging folder."""
-        return f"parts/{self.motor.spec.motor_id}@{min(self.nights)}"
-
-
-@dataclass(frozen=True, slots=True)
-class PartOutcome:
-    """That a part is made, or why not.
-
-    Attributes
-    ----------
-    name
-        Its file below the staging folder.
-    failure
-        What then comes of the motor; None: the part is made.
-    given_up
-        Nights that workers were lost in, each time; they are not made.
-    seconds
-        Time by stage.
-    peak_memory_mib
-        Largest memory of the worker so far.
-    """
-
-    motor_id: str
-    name: str
-    failure: MotorOutcome | None = None
-    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    peak_memory_mib: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class MadeNight:
-    """A night as another task has made it, and what it saw of which logs.
-
-    Nights hang together by the model before alone, which is judged again when they are joined.
-    """
-
-    outcome: NightOutcome
-    seen: Mapping[str, Sight]
-    used: tuple[str, ...]
 
 
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
@@ -363,24 +169,6 @@ def _read_parts(task: MotorTask) -> dict[dt.date, MadeNight]:
         # Written by this run, below a folder of its own.
         made |= pickle.loads((task.staging / name).read_bytes())  # noqa: S301
     return made
-
-
-def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
-    """The outcome of a motor whose task was lost as a whole."""
-    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
-
-
-def without_lost_night(task: MotorTask, loss: Loss) -> MotorTask | None:
-    """The task that gives up the night in which it was lost; None where that is not to be had."""
-    if not loss.part or len(task.given_up) == MOST_GIVEN_UP:
-        return None
-    return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
-
-
-def part_without_lost_night(task: PartTask, loss: Loss) -> PartTask | None:
-    """As `without_lost_night`, of a part."""
-    motor = without_lost_night(task.motor, loss)
-    return None if motor is None else replace(task, motor=motor)
 
 
 def _hash_of_model(model: PreviousModel) -> str:

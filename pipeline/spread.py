@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from pipeline.engine import RunTasks, results_of
-from pipeline.motor_task import (
+from pipeline.motor_task import run_part
+from pipeline.tasks import (
     MOST_GIVEN_UP,
     MotorOutcome,
     MotorTask,
@@ -22,7 +23,6 @@ from pipeline.motor_task import (
     SplitMotor,
     lost,
     part_without_lost_night,
-    run_part,
     without_lost_night,
 )
 from pipeline.worker_process import Loss

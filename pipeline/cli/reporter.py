@@ -11,7 +11,7 @@ from pipeline.cli.arguments import say
 
 if TYPE_CHECKING:
     from pipeline.fleet import RunRequest, RunResult
-    from pipeline.motor_task import MotorOutcome
+    from pipeline.tasks import MotorOutcome
 
 # Reasons of a plan that are told one by one.
 PLAN_REASONS = 8

@@ -36,7 +36,7 @@ from pipeline.errors import MotorLeakageError, UsageError
 if TYPE_CHECKING:
     from pipeline.config import Fleet
     from pipeline.fleet import RunRequest
-    from pipeline.motor_task import MotorOutcome
+    from pipeline.tasks import MotorOutcome
     from pipeline.workers import Crew
 
 

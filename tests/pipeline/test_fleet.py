@@ -30,9 +30,10 @@ import pipeline.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
 from pipeline.fleet import RunRequest, RunResult, run_fleet
-from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
+from pipeline.motor_task import run_motor
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
 from pipeline.store import NightFile, night_file, prepare_night, read_table
+from pipeline.tasks import MotorOutcome, MotorTask
 from tests.conftest import OwnFleet
 
 FIRST = dt.date(2026, 1, 2)

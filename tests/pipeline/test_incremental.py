@@ -18,7 +18,7 @@ import pipeline.motor_task
 import pipeline.settings_hashes
 from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, plan_fleet, plan_trends, run_fleet
-from pipeline.motor_task import MotorOutcome, Work
+from pipeline.tasks import MotorOutcome, Work
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop
 

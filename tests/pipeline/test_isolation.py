@@ -20,7 +20,8 @@ from polars.testing import assert_frame_equal
 import pipeline.fleet
 from pipeline.config import Execution, load_fleet
 from pipeline.fleet import RunRequest, RunResult, run_fleet
-from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
+from pipeline.motor_task import run_motor
+from pipeline.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
 from pipeline.worker_process import Loss
 from pipeline.workers import Crew, run_tasks

@@ -16,9 +16,9 @@ from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, plan_fleet, run_fleet
 from pipeline.manifest import announce, update_manifest
-from pipeline.motor_task import Step, Work
 from pipeline.schema import QUALITY
 from pipeline.store import night_file, write_table
+from pipeline.tasks import Step, Work
 from pipeline.verification import verify_tables
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop

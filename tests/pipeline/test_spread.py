@@ -20,14 +20,9 @@ from pipeline.config import Execution, load_fleet
 from pipeline.engine import nights_a_part
 from pipeline.errors import EngineError
 from pipeline.fleet import RunRequest, _motors, run_fleet
-from pipeline.motor_task import (
-    MotorOutcome,
-    PartTask,
-    SplitMotor,
-    run_motor,
-    run_part,
-)
+from pipeline.motor_task import run_motor, run_part
 from pipeline.spread import run_motors
+from pipeline.tasks import MotorOutcome, PartTask, SplitMotor
 from pipeline.worker_process import Loss
 from tests.conftest import OwnFleet
 from tests.pipeline.simulated import write_log

@@ -13,8 +13,8 @@ from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, run_fleet
-from pipeline.motor_task import MotorOutcome, MotorTask
 from pipeline.schema import NIGHT_TABLES, TABLES
+from pipeline.tasks import MotorOutcome, MotorTask
 from tests.pipeline.simulated import (
     FLEET,
     Operation,

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 import pipeline.fleet
-from pipeline.motor_task import MotorOutcome, MotorTask, run_motor
+from pipeline.motor_task import run_motor
+from pipeline.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
 from tests.pipeline.faults.fleet import (
     MOTORS,

@@ -17,9 +17,9 @@ from pipeline.csv_export import Selection, export_csv
 from pipeline.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.errors import StoreError
 from pipeline.fleet import run_fleet
-from pipeline.motor_task import MotorOutcome
 from pipeline.report.build import ReportRequest, build_report
 from pipeline.schema import FITS, PARAMETERS
+from pipeline.tasks import MotorOutcome
 from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables
 from tests.pipeline.simulated import NIGHT
