@@ -23,7 +23,7 @@ STEP_ROUNDING = 0.01
 
 
 def missing_sample(
-    time_us: Times, blank: Mask, period_us: float | None, row_us: float | None = None
+    time_us: Times, blank: Mask, period_us: float | None, row_us: float | None
 ) -> Mask:
     """Blank cells at which the channel should have had a sample.
 
@@ -40,7 +40,7 @@ def missing_sample(
     period_us
         The channel's own period; None: every blank is missing.
     row_us
-        Typical distance of two cells; None: that of the channel's own samples.
+        Typical distance of two cells; None where there are not two.
 
     Returns
     -------

@@ -612,7 +612,7 @@ TIME, VALUE, FLAGS = stamps(50), lively(50), np.arange(50) % 7 == 0
     "call",
     [
         lambda: clean_channel(RawChannel(TIME[::-1], VALUE, FLAGS, 0), RULES),
-        lambda: missing_sample(TIME, FLAGS, 200_000.0),
+        lambda: missing_sample(TIME, FLAGS, 200_000.0, 100_000.0),
         lambda: backward_time(TIME[::-1]),
         lambda: out_of_range(VALUE, (0.0, 1.0)),
         lambda: at_maximum(VALUE, 50.0, 0.1),
@@ -635,5 +635,5 @@ def test_a_mask_is_the_caller_s_own() -> None:
     """Writing to a mask that came back must not reach the raw channel."""
     channel = in_wide_log(np.delete(np.arange(50), 7), 50)
     blank = channel.missing.copy()
-    missing_sample(channel.time_us, blank, None)[:] = True
+    missing_sample(channel.time_us, blank, None, None)[:] = True
     np.testing.assert_array_equal(blank, channel.missing)
