@@ -59,6 +59,8 @@ class Certificate:
         Rank of the free, column-scaled regressors.
     singular_values
         Of the free regressors, each column scaled to norm 1; largest first.
+    n_estimated
+        Rank of the regressors whose coefficients are off their bounds: d of FPE and AIC.
     rounding
         Criterion below which nothing but rounding is left [(l/min)²].
     """
@@ -71,6 +73,7 @@ class Certificate:
     fixed: NDArray[np.bool_]
     rank: int
     singular_values: Array
+    n_estimated: int
     rounding: float
 
     @property
@@ -129,7 +132,7 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
     norms = np.linalg.norm(matrix, axis=0)
     scale = np.where(norms > 0, norms, 1.0)
     scaled = matrix / scale
-    singular_values: Array = np.linalg.svd(scaled[:, free], compute_uv=False).astype(float)
+    singular_values = _singular_values(scaled[:, free])
     solution = lower.copy()
     box = (lower * scale)[free], (upper * scale)[free]
     found = _bounded_minimum(scaled[:, free], remaining, *box)
@@ -150,8 +153,9 @@ def certify(r: Array, lower: Array, upper: Array) -> Certificate:
         at_lower=at_lower,
         at_upper=at_upper,
         fixed=fixed,
-        rank=int((singular_values > RANK_TOLERANCE * singular_values.max(initial=0.0)).sum()),
+        rank=_rank(singular_values),
         singular_values=singular_values,
+        n_estimated=_rank(_singular_values(scaled[:, free & ~at_lower & ~at_upper])),
         rounding=ROUNDING_SHARE * size**2 / max(float(r[:, -3] @ r[:, -3]), 1.0),
     )
 
@@ -176,6 +180,14 @@ def _require_well_posed(r: Array, lower: Array, upper: Array) -> None:
         raise EstimationError(
             "too_few_samples", f"{n} samples are too few for {n_free} free coefficients"
         )
+
+
+def _singular_values(matrix: Array) -> Array:
+    return np.linalg.svd(matrix, compute_uv=False).astype(np.float64)
+
+
+def _rank(singular_values: Array) -> int:
+    return int((singular_values > RANK_TOLERANCE * singular_values.max(initial=0.0)).sum())
 
 
 def _bounded_minimum(matrix: Array, target: Array, lower: Array, upper: Array) -> Array:

@@ -121,11 +121,6 @@ class Identification:
     n_blocks: int
     distribution: ClusterRobust | None
 
-    @property
-    def n_identified(self) -> int:
-        """Identified coefficients, which are off their bounds: d of FPE and AIC."""
-        return sum(judgement.verdict == "identified" for judgement in self.coefficients)
-
 
 def identify(
     fit: Fit, factors: Array, excitation: Excitation, inflation: float = 1.0

@@ -103,7 +103,8 @@ def criteria(cost: float, d: int, n: float) -> Criteria:
     cost
         V of the training samples [(l/min)²].
     d
-        Number of estimated parameters off their bounds.
+        Rank of the regressors of the coefficients off their bounds: what was fitted, whether or
+        not the samples tell the coefficients apart (`Certificate.n_estimated`).
     n
         Number of training samples, or their effective number where residuals are correlated.
 

@@ -316,7 +316,7 @@ def block_fit_columns(mode: BlockFit) -> Row:
         "coefficient_covariance": _covariance(mode),
         "interval_status": mode.identification.interval_status,
         "n_interval_blocks": mode.identification.n_blocks,
-        "n_parameters": mode.identification.n_identified,
+        "n_parameters": certificate.n_estimated,
     }
 
 

@@ -19,7 +19,7 @@ from pipeline.nights import night as night_labelled
 from pipeline.windows import HandSet
 
 # Raise it when the code makes other figures of the same statistics: every night is then refitted.
-FIGURES_VERSION = 1
+FIGURES_VERSION = 2
 # Raise it when a reader makes other samples of the same file.
 READING_VERSION = 2
 

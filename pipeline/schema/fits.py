@@ -80,10 +80,20 @@ FITS = Table(
         Column(
             "lag_one_autocorrelation", pl.Float64, "", "Of the training errors, φ of n_effective"
         ),
-        Column("aic_effective", pl.Float64, "", "aic with n_effective in place of n_training"),
+        Column(
+            "aic_effective",
+            pl.Float64,
+            "",
+            "aic with n_effective in place of n_training; null where that is not above d",
+        ),
         Column("aicc_effective", pl.Float64, "", "aicc with n_effective"),
         Column("bic_effective", pl.Float64, "", "bic with n_effective"),
-        Column("n_parameters", pl.Int64, "", "Identified coefficients: d of fpe, aic and bic"),
+        Column(
+            "n_parameters",
+            pl.Int64,
+            "",
+            "Rank of the regressors of the coefficients off their bounds: d of fpe, aic and bic",
+        ),
         Column(
             "is_best_on_validation",
             pl.Boolean,

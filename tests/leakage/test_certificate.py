@@ -95,7 +95,7 @@ def test_equals_numpy_least_squares_where_no_bound_binds(seed: int) -> None:
     np.testing.assert_allclose(found.coefficients, unbounded_minimum(z), rtol=1e-9)
     assert not (found.at_lower | found.at_upper | found.fixed).any()
     assert found.off_bounds.sum() == 4
-    assert found.rank == 4
+    assert found.rank == found.n_estimated == 4
 
 
 @given(seed=SEEDS)
@@ -136,7 +136,8 @@ def test_equals_scipy_over_the_samples_with_a_bound_that_binds(method: str, shar
     np.testing.assert_allclose(found.coefficients, expected.x / norms, rtol=1e-4)
     assert found.at_upper.tolist() == [False, share < 1, False, False]
     assert found.at_lower.tolist() == [False, share > 1, False, False]
-    assert found.off_bounds.sum() == 3
+    assert found.off_bounds.sum() == found.n_estimated == 3
+    assert found.rank == 4
 
 
 def test_no_other_point_of_the_box_is_lower() -> None:
@@ -213,6 +214,7 @@ def test_fixed_coefficients_keep_their_value_to_the_bit() -> None:
     assert found.fixed.tolist() == [True, False, False, True]
     assert not (found.at_lower | found.at_upper).any()
     assert found.off_bounds.sum() == found.rank == len(found.singular_values) == 2
+    assert found.n_estimated == 2
     # The rest is the least squares of what the fixed ones leave.
     rest = z[:, -1] - z[:, -2] - z[:, [0, 3]] @ [7.1e-14, 1.9]
     norms = column_norms(z)[1:3]
@@ -227,6 +229,7 @@ def test_everything_fixed_is_a_prediction() -> None:
     np.testing.assert_array_equal(found.coefficients, theta)
     assert found.cost == pytest.approx(np.mean((z[:, :4] @ theta + z[:, 4] - z[:, 5]) ** 2))
     assert (found.rank, found.off_bounds.sum(), found.dual_residual) == (0, 0, 0.0)
+    assert found.n_estimated == 0
     assert math.isnan(found.condition_number)
 
 
@@ -256,7 +259,7 @@ def test_zero_flow_leaves_every_coefficient_at_its_lower_bound() -> None:
     found = certify(factor(z), LOWER, UPPER)
     np.testing.assert_array_equal(found.coefficients, LOWER)
     assert found.at_lower.all()
-    assert found.off_bounds.sum() == 0
+    assert found.off_bounds.sum() == found.n_estimated == 0
     nothing = certify(factor(z), np.zeros(4), UPPER)
     np.testing.assert_array_equal(nothing.coefficients, np.zeros(4))
     assert (nothing.cost, nothing.dual_residual) == (0.0, 0.0)
@@ -283,7 +286,9 @@ def test_constant_pressure_has_the_solution_of_least_norm() -> None:
     z = constant_pressure()
     lower, upper = Parametrisation.of(placeholder_motor()).coefficient_bounds()
     found = certify(factor(z), lower, upper)
-    assert found.rank == 1
+    # Three gaps off their bounds, and one figure that the samples determine.
+    assert found.off_bounds.sum() == 3
+    assert found.rank == found.n_estimated == 1
     assert found.condition_number > 1e11
     # By hand: parallel columns carry equal shares, of the one factor that fits the sum.
     flow = z[:, -1] - z[:, -2]

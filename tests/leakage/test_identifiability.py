@@ -73,7 +73,6 @@ def test_a_wide_duty_identifies_every_gap_with_an_interval_that_holds() -> None:
     motor = placeholder_motor("CB560")
     estimate, found, seen = judged(motor, duty(10.0, 300.0))
     assert verdicts(found) == ["identified"] * 3 + ["fixed"]
-    assert found.n_identified == 3
     truth = [path.configured_coefficient for path in motor.column_paths]
     for value, true, judgement in zip(
         estimate.coefficients, truth, found.coefficients, strict=False

@@ -167,6 +167,34 @@ def test_criteria_that_are_undefined_are_none(cost: float, d: int, n: float) -> 
     assert criteria(cost, d, n) == Criteria(None, None, None, None)
 
 
+def criteria_by_flushing(constant_error_l_per_min: float) -> tuple[Criteria, Criteria]:
+    """A night without flushing, fitted without and with one; its noise tells of no column."""
+    n = 1000
+    z = made_samples(placeholder_motor(), n)
+    columns = z[:, :4] / np.linalg.norm(z[:, :4], axis=0)
+    noise = 0.02 * np.random.default_rng(2).standard_normal(n)
+    noise -= columns @ np.linalg.lstsq(columns, noise, rcond=None)[0]
+    truth = true_coefficients(placeholder_motor())
+    z[:, 5] = z[:, :4] @ truth + z[:, 4] + noise + constant_error_l_per_min
+    found = []
+    for motor in (placeholder_motor(), placeholder_motor(flushing="estimated")):
+        minimum = certify(factor(z), *Parametrisation.of(motor).coefficient_bounds())
+        found.append(criteria(minimum.cost, minimum.n_estimated, n))
+    return found[0], found[1]
+
+
+def test_a_flushing_that_is_not_there_is_worse_by_the_price_of_a_parameter() -> None:
+    none, estimated = criteria_by_flushing(1e-6)
+    assert estimated.aic == pytest.approx(none.aic + 2.0, abs=1e-3)  # type: ignore[operator]
+    assert estimated.bic == pytest.approx(none.bic + math.log(1000), abs=1e-3)  # type: ignore[operator]
+    assert estimated.fpe == pytest.approx(none.fpe * (1 + 2 / 1000), rel=1e-5)  # type: ignore[operator]
+
+
+def test_a_flushing_on_its_bound_costs_nothing() -> None:
+    none, estimated = criteria_by_flushing(-0.01)
+    assert estimated.aic == pytest.approx(none.aic, abs=1e-6)
+
+
 def test_corrected_criterion_needs_more_than_one_sample_more_than_parameters() -> None:
     found = criteria(0.5, 3, 4)
     assert found.aicc is None

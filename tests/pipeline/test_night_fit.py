@@ -137,6 +137,21 @@ def test_a_short_night_has_no_interval_and_says_why(spec: MotorSpec) -> None:
         assert "lower" not in parameters(outcome)[name]
 
 
+def test_a_short_night_pays_for_the_parameters_that_it_estimates(tmp_path: Path) -> None:
+    """d of the criteria counts what was fitted, whatever the night can say of it."""
+    more = '[flushing]\nmode = "none"\nalso = ["estimated"]\nflow_l_per_min = 1.0\n'
+    spec = load_motor(tmp_path, motor_toml("M1", more=more))
+    operation = operate(minutes=30.0)
+    for flushing, n_estimated in ((0.5, 4), (-0.02, 3)):
+        flow = configured_flow(spec, operation) + flushing + noise(len(operation.time_us))
+        none, estimated = fitted(spec, operation, flow).rows["fits"]
+        assert (none["n_parameters"], estimated["n_parameters"]) == (3, n_estimated)
+        for row in (none, estimated):
+            n, d, v = row["n_training"], row["n_parameters"], row["cost"]
+            expected = n * np.log(v) + 2 * d + n * (np.log(2 * np.pi) + 1)
+            assert row["aic"] == pytest.approx(expected, rel=1e-12)
+
+
 def test_one_pressure_all_night_leaves_the_leakage_at_own_conditions(spec: MotorSpec) -> None:
     operation = operate(minutes=TWO_HOURS)
     pressure = 180.0 + 0.1 * np.sin(np.arange(len(operation.time_us)) / 17.0)
@@ -205,7 +220,7 @@ def test_modes_are_compared_on_validation(tmp_path: Path) -> None:
     more = '[flushing]\nmode = "none"\nalso = ["estimated"]\nflow_l_per_min = 1.0\n'
     spec = load_motor(tmp_path, motor_toml("M1", more=more))
     operation = operate(minutes=TWO_HOURS)
-    flow = configured_flow(spec, operation) + 4.0 + noise(len(operation.time_us))
+    flow = configured_flow(spec, operation) + 1.0 + noise(len(operation.time_us))
     rows = {row["flushing_mode"]: row for row in fitted(spec, operation, flow).rows["fits"]}
     assert rows["estimated"]["is_best_on_validation"]
     assert not rows["none"]["is_best_on_validation"]

@@ -111,7 +111,7 @@ motorLeakage.nightTables = (() => {
     ["AIC with effective samples", "aic_effective", ""],
     ["BIC with effective samples", "bic_effective", ""],
     ["Correlation time of the errors", "correlation_time_s", "s"],
-    ["Identified coefficients", "n_parameters", ""],
+    ["Estimated coefficients off their bounds", "n_parameters", ""],
     ["Rank of the regressors", "rank", ""],
     ["Condition number", "condition_number", ""],
     ["Transport delay", "transport_delay_s", "s"],
