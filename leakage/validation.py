@@ -22,6 +22,8 @@ from leakage.block_statistics import column_means, flow_summary, squared_error
 
 Array = NDArray[np.float64]
 
+# A fit below it is poor: the mean of the samples judged describes them better than the model.
+POOR_FIT_PERCENT = 0.0
 # Share of the size of equal values that their mean may be off by.
 ROUNDING = 1e-14
 
@@ -78,6 +80,17 @@ def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) 
     spread = summary.centred_norm_l_per_min
     fit = 100.0 * (1.0 - error / spread) if spread > floor else None
     return Agreement(summary.n, fit, error / root_n, mean_error)
+
+
+def is_poor(fit_percent: float | None) -> bool:
+    """Whether a fit is poor: below that of a constant flow; a fit that there is not is none.
+
+    Examples
+    --------
+    >>> is_poor(-1295.0), is_poor(0.0), is_poor(None)
+    (True, False, False)
+    """
+    return fit_percent is not None and fit_percent < POOR_FIT_PERCENT
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,6 +12,7 @@ from typing import Any
 
 import polars as pl
 
+from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.explain_residuals import explain_residuals
 from pipeline.schema import (
@@ -30,6 +31,12 @@ Row = dict[str, Any]
 # A rule that refused less than this is not worth a line.
 WORTH_TELLING = 0.005
 LARGEST_EFFECTS = 3
+# Fits of a night by the column of `fits`, in words.
+FITS_OF_A_NIGHT = {
+    "training_fit_percent": "training",
+    "validation_fit_percent": "validation",
+    "previous_model_fit_percent": "the model before, on tonight",
+}
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -122,12 +129,8 @@ def _fit(fit: Row) -> Iterator[str]:
         f"{fit['n_training']} train, {fit['n_validation']} validate"
     )
     parts = [
-        f"{name} {fit[column]:.1f} %"
-        for name, column in (
-            ("training", "training_fit_percent"),
-            ("validation", "validation_fit_percent"),
-            ("the model before, on tonight", "previous_model_fit_percent"),
-        )
+        fit_words(name, fit[column])
+        for column, name in FITS_OF_A_NIGHT.items()
         if fit[column] is not None
     ]
     yield f"fit: {', '.join(parts) or 'the flow has no shape to fit'}"
@@ -138,6 +141,18 @@ def _fit(fit: Row) -> Iterator[str]:
         )
     if fit["interval_status"] != "ok":
         yield f"no intervals: {fit['interval_status']}"
+
+
+def fit_words(name: str, percent: float) -> str:
+    """A fit with its name; a poor one is called that.
+
+    Examples
+    --------
+    >>> fit_words("training", 99.14), fit_words("validation", -1295.0)
+    ('training 99.1 %', 'validation -1295.0 % (poor: worse than a constant flow)')
+    """
+    poor = " (poor: worse than a constant flow)" if is_poor(percent) else ""
+    return f"{name} {percent:.1f} %{poor}"
 
 
 def _leakage(fit: Row) -> Iterator[str]:
@@ -212,7 +227,7 @@ def _modes(fits: list[Row]) -> Iterator[str]:
         return
     best = [row["flushing_mode"] for row in fits if row["is_best_on_validation"]]
     told = ", ".join(
-        f"{row['flushing_mode']} {row['validation_fit_percent']:.1f} %"
+        fit_words(row["flushing_mode"], row["validation_fit_percent"])
         for row in fits
         if row["validation_fit_percent"] is not None
     )

@@ -9,16 +9,20 @@ from pathlib import Path
 
 import polars as pl
 
+from leakage.validation import is_poor
 from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import UsageError
+from pipeline.explain import FITS_OF_A_NIGHT, fit_words
 from pipeline.heartbeat import Beat, read_heartbeat
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
 from pipeline.store import read_rows, read_table, table_folder
 
 # From what needs attention most to what needs none.
-ORDER = ("alarm", "warning", "common_cause", "stale", "insufficient", "ok")
+CHANGED = ("alarm", "warning", "common_cause")
+ORDER = (*CHANGED, "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage")
 SENSORS = ("pressure_zero", "flow_zero")
+TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 GOOD_RUNS = ("ok", "motors_failed")
 
 
@@ -33,14 +37,21 @@ class MotorState:
     indicator, reason
         Of that one: which, and why in words; of a motor that is ok, that a sensor drifts.
     leakage_l_per_min, deviation_percent
-        Reference leakage of the last night that has one, and how far from its baseline; of the
-        motor's own conditions where it never sees the fleet's.
+        Reference leakage now, and how far from its baseline; of the motor's own conditions where
+        the fleet's is not known. None where neither is: nights before the change that stands told
+        do not count, nor do those before the figure went stale.
     sensor_health
         ok, drifted or unknown.
     last_night, last_good_night
         Last night with a row, and with a fit; None without one.
     acknowledged
         What somebody said of it since the state began; empty for nothing.
+    leakage_night
+        Last night with a reference leakage; None where there never was one.
+    change_start
+        First night of the newest change that stands told; None where none does.
+    poor_fit
+        That the model of the last good night describes it poorly, in words; empty where not.
     """
 
     motor_id: str
@@ -53,6 +64,9 @@ class MotorState:
     last_night: dt.date | None
     last_good_night: dt.date | None
     acknowledged: str
+    leakage_night: dt.date | None = None
+    change_start: dt.date | None = None
+    poor_fit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +101,8 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
         If a table is damaged.
     """
     trends = read_rows(output, TRENDS, motor_ids)
-    fits = read_rows(output, FITS, motor_ids, ("motor_id", "night", "status"))
+    columns = ("motor_id", "night", "status", "is_primary", *TONIGHTS_FITS)
+    fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
     motors = [
         motor_state(
@@ -139,6 +154,7 @@ def motor_state(
             last_night=last_night,
             last_good_night=good,
             acknowledged="",
+            poor_fit=_poor_fit(fits),
         )
     tonight = trends.filter(pl.col("night") == pl.col("night").max())
     watched = tonight.filter(pl.col("n_slope").is_not_null())
@@ -150,18 +166,23 @@ def motor_state(
     if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
         worst = worst | {"state": "ok"}
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
-    shown = _latest(trends)
+    began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
+    assert began is None or isinstance(began, dt.date)
+    leakage = _leakage(trends, began)
     return MotorState(
         motor_id=motor_id,
         state=worst["state"],
         indicator=worst["indicator"] if worst["state"] != "ok" else None,
         reason=worst["state_reason"] if worst["state"] != "ok" else next(iter(drifts), None),
-        leakage_l_per_min=shown.get("value"),
-        deviation_percent=shown.get("deviation_percent"),
+        leakage_l_per_min=leakage.l_per_min,
+        deviation_percent=leakage.deviation_percent,
         sensor_health=worst["sensor_health"],
         last_night=last_night,
         last_good_night=good,
         acknowledged=_acknowledged(worst, trends, decisions),
+        leakage_night=leakage.night,
+        change_start=began,
+        poor_fit=_poor_fit(fits),
     )
 
 
@@ -172,14 +193,48 @@ def _last(rows: pl.DataFrame) -> dt.date | None:
     return night
 
 
-def _latest(trends: pl.DataFrame) -> dict[str, float | None]:
-    """The last reference leakage that there is, of the fleet's conditions or of the motor's."""
-    for name in REFERENCES:
-        known = trends.filter(pl.col("indicator") == name, pl.col("value").is_not_null())
-        if not known.is_empty():
-            row = known.sort("night").row(-1, named=True)
-            return {name: row[name] for name in ("value", "deviation_percent")}
-    return {}
+@dataclass(frozen=True, slots=True)
+class _Leakage:
+    """A reference leakage: figures where they hold now, and the night of the last there was."""
+
+    l_per_min: float | None = None
+    deviation_percent: float | None = None
+    night: dt.date | None = None
+
+
+def _leakage(trends: pl.DataFrame, change_start: dt.date | None) -> _Leakage:
+    """The reference leakage now, of the fleet's conditions or else of the motor's."""
+    last = [one for name in REFERENCES if (one := _last_leakage(trends, name, change_start))]
+    now = [one for one in last if one.l_per_min is not None]
+    return next(iter(now or last), _Leakage())
+
+
+def _last_leakage(trends: pl.DataFrame, name: str, change_start: dt.date | None) -> _Leakage | None:
+    """A reference leakage that was ever known; without figures where they say nothing of now."""
+    own = trends.filter(indicator=name).sort("night")
+    known = own.filter(pl.col("value").is_not_null())
+    if known.is_empty():
+        return None
+    last, tonight = known.row(-1, named=True), own.row(-1, named=True)
+    night = last["night"]
+    # Without a baseline nothing says when a figure is stale.
+    held = night == tonight["night"] or tonight["state"] not in ("stale", "insufficient")
+    if not held or (change_start is not None and night < change_start):
+        return _Leakage(night=night)
+    return _Leakage(last["value"], last["deviation_percent"], night)
+
+
+def _poor_fit(fits: pl.DataFrame) -> str:
+    """That the fit of a motor's last good night is poor, in words; empty where it is not."""
+    last = fits.filter("is_primary", status="ok").sort("night").tail(1)
+    for row in last.iter_rows(named=True):
+        poor = [
+            fit_words(FITS_OF_A_NIGHT[name], row[name])
+            for name in TONIGHTS_FITS
+            if is_poor(row[name])
+        ]
+        return f"fit of {row['night']}: {', '.join(poor)}" if poor else ""
+    return ""
 
 
 def _acknowledged(

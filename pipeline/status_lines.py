@@ -87,15 +87,23 @@ def _run_line(found: FleetStatus) -> str | None:
 
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
-    leakage, deviation = motor.leakage_l_per_min, motor.deviation_percent
+    leakage, deviation = "unknown", "none yet"
+    if motor.leakage_l_per_min is not None:
+        leakage = f"{motor.leakage_l_per_min:.3g}"
+    elif motor.leakage_night is not None:
+        leakage, deviation = f"not known since {motor.leakage_night}", "not known"
+    if motor.deviation_percent is not None:
+        deviation = f"{motor.deviation_percent:+.1f} %"
     why = motor.reason or "no change of external leakage"
+    if motor.poor_fit:
+        why += f"; {motor.poor_fit}"
     if motor.acknowledged:
         why += f" (acknowledged: {motor.acknowledged})"
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
-        "unknown" if leakage is None else f"{leakage:.3g}",
-        "none yet" if deviation is None else f"{deviation:+.1f} %",
+        leakage,
+        deviation,
         str(motor.last_good_night or "never"),
         motor.sensor_health or "unknown",
         why,

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.report.attention import GOOD, RECENT_NIGHTS, Attention, Changes, attention, changes
+from pipeline.report.attention import (
+    GOOD,
+    RECENT_NIGHTS,
+    STALE_AFTER,
+    Attention,
+    Changes,
+    attention,
+    changes,
+)
 from pipeline.report.history import LAST_NIGHTS, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.trends import Standing
@@ -31,9 +39,9 @@ class FleetRow:
     leakage_kind
         Conditions of the leakage: `reference`, `frozen` or `own`; see `MotorHistory.leakage`.
     leakage
-        Newest value with its interval, l/min; None where there never was one.
+        Newest value with its interval, l/min; None where nothing says what it is now.
     leakage_night
-        Night of that value.
+        Last night with a value; None where there never was one.
     leakage_change, gap_change
         Percent from the baseline, or since the first good nights where there is none; None where
         that cannot be told.
@@ -114,14 +122,14 @@ def _row(
 ) -> FleetRow:
     newest = span[1] if span else None
     changed = changes(motor)
-    kind, course = motor.leakage
+    kind, course, is_now = _leakage(motor, standing, newest)
     good = motor.fits.filter(status=GOOD)
     last = good.row(-1, named=True) if good.height else {}
     known = np.flatnonzero(course.is_known)
     days = np.array([night.toordinal() for night in motor.nights], dtype=np.int64)
     recent = _calendar(motor, newest)
     told = [status for status in recent if status is not None]
-    path, gap = _gap_change(motor, changed)
+    path, gap = _gap_change(motor, changed, standing)
     kept = good["kept_share"].tail(RECENT_NIGHTS).median() if good.height else None
     return FleetRow(
         motor_id=motor.motor_id,
@@ -129,10 +137,10 @@ def _row(
         motor_type=_motor_type(motor, types),
         attention=attention(motor, changed, standing, newest),
         leakage_kind=kind,
-        leakage=_newest(course, known),
+        leakage=_newest(course, known) if is_now else None,
         leakage_night=motor.nights[known[-1]] if len(known) else None,
         line=sparkline(days, course, *(night.toordinal() for night in span)) if span else None,
-        leakage_change=_leakage_change(changed, standing),
+        leakage_change=_leakage_change(changed, standing) if is_now else None,
         gap_change=gap,
         gap_path=plain(path),
         validation_fit=last.get("validation_fit_percent"),
@@ -148,20 +156,49 @@ def _row(
     )
 
 
+def _leakage(
+    motor: MotorHistory, standing: Standing | None, newest: dt.date | None
+) -> tuple[str, Course, bool]:
+    """The leakage that stands for a motor, its kind, and whether it is known now."""
+    courses = {"reference": motor.reference, "frozen": motor.frozen}
+    for kind, course in courses.items():
+        if _is_known_now(motor, course, standing, newest):
+            return kind, course, True
+    kind, course = motor.leakage
+    return kind, course, kind == "own" and _is_known_now(motor, course, None, newest)
+
+
+def _is_known_now(
+    motor: MotorHistory, course: Course, standing: Standing | None, newest: dt.date | None
+) -> bool:
+    """Whether a leakage has a figure that says what it is now: as the trends say, if there are."""
+    known = np.flatnonzero(course.is_known)
+    if not len(known):
+        return False
+    night = motor.nights[known[-1]]
+    if standing is not None and standing.leakage_night is not None:
+        return standing.leakage_is_known and bool(night >= standing.leakage_night)
+    return bool((newest or night) - night <= STALE_AFTER)
+
+
 def _leakage_change(changed: Changes, standing: Standing | None) -> float | None:
     if standing is not None and standing.deviation_percent is not None:
         return standing.deviation_percent
     return changed.leakage.percent if changed.leakage else None
 
 
-def _gap_change(motor: MotorHistory, changed: Changes) -> tuple[str, float | None]:
-    """The path whose gap has changed most, and how much in percent."""
+def _gap_change(
+    motor: MotorHistory, changed: Changes, standing: Standing | None
+) -> tuple[str, float | None]:
+    """The path whose gap has changed most, and how much in percent; since a change, if one is."""
     if not motor.baselines:
         return (changed.gap[0], changed.gap[1].gap_percent) if changed.gap else ("", None)
+    begin = standing.change_start if standing else None
+    since = np.array([begin is None or night >= begin for night in motor.nights])
     medians = {
-        name: float(np.median(course.value[course.is_known][-LAST_NIGHTS:]))
+        name: float(np.median(course.value[known][-LAST_NIGHTS:]))
         for name, course in motor.gap_changes().items()
-        if motor.baselines.get(f"K_{name}")
+        if motor.baselines.get(f"K_{name}") and (known := course.is_known & since).any()
     }
     path = max(medians, key=lambda name: abs(medians[name]), default="")
     return path, medians.get(path)

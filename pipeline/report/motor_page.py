@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from leakage.validation import POOR_FIT_PERCENT
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import Course, MotorHistory
 from pipeline.report.tables import History
@@ -67,6 +68,7 @@ def motor_payload(
         "motor": motor.motor_id,
         "file": page,
         "words": for_scripts(),
+        "poor_fit_percent": POOR_FIT_PERCENT,
         "nights": [night.isoformat() for night in motor.nights],
         "statuses": motor.statuses,
         "reasons": {

@@ -12,6 +12,7 @@ from typing import Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from leakage.validation import is_poor
 from pipeline.report.attention import STATES
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow
@@ -87,6 +88,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.tests["poor"] = is_poor
     environment.filters |= {"figure": figure, "signed": signed, "status": _status}
     environment.globals |= {
         "absent": ABSENT,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -45,7 +46,16 @@ LATEST = (
     "days_to_limit_upper",
     "days_to_limit_status",
 )
-COURSES = ("value", "lower", "upper", "baseline_mean", "limit", "cusum", "cusum_limit")
+COURSES = (
+    "value",
+    "lower",
+    "upper",
+    "baseline_mean",
+    "warning_limit",
+    "alarm_limit",
+    "cusum",
+    "cusum_limit",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,12 +72,19 @@ class Standing:
         ok, drifted or unknown.
     deviation_percent
         How far the leakage is from its baseline; None where there is none.
+    leakage_is_known, leakage_night
+        Whether the reference leakage is known now, and the last night that it was.
+    change_start
+        First night of the newest change that stands told; None where none does.
     """
 
     state: str
     reason: str
     sensor_health: str = "unknown"
     deviation_percent: float | None = None
+    leakage_is_known: bool = False
+    leakage_night: dt.date | None = None
+    change_start: dt.date | None = None
 
 
 def standings(history: History) -> dict[str, Standing]:
@@ -85,8 +102,15 @@ def standings(history: History) -> dict[str, Standing]:
         reason = state.reason or (WITHIN if state.state == "ok" else "")
         if state.acknowledged:
             reason += f" (acknowledged: {state.acknowledged})"
-        health = state.sensor_health or "unknown"
-        found[motor_id] = Standing(state.state, reason, health, state.deviation_percent)
+        found[motor_id] = Standing(
+            state=state.state,
+            reason=reason,
+            sensor_health=state.sensor_health or "unknown",
+            deviation_percent=state.deviation_percent,
+            leakage_is_known=state.leakage_l_per_min is not None,
+            leakage_night=state.leakage_night,
+            change_start=state.change_start,
+        )
     return found
 
 

@@ -127,6 +127,12 @@ TRENDS = Table(
         RUN_ID,
         Column("warning_limit", pl.Float64, "see unit", "Level of a warning; null without one"),
         Column("alarm_limit", pl.Float64, "see unit", "Level of an alarm; null without one"),
+        Column(
+            "change_start",
+            pl.Date,
+            "",
+            "First night of the change that the state tells; null where it tells none",
+        ),
     ),
 )
 

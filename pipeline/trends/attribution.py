@@ -50,14 +50,15 @@ class _Change:
 def path_behind(standing: Standing, name: str, place: int) -> Attribution | None:
     """Which path explains the change that an indicator tells in a night.
 
-    None where it tells none, or a flow that no path leaks. A coefficient speaks for its own path,
-    unless another falls by what it rises and their split rests on noise.
+    None where it tells none, a fall, or a flow that no path leaks. A coefficient speaks for its own
+    path, unless another falls by what it rises and their split rests on noise.
     """
-    if name == FLUSHING or standing.states[name][place] not in CHANGED:
+    if name == FLUSHING or not _tells_a_rise(standing, name, place):
         return None
     indicator = standing.watched[name].indicator
     flows = path_flows(standing, name, place)
-    changes = _changes(standing, place, flows)
+    begin = standing.change_start(name, place) or 0
+    changes = _changes(standing, place, flows, begin)
     if indicator.path:
         return _of_coefficient(indicator.path, flows, changes)
     names = tuple(changes)
@@ -65,7 +66,7 @@ def path_behind(standing: Standing, name: str, place: int) -> Attribution | None
     weights = np.array([flows[one] for one in names])
     covariance = _covariance(list(changes.values()))
     if len(names) < len(flows):
-        rest = _rest(standing, name, place, float(weights @ sizes), weights, covariance)
+        rest = _rest(standing, name, place, begin, float(weights @ sizes), weights, covariance)
         if rest is None:
             return None
         size, variance, shared = rest
@@ -95,6 +96,11 @@ def path_behind(standing: Standing, name: str, place: int) -> Attribution | None
     )
 
 
+def _tells_a_rise(standing: Standing, name: str, place: int) -> bool:
+    """Whether an indicator's state speaks of growth, which has a path."""
+    return standing.states[name][place] in CHANGED and not standing.has_fallen(name, place)
+
+
 def _has_risen(standing: Standing, name: str, place: int) -> bool:
     """Whether a rise of the motor's own is told of an indicator."""
     segment, found, _ = standing.watched[name].at(place)
@@ -104,7 +110,7 @@ def _has_risen(standing: Standing, name: str, place: int) -> bool:
 
 def path_named(standing: Standing, name: str, place: int, found: Attribution | None) -> str | None:
     """The path behind a state, as `trends` and `alarms` name it; None where none can be named."""
-    if standing.states[name][place] not in CHANGED:
+    if not _tells_a_rise(standing, name, place):
         return None
     own = standing.watched[name].indicator.path
     if own and found is None:
@@ -167,13 +173,14 @@ def _latest_sums(standing: Standing, place: int) -> Array | None:
     return sums
 
 
-def _changes(standing: Standing, place: int, flows: Mapping[str, float]) -> dict[str, _Change]:
-    """Changes of the coefficients that were known in the baseline and are known since.
+def _changes(
+    standing: Standing, place: int, flows: Mapping[str, float], begin: int
+) -> dict[str, _Change]:
+    """Changes of the coefficients that were known in the baseline and are known since a night.
 
     A wear that goes on is judged by its latest nights, and what all motors of the oil circuit did
     is none.
     """
-    begin = standing.earliest_onset(place)
     found = {}
     for name, watched in standing.watched.items():
         path = watched.indicator.path
@@ -229,6 +236,7 @@ def _rest(
     standing: Standing,
     name: str,
     place: int,
+    begin: int,
     explained: float,
     weights: Array,
     covariance: Array,
@@ -243,7 +251,7 @@ def _rest(
     """
     segment, _, _ = standing.watched[name].at(place)
     series, baseline = standing.own_change(name, place)
-    recent = series[max(standing.earliest_onset(place), segment.first) : place + 1]
+    recent = series[max(begin, segment.first) : place + 1]
     recent = recent[np.isfinite(recent)][-NIGHTS_OF_NOW:]
     if baseline is None or not len(recent):
         return None

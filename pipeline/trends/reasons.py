@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage.attribution import Attribution
-from leakage.monitoring import NIGHTS_OF_SIZE, Track, change_size, weights_of_now
+from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.standing import CHANGED, RAISED, Standing
-from pipeline.trends.words import limit_words, moved_words, path_words, size_words
+from pipeline.trends.words import limit_words, moved_words, path_words, size_words, unknown_words
 
 Array = NDArray[np.float64]
 
@@ -20,6 +18,7 @@ COMMON_CAUSE = (
     "the other motors of the oil circuit moved alike: oil, temperature or charge pressure, not "
     "this motor"
 )
+FALL = "a fall is no wear but another oil, a sensor, the flushing, a filled gap or a new part"
 
 
 def why_state(standing: Standing, name: str, place: int, path: Attribution | None) -> str:
@@ -37,7 +36,7 @@ def why_state(standing: Standing, name: str, place: int, path: Attribution | Non
     if found.own.limit_severity[inside]:
         parts.append(_beyond_limit(standing, name, place))
     if found.own.severity[inside]:
-        parts.append(_size(standing, name, place))
+        parts += _sizes(standing, name, place)
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
         parts.append(_circuit(standing, name, place))
@@ -84,29 +83,27 @@ def way_of(standing: Standing, name: str, place: int) -> str:
     return "both" if by_sum and by_level else "change" if by_sum else "level"
 
 
-def _size(standing: Standing, name: str, place: int) -> str:
-    """How far the indicator has risen, since when."""
-    watched, history = standing.watched[name], standing.history
-    segment, found, _ = watched.at(place)
-    here = slice(segment.first, place + 1)
-    inside = place - segment.first
-    nights, series = history.numbers[here], watched.series[here]
-    own = found.own
-    if own.onset[inside] < 0:
-        own = replace(own, onset=_onset_by_level(own, inside, watched.settings.levels.on_nights))
-    size = change_size(nights, series, own, inside)
-    since = None if size is None else standing.label(history.place_of(size.since_night))
-    return size_words(name, 100.0 * _latest(own.deviation[: inside + 1]), size, since)
-
-
-def _onset_by_level(own: Track, inside: int, needed: int) -> NDArray[np.int64]:
-    """Where a step began that the levels tell and the sum does not: the nights that they count."""
-    off = np.flatnonzero(own.severity[: inside + 1] == 0)
-    went_on = int(off[-1]) + 1 if len(off) else 0
-    good = np.flatnonzero(np.isfinite(own.deviation[: went_on + 1]))
-    onset = np.full(len(own.onset), -1, dtype=np.int64)
-    onset[inside] = good[-needed:][0] if len(good) else -1
-    return onset
+def _sizes(standing: Standing, name: str, place: int) -> list[str]:
+    """How far an indicator has risen since when, and every other path in the same state."""
+    state = standing.states[name][place]
+    others = [
+        one
+        for one, watched in standing.watched.items()
+        if one != name and watched.indicator.path and standing.states[one][place] == state
+    ]
+    sizes = {
+        one: size
+        for one in [name, *(others if state in RAISED else [])]
+        if (size := standing.rise(one, place)) is not None
+    }
+    words = [
+        size_words(one, size, standing.label(standing.history.place_of(size.since_night)))
+        for one, size in sorted(
+            sizes.items(), key=lambda item: (item[0] != name, -item[1].relative)
+        )
+    ]
+    has_fallen = any(size.relative <= 0.0 for size in sizes.values())
+    return [*words, FALL] if has_fallen and standing.sudden_at(place) is None else words
 
 
 def _beyond_limit(standing: Standing, name: str, place: int) -> str:
@@ -136,29 +133,32 @@ def _latest(values: Array) -> float:
 
 def _moved_with_it(standing: Standing, name: str, place: int) -> list[str]:
     """How far the reference leakage moved with another indicator, and the flushing if it did."""
-    begin = standing.earliest_onset(place)
-    words = []
-    for other in (REFERENCE, OWN_REFERENCE):
-        if other == name:
-            break
-        percent = _rise_now(standing, other, begin, place)
-        if percent is not None:
-            words.append(moved_words(other, percent))
-            break
+    references = {REFERENCE: (), OWN_REFERENCE: (REFERENCE,)}.get(name, (REFERENCE, OWN_REFERENCE))
+    told = [_moved(standing, one, name, place) for one in references]
+    # The first that is known now, else the first that ever was.
+    words = [max(told, key=lambda one: one[0])[1]] if told else []
     flushing = standing.states.get(FLUSHING)
     if name == DEVIATION and flushing is not None and flushing[place] in CHANGED:
-        percent = _rise_now(standing, FLUSHING, begin, place)
-        words += [] if percent is None else [moved_words(FLUSHING, percent)]
+        words.append(_moved(standing, FLUSHING, name, place)[1])
     return words
 
 
-def _rise_now(standing: Standing, name: str, begin: int, place: int) -> float | None:
-    """Deviation of an indicator from its baseline now, by the nights since one; None if unknown."""
-    segment, found, _ = standing.watched[name].at(place)
-    first = max(begin - segment.first, 0)
-    deviation = found.own.deviation[first : place - segment.first + 1]
-    good = np.flatnonzero(np.isfinite(deviation))[-NIGHTS_OF_SIZE:]
-    if not len(good):
-        return None
-    nights = standing.history.numbers[segment.first + first + good]
-    return 100.0 * float(weights_of_now(nights) @ deviation[good])
+def _moved(standing: Standing, other: str, name: str, place: int) -> tuple[int, str]:
+    """How far another indicator moved with the change that one tells, in words, and how well known.
+
+    Only nights since that change count, and only while there are recent ones: 2. What was known
+    before says nothing of now: 1. It was never known: 0.
+    """
+    watched, history = standing.watched[other], standing.history
+    segment, found, _ = watched.at(place)
+    deviation = found.own.deviation[: place - segment.first + 1]
+    known = segment.first + np.flatnonzero(np.isfinite(deviation))
+    if not len(known):
+        return 0, ""
+    last, begin = int(known[-1]), standing.change_start(name, place) or 0
+    silent = history.numbers[place] - history.numbers[last]
+    if last < begin or silent > watched.settings.stale_nights:
+        return 1, unknown_words(other, standing.label(last))
+    now = known[known >= begin][-NIGHTS_OF_SIZE:]
+    weights = weights_of_now(history.numbers[now])
+    return 2, moved_words(other, 100.0 * float(weights @ deviation[now - segment.first]))

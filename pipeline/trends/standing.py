@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from leakage.alarms import OF_SEVERITY
 from leakage.baseline import Baseline
+from leakage.monitoring import ChangeSize, Track, change_size
 from pipeline.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
@@ -167,15 +168,34 @@ class Standing:
         onset = int(found.own.onset[place - segment.first])
         return segment.first + onset if onset >= 0 else None
 
-    def earliest_onset(self, place: int) -> int:
-        """Place of the night on which the change began that some raised indicator tells."""
-        begins = [
-            onset
-            for name in self.watched
-            if self.states[name][place] in CHANGED
-            and (onset := self.onset(name, place)) is not None
-        ]
-        return min([place, *begins])
+    def rise(self, name: str, place: int) -> ChangeSize | None:
+        """How far an indicator is above its baseline since the rise that it tells; None: none told.
+
+        Below the baseline where what was told has since been undone.
+        """
+        watched = self.watched[name]
+        segment, found, _ = watched.at(place)
+        here, inside, own = slice(segment.first, place + 1), place - segment.first, found.own
+        if not own.severity[inside]:
+            return None
+        if own.onset[inside] < 0:
+            own = _with_onset_by_level(own, inside, watched.settings.levels.on_nights)
+        return change_size(self.history.numbers[here], watched.series[here], own, inside)
+
+    def has_fallen(self, name: str, place: int) -> bool:
+        """Whether an indicator is no longer above its baseline, though a rise stands told."""
+        size = self.rise(name, place)
+        return size is not None and size.relative <= 0.0
+
+    def change_start(self, name: str, place: int) -> int | None:
+        """Place of the night on which the change began that an indicator tells; None: none told.
+
+        A sudden change of the whole motor begins it anew.
+        """
+        size = self.rise(name, place)
+        began = [one.place for one in self.sudden if one.stands(place)]
+        began += [] if size is None else [self.history.place_of(size.since_night)]
+        return max(began, default=None)
 
     def line_start(self, name: str, place: int) -> int:
         """Place of the first night of the line that tells the slope as of a night.
@@ -189,3 +209,16 @@ class Standing:
         began = [one.place for one in self.sudden if one.stands(place)]
         began += [] if onset is None else [onset]
         return max([segment.first, *began])
+
+
+def _with_onset_by_level(own: Track, inside: int, needed: int) -> Track:
+    """A track with the onset of a step that the levels tell and the sum does not.
+
+    It is the first of the nights that they count.
+    """
+    off = np.flatnonzero(own.severity[: inside + 1] == 0)
+    went_on = int(off[-1]) + 1 if len(off) else 0
+    good = np.flatnonzero(np.isfinite(own.deviation[: went_on + 1]))
+    onset = own.onset.copy()
+    onset[inside] = good[-needed:][0]
+    return replace(own, onset=onset)

@@ -22,7 +22,7 @@ from pipeline.trends.indicators import (
 )
 from pipeline.trends.reasons import why_no_baseline, why_state
 from pipeline.trends.running import coverage
-from pipeline.trends.standing import DAYS_A_YEAR, RAISED, Standing
+from pipeline.trends.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.zeros import HALF, NO_HALT, Zero
 
 Row = dict[str, Any]
@@ -68,6 +68,8 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     state, indicator = standing.states[name][place], watched.indicator
     row = _figures(indicator, place)
     row |= {"state": state, "state_reason": None}
+    if state in CHANGED and (begin := standing.change_start(name, place)) is not None:
+        row["change_start"] = standing.label(begin)
     if baseline is None:
         why = (
             why_no_baseline(standing, name, place)

@@ -58,21 +58,24 @@ def day(date: object) -> str:
     return f"{int(text[8:10])} {MONTHS[int(text[5:7]) - 1]} {text[:4]}"
 
 
-def size_words(indicator: str, percent: float, size: ChangeSize | None, since: object) -> str:
-    """How far an indicator has risen, since when.
+def size_words(indicator: str, size: ChangeSize, since: object) -> str:
+    """How far an indicator has risen, since when; or that the rise is undone.
 
     Examples
     --------
-    >>> size_words("K_balance_sleeve", 30.0, ChangeSize(9, 0.38, 0.29, 0.47, 10), "2026-10-03")
+    >>> size_words("K_balance_sleeve", ChangeSize(9, 0.38, 0.29, 0.47, 10), "2026-10-03")
     'balance sleeve leakage +38 % [29, 47] since 3 October 2026'
+    >>> size_words("K_balance_sleeve", ChangeSize(9, -0.057, -0.1, -0.014, 10), "2026-10-03")
+    'balance sleeve leakage is down to -5.7 % [-10.0, -1.4] after a rise since 3 October 2026'
     """
-    if size is None:
-        return f"{name_of(indicator)} {percent:+.0f} %"
     digits = 0 if abs(size.relative) >= 0.1 else 1
-    return (
-        f"{name_of(indicator)} {100 * size.relative:+.{digits}f} % "
-        f"[{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}] since {day(since)}"
+    figures = (
+        f"{100 * size.relative:+.{digits}f} % "
+        f"[{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}]"
     )
+    if size.relative <= 0.0:
+        return f"{name_of(indicator)} is down to {figures} after a rise since {day(since)}"
+    return f"{name_of(indicator)} {figures} since {day(since)}"
 
 
 def limit_words(indicator: str, value: float, limit: float, unit: str) -> str:
@@ -100,6 +103,17 @@ def moved_words(indicator: str, percent: float) -> str:
     if abs(percent) < 0.5:
         return f"{name_of(indicator)} unchanged"
     return f"{name_of(indicator)} {percent:+.0f} %"
+
+
+def unknown_words(indicator: str, since: object) -> str:
+    """That an indicator is not known now.
+
+    Examples
+    --------
+    >>> unknown_words("reference_leakage", "2026-01-10")
+    'reference leakage not known since 10 January 2026'
+    """
+    return f"{name_of(indicator)} not known since {day(since)}"
 
 
 def path_words(found: Attribution | None) -> str:

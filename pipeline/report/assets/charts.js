@@ -309,6 +309,7 @@ const motorLeakage = (() => {
   const page = JSON.parse(document.getElementById("payload").textContent);
   const word = (kind, code) => page.words[kind]?.[code] ?? plain(code ?? "");
   const unit = (code) => page.words.units[code] ?? code ?? "";
+  const isPoor = (percent) => typeof percent === "number" && percent < page.poor_fit_percent;
 
   return {
     COLOURS,
@@ -326,6 +327,7 @@ const motorLeakage = (() => {
     drawAll,
     word,
     unit,
+    isPoor,
     /* By the figure's id: what draws it for a night. */
     nightFigures: {},
   };

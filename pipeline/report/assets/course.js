@@ -2,7 +2,8 @@
 "use strict";
 
 (() => {
-  const { COLOURS, page, style, decode, limits, plain, text, show, word } = motorLeakage;
+  const { COLOURS, page, style, decode, limits, plain, text, format, show, word, isPoor } =
+    motorLeakage;
   const { places, nights, open, marks, band, line } = motorLeakage.overNights;
 
   const statuses = places.map((place) => page.statuses[place]);
@@ -169,6 +170,24 @@
     Object.entries(page.nightly).map(([name, packed]) => [name, decode(packed)]),
   );
 
+  /* Crosses along the bottom, as a poor fit may lie far below the chart. */
+  function poorFits(shown) {
+    const poor = shown.flatMap(([name, key]) =>
+      nightly[key].flatMap((value, at) => (isPoor(value) ? [{ name, value, at }] : [])),
+    );
+    return {
+      type: "scatter",
+      mode: "markers",
+      name: "poor",
+      x: poor.map(({ at }) => nights[at]),
+      y: poor.map(() => 0.02),
+      yaxis: "y2",
+      text: poor.map(({ name, value }) => `${name} ${format(value, 3)} %, poor`),
+      hovertemplate: "%{x|%Y-%m-%d}: %{text}<extra></extra>",
+      marker: { color: COLOURS.vermilion, symbol: "x-thin-open", size: 7, line: { width: 1.5 } },
+    };
+  }
+
   show("course-fit", () => {
     const shown = [
       ["on training data", "training_fit", style(0)],
@@ -179,27 +198,35 @@
     const smallest = Math.min(
       ...shown.flatMap(([, key]) => nightly[key].filter((value) => value !== null)),
     );
+    const poor = poorFits(shown);
+    const courses = shown.map(([name, key, look]) =>
+      line(name, nightly[key], look, {
+        hovertemplate: `%{x|%Y-%m-%d}: %{y:.1f} %<extra>${name}</extra>`,
+      }),
+    );
     return {
-      traces: shown.map(([name, key, look]) =>
-        line(name, nightly[key], look, {
-          hovertemplate: `%{x|%Y-%m-%d}: %{y:.1f} %<extra>${name}</extra>`,
-        }),
-      ),
+      traces: poor.x.length ? [...courses, poor] : courses,
       onClick: open,
       layout: {
         xaxis: { type: "date" },
         yaxis: { title: "fit, %", range: [Math.max(Math.min(smallest - 3, 60), -50), 101] },
+        yaxis2: { overlaying: "y", range: [0, 1], visible: false, fixedrange: true },
         ...marks(),
       },
       table: {
         columns: [
           "Night",
           ...shown.map(([name]) => ({ name: `Fit ${name}`, unit: "%" })),
+          "Poor fit",
           { name: "Samples kept", unit: "%" },
         ],
         rows: nights.map((night, at) => [
           night,
           ...shown.map(([, key]) => nightly[key][at]),
+          shown
+            .filter(([, key]) => isPoor(nightly[key][at]))
+            .map(([name]) => name)
+            .join(", "),
           nightly.kept_share[at] === null ? null : 100 * nightly.kept_share[at],
         ]),
       },

@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { COLOURS, decode, format } = motorLeakage;
+  const { COLOURS, decode, format, isPoor } = motorLeakage;
   const { PARTS, LOOKS, INPUTS, unfitted, stamp } = motorLeakage.ofNight;
 
   /* Samples of a part, with a null wherever its neighbours are not neighbours in the log. */
@@ -110,7 +110,7 @@
     const fit = night.fit[`${name}_fit_percent`];
     const rmse = night.fit[`${name}_rmse_l_per_min`];
     const figures = [
-      fit === undefined ? "the flow has no shape to fit" : `fit ${format(fit, 3)} %`,
+      fit === undefined ? "the flow has no shape to fit" : `fit ${format(fit, 3)} %${isPoor(fit) ? " (poor)" : ""}`,
       rmse === undefined ? "" : `RMSE ${format(rmse, 3)} l/min`,
     ]
       .filter(Boolean)

@@ -2,7 +2,7 @@
 "use strict";
 
 motorLeakage.nightTables = (() => {
-  const { ABSENT, plain, format, element, table, word, unit } = motorLeakage;
+  const { ABSENT, plain, format, element, table, word, unit, isPoor } = motorLeakage;
   const { unfitted, parameterName, stamp } = motorLeakage.ofNight;
 
   function outcome({ fit, night, faults }) {
@@ -62,7 +62,13 @@ motorLeakage.nightTables = (() => {
     return hidden ? [made, element("p", { class: "absent" }, note)] : [made];
   }
 
-  const cell = (value) => element("span", { class: "figure" }, value ?? ABSENT);
+  const cell = (value, ...marks) =>
+    element("span", { class: "figure" }, value ?? ABSENT, ...marks);
+  const fitCell = (percent, digits) =>
+    cell(
+      format(percent, digits),
+      ...(isPoor(percent) ? [" ", element("b", { class: "poor" }, "poor")] : []),
+    );
 
   /* What the data say of the leakage at stated conditions; `kind` is how its columns begin. */
   function leakageRow(fit, kind, name) {
@@ -122,7 +128,11 @@ motorLeakage.nightTables = (() => {
     const { fit, modes } = night;
     if (fit.status !== "ok") return [element("p", { class: "absent" }, unfitted(night))];
     const rows = FIGURE_ROWS.filter(([, key]) => fit[key] !== undefined).map(
-      ([name, key, itsUnit]) => [name, cell(format(fit[key], 5)), itsUnit],
+      ([name, key, itsUnit]) => [
+        name,
+        key.endsWith("_fit_percent") ? fitCell(fit[key], 5) : cell(format(fit[key], 5)),
+        itsUnit,
+      ],
     );
     if (fit.n_starts)
       rows.push([
@@ -131,6 +141,14 @@ motorLeakage.nightTables = (() => {
         "",
       ]);
     const parts = [table(["Figure", "Value", "Unit"], rows)];
+    if (isPoor(fit.training_fit_percent) || isPoor(fit.validation_fit_percent))
+      parts.push(
+        element(
+          "p",
+          { class: "absent" },
+          "Poor: the mean of these samples describes them better than the model does.",
+        ),
+      );
     if (fit.interval_status && fit.interval_status !== "ok")
       parts.push(element("p", { class: "absent" }, `No intervals: ${fit.interval_status}`));
     if (modes.length > 1) {
@@ -140,7 +158,7 @@ motorLeakage.nightTables = (() => {
           ["Mode", { name: "Fit on validation data", unit: "%" }, "BIC with effective samples"],
           modes.map((mode) => [
             word("flushing", mode.flushing_mode) + (mode.is_primary ? " (configured)" : ""),
-            mode.validation_fit_percent,
+            fitCell(mode.validation_fit_percent),
             mode.bic_effective,
           ]),
         ),

@@ -67,7 +67,8 @@
         hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g}, %{text}<extra></extra>",
       },
       step(one, "baseline", scaled(one, one.baseline_mean), COLOURS.ink, "dash"),
-      step(one, "limit of alarm", scaled(one, one.limit), COLOURS.vermilion, "longdash"),
+      step(one, "level of warning", scaled(one, one.warning_limit), COLOURS.orange, "dot"),
+      step(one, "level of alarm", scaled(one, one.alarm_limit), COLOURS.vermilion, "longdash"),
     ];
   }
 
