@@ -161,9 +161,11 @@ def build_report(request: ReportRequest) -> ReportResult:
     UsageError
         If a motor is asked for that neither the config nor a table knows.
     """
-    if not table_folder(request.output, FITS).is_dir() and not request.known:
+    if not table_folder(request.output, FITS).is_dir():
         raise StoreError(
-            "report_tables", f"{request.output} holds no table of fits; run fit-fleet first"
+            "report_tables",
+            f"{request.output} holds no table of fits; run fit-fleet first; where it has run and "
+            "found no log, check says why",
         )
     before = read_manifest(request.folder)
     if before is None:

@@ -139,14 +139,12 @@ def figure(value: float | None, digits: int = 3) -> str:
 
     Examples
     --------
-    >>> figure(1.2345), figure(0.05), figure(123456.0), figure(None)
-    ('1.23', '0.0500', '123456', '–')
+    >>> figure(1.2345), figure(0.05), figure(-123456.0), figure(None)
+    ('1.23', '0.0500', '−123456', '–')
     """
     if value is None:
         return ABSENT
-    if abs(value) >= 10**digits:
-        return f"{value:.0f}"
-    text = f"{value:#.{digits}g}"
+    text = f"{value:.0f}" if abs(value) >= 10**digits else f"{value:#.{digits}g}"
     return text.removesuffix(".").replace("-", "−")
 
 

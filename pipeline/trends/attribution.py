@@ -178,9 +178,10 @@ def _changes(
 ) -> dict[str, _Change]:
     """Changes of the coefficients that were known in the baseline and are known since a night.
 
-    A wear that goes on is judged by its latest nights, and what all motors of the oil circuit did
-    is none.
+    A wear that goes on is judged by its latest nights, one that has had no recent night says
+    nothing of now, and what all motors of the oil circuit did is none.
     """
+    numbers = standing.history.numbers
     found = {}
     for name, watched in standing.watched.items():
         path = watched.indicator.path
@@ -192,7 +193,8 @@ def _changes(
         last = standing.history.place_of(baseline.last_night)
         before = good[(good >= segment.first) & (good <= last)]
         now = good[good >= max(begin, segment.first)][-NIGHTS_OF_NOW:]
-        if len(before) >= LEAST_NIGHTS and len(now):
+        recent = now[numbers[place] - numbers[now] <= watched.settings.stale_nights]
+        if len(before) >= LEAST_NIGHTS and len(recent):
             found[path] = _Change(series, baseline, before, now)
     return {path: found[path] for path in flows if path in found}
 

@@ -66,6 +66,7 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     segment, found, baseline = watched.at(place)
     inside = place - segment.first
     state, indicator = standing.states[name][place], watched.indicator
+    limits = watched.settings.limits
     row = _figures(indicator, place)
     row |= {"state": state, "state_reason": None}
     if state in CHANGED and (begin := standing.change_start(name, place)) is not None:
@@ -76,9 +77,10 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
             if state == "insufficient"
             else why_state(standing, name, place, None)
         )
+        row |= {"warning_limit": limits.warning, "alarm_limit": limits.alarm}
         return row | {"state_reason": why} | _line(standing, name, place, None)
     limit = cusum_limit(watched.settings.false_alarms_per_year, baseline)
-    (warning, alarm), limits = standing.levels(name, place), watched.settings.limits
+    warning, alarm = standing.levels(name, place)
     row |= {
         "baseline_start": standing.label(standing.history.place_of(baseline.first_night)),
         "baseline_mean": baseline.mean - indicator.shift,

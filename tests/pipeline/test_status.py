@@ -18,9 +18,10 @@ from pipeline.publishing import Publisher
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.status import age_in_hours, alarmed_night, fleet_status, last_findings, motor_state
 from pipeline.store import night_file, write_table
+from pipeline.trends.trend_rows import trend_rows
 from tests.pipeline.test_cli import Call
 from tests.pipeline.test_cli import call as call  # a fixture
-from tests.pipeline.trends.nights import configure, night_of
+from tests.pipeline.trends.nights import Nights, configure, motor, night_of, standing, step
 
 LAST = 5
 NAMES = ("reference_leakage", "K_piston_ring")
@@ -78,6 +79,74 @@ def test_a_motor_is_as_its_worst_indicator_tonight() -> None:
     assert found.reason == "K_piston_ring is alarm"
     assert found.leakage_l_per_min == 1.4
     assert found.last_good_night == night_of(LAST)
+
+
+def test_the_headline_names_every_part_in_alarm() -> None:
+    worn = {"balance_piston": step(110, 80, 0.6), "balance_sleeve": step(110, 80, 0.7)}
+    rows = [
+        one | {"run_id": "r"} for one in trend_rows(standing(Nights(motor(), 110, worn)), [109])
+    ]
+    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    assert (found.state, found.indicator) == ("alarm", "K_balance_sleeve")
+    assert found.reason is not None
+    assert found.reason.startswith("balance sleeve leakage +")
+    assert "; balance piston leakage +" in found.reason
+    assert found.change_start == night_of(80)
+
+
+def of_leakage(name: str, values: list[float | None], **tonight: Any) -> list[dict[str, Any]]:
+    rows = [trend("M1", night, name, value=value) for night, value in enumerate(values)]
+    rows[-1] |= tonight
+    return rows
+
+
+UNKNOWN = [1.4, 1.4, None, None, None, None]
+
+
+@pytest.mark.parametrize(
+    ("tonight", "ring", "known"),
+    [
+        ({}, {}, True),
+        ({"state": "stale"}, {}, False),
+        ({"state": "insufficient"}, {}, False),
+        ({}, {"state": "alarm", "change_start": night_of(1)}, True),
+        ({}, {"state": "alarm", "change_start": night_of(2)}, False),
+    ],
+    ids=["held", "stale", "no baseline", "since the change", "before the change"],
+)
+def test_a_leakage_that_says_nothing_of_now_is_not_told_as_current(
+    tonight: dict[str, Any], ring: dict[str, Any], known: bool
+) -> None:
+    rows = of_leakage("reference_leakage", UNKNOWN, **tonight)
+    rows += of_leakage("K_piston_ring", [1.0] * 6, **ring)
+    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    assert found.leakage_night == night_of(1)
+    expected = (1.4, 0.0) if known else (None, None)
+    assert (found.leakage_l_per_min, found.deviation_percent) == expected
+
+
+def test_the_leakage_at_the_motors_own_conditions_stands_in_where_it_alone_is_known() -> None:
+    rows = of_leakage("reference_leakage", UNKNOWN, state="stale")
+    rows += of_leakage("own_reference_leakage", [2.0] * 6)
+    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    assert (found.leakage_l_per_min, found.leakage_night) == (2.0, night_of(LAST))
+
+
+def test_a_poor_fit_of_the_last_good_night_is_told() -> None:
+    def said(*fits: dict[str, Any]) -> str:
+        rows = [
+            {"run_id": "r", "motor_id": "M1", "night": night_of(night), "is_primary": True} | fit
+            for night, fit in enumerate(fits)
+        ]
+        return motor_state("M1", rows_of("M1"), frame(FITS, rows), ()).poor_fit
+
+    good = {"status": "ok", "training_fit_percent": 99.0, "validation_fit_percent": 0.0}
+    poor = good | {"validation_fit_percent": -1295.0}
+    assert said(poor, good) == ""
+    assert said(good | {"validation_fit_percent": None}) == ""
+    assert said(good, poor, {"status": "failed"}) == (
+        "fit of 2026-01-03: validation -1295.0 % (poor: worse than a constant flow)"
+    )
 
 
 def test_an_alarm_of_the_past_is_past() -> None:
@@ -212,6 +281,22 @@ def test_the_command_prints_motors_and_the_last_good_run(
     first, last = out.splitlines()
     assert first == "M1; alarm; 1.4; +0.0 %; 2026-01-07; ok; K_piston_ring is alarm"
     assert last.startswith("last good run: 20")
+
+
+def test_the_command_says_since_when_a_leakage_is_not_known_and_that_a_fit_is_poor(
+    output: Path, config: Path, call: Call
+) -> None:
+    for night in range(LAST + 1):
+        rows = [trend("M1", night, "reference_leakage", "stale" if night == LAST else "ok")]
+        rows[0]["value"] = 1.4 if night == 0 else None
+        fit = {"motor_id": "M1", "night": night_of(night), "status": "ok", "is_primary": True}
+        fit |= {"run_id": "r", "training_fit_percent": 99.0, "validation_fit_percent": -1295.0}
+        write_table(night_file(output, TRENDS, night_of(night)), frame(TRENDS, rows))
+        write_table(night_file(output, FITS, night_of(night)), frame(FITS, [fit]))
+    assert call("status", config)[1].splitlines()[0] == (
+        "M1; stale; not known since 2026-01-02; not known; 2026-01-07; ok; reference_leakage is "
+        "stale; fit of 2026-01-07: validation -1295.0 % (poor: worse than a constant flow)"
+    )
 
 
 @pytest.mark.parametrize(

@@ -210,9 +210,20 @@ SEEN = Decision(
 
 def test_standing_is_that_of_the_command_status() -> None:
     found = standings(tables())
-    assert found["M"] == Standing("warning", "sleeve +38 % [29, 47]", "ok", 3.0)
-    assert found["N"] == Standing("stale", "no figure for 8 nights", "ok")
-    assert found["O"] == Standing("ok", "all indicators within their limits", "drifted")
+    tonight = FIRST + ONE_DAY
+    assert found["M"] == Standing(
+        "warning", "sleeve +38 % [29, 47]", "ok", 3.0, leakage_is_known=True, leakage_night=tonight
+    )
+    assert found["N"] == Standing(
+        "stale", "no figure for 8 nights", "ok", leakage_is_known=True, leakage_night=FIRST
+    )
+    assert found["O"] == Standing(
+        "ok",
+        "all indicators within their limits",
+        "drifted",
+        leakage_is_known=True,
+        leakage_night=FIRST,
+    )
     said = standings(tables((SEEN,)))["M"].reason
     assert said == "sleeve +38 % [29, 47] (acknowledged: ordered a sleeve)"
     assert standings(replace(tables(), trends={})) == {}

@@ -82,8 +82,11 @@ def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> N
     assert re.search(r"store_read: 2026-01-0\d\.parquet of starts is damaged", err)
 
 
-def test_without_tables_it_ends_with_4(call: Call, tmp_path: Path) -> None:
-    code, _, err = call("--output", tmp_path)
+@pytest.mark.parametrize("with_config", [False, True])
+def test_without_tables_it_ends_with_4(
+    call: Call, own_fleet: OwnFleet, tmp_path: Path, with_config: bool
+) -> None:
+    code, _, err = call(*([own_fleet(MOTOR)] if with_config else ["--output", tmp_path]))
     assert code == 4
     assert "report_tables" in err
     assert "run fit-fleet first" in err

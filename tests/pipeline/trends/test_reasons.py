@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 
 from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.attribution import path_behind
+from pipeline.trends.attribution import path_behind, path_named
 from pipeline.trends.indicators import DEVIATION, REFERENCE
 from pipeline.trends.reasons import way_of, why_no_baseline, why_state
 from pipeline.trends.standing import RAISED, Standing
 from pipeline.trends.trend_rows import trend_rows
 from tests.pipeline.trends.nights import (
+    PATHS,
     Nights,
     event,
     motor,
@@ -53,6 +54,117 @@ def test_damage_is_told_with_size_interval_date_and_the_reference_leakage() -> N
     assert reference == pytest.approx(expected, abs=1.0)
     assert words(found, REFERENCE).endswith("; mostly by the balance sleeve (over 99 % probable)")
     assert row(found, "K_balance_sleeve", N - 1)["path"] == "balance_sleeve"
+
+
+def test_every_part_in_alarm_is_named_with_its_size_the_own_first() -> None:
+    wear = {"balance_piston": step(N, AT, 0.7), "balance_sleeve": step(N, AT, 0.5)}
+    found = standing(Nights(motor(), N, wear))
+    piston, sleeve = (
+        rf"balance {part} leakage \+{size}\d % \[\d+, \d+\] since 23 March 2026"
+        for part, size in (("piston", "[67]"), ("sleeve", "[45]"))
+    )
+    assert re.match(f"{piston}; {sleeve}; reference leakage ", words(found, "K_balance_piston"))
+    assert re.match(f"{sleeve}; {piston}; reference leakage ", words(found, "K_balance_sleeve"))
+    assert found.states[REFERENCE][-1] == "alarm"
+    whole = words(found, REFERENCE)
+    assert re.match(rf"reference leakage \+.*?; {piston}; {sleeve}; by the balance", whole)
+    (told,) = [
+        one["reason"]
+        for one in alarm_rows(found, range(N))
+        if (one["indicator"], one["to_state"]) == ("K_balance_sleeve", "alarm")
+    ]
+    assert "balance piston leakage +" in told
+
+
+def test_a_part_in_another_state_is_not_in_the_headline() -> None:
+    wear = {"balance_piston": step(N, AT, 0.2), "balance_sleeve": step(N, AT, 0.6)}
+    found = standing(Nights(motor(), N, wear))
+    assert found.states["K_balance_piston"][-1] == "warning"
+    assert "piston" not in words(found, "K_balance_sleeve")
+
+
+def test_a_rise_that_is_undone_is_told_as_a_fall_and_blames_no_path() -> None:
+    """The sum and the levels hold for some nights, in which the motor lies below its baseline."""
+    wear = np.where(np.arange(N) < AT, 1.0, 1.12)
+    wear[AT + 20 :] = 0.9
+    found = standing(Nights(motor(), N, {"balance_sleeve": wear}))
+    name, fallen = "K_balance_sleeve", []
+    for place in range(AT, N):
+        if found.states[name][place] not in RAISED:
+            continue
+        said = words(found, name, place)
+        lower, upper = map(float, re.search(r"\[(\S+), (\S+)\]", said).groups())  # type: ignore[union-attr]
+        if lower + upper > 0:
+            assert re.match(r"balance sleeve leakage \+\S+ % .* since 2\d March 2026", said)
+            continue
+        fallen.append(place)
+        assert re.match(
+            r"balance sleeve leakage is down to -\S+ % \[.*\] after a rise since 2\d March 2026; a "
+            "fall is no wear but another oil, a sensor, the flushing, a filled gap or a new part; ",
+            said,
+        )
+        behind = path_behind(found, name, place)
+        assert behind is None
+        assert path_named(found, name, place, behind) is None
+        assert row(found, name, place)["path"] is None
+    assert fallen
+    # Nowhere, in no indicator's words, is a fall since a date.
+    rows = trend_rows(found, range(N))
+    assert not [
+        one for one in rows if re.search(r"-\S+ % \[.*?\] since", one.get("state_reason") or "")
+    ]
+
+
+def oil_that_nobody_dated(until: int) -> Standing:
+    """The ring wears from night 60; the oil of night 90 lifts all by 43 %.
+
+    From night `until` on, no night gives a reference leakage, or the K of pistons and sleeves.
+    """
+    oil = step(140, 90, 0.43)
+    wear = dict.fromkeys(PATHS, oil) | {"piston_ring": oil * step(140, 60, 0.4)}
+    refused = {
+        "reference_verdict": "outside_fitted_range",
+        "reference_reason": "pressure",
+        "coefficient_covariance": None,
+    }
+    silent = range(until, 140)
+    others = ("K_balance_piston", "K_balance_sleeve")
+    verdicts = {(place, name): "not_excited" for place in silent for name in others}
+    changes = dict.fromkeys(silent, refused)
+    return standing(Nights(motor(), 140, wear, changes=changes, verdicts=verdicts))
+
+
+def test_what_was_known_before_the_change_alone_is_not_quoted_as_current() -> None:
+    found = oil_that_nobody_dated(until=86)
+    said = words(found, "K_piston_ring", 139)
+    assert said.endswith("; reference leakage not known since 28 March 2026")
+    told = words(found, DEVIATION, 139)
+    assert "reference leakage not known since 28 March 2026" in told
+    # Nor does a K of the nights before say which path it was.
+    assert told.endswith("do not tell the coefficients of: balance piston, balance sleeve")
+
+
+def test_a_figure_that_went_stale_since_the_change_is_not_quoted_as_current() -> None:
+    found = oil_that_nobody_dated(until=100)
+    assert "; reference leakage +27 %; " in words(found, "K_piston_ring", 106)
+    assert "; reference leakage not known since 11 April 2026; " in words(
+        found, "K_piston_ring", 107
+    )
+
+
+def test_the_motors_own_conditions_stand_in_where_the_fleets_are_no_longer_seen() -> None:
+    refused = {"reference_verdict": "outside_fitted_range", "reference_reason": "pressure"}
+    changes = dict.fromkeys(range(AT - 3, N), refused)
+    found = standing(Nights(motor(), N, SLEEVE, changes=changes))
+    said = words(found, "K_balance_sleeve")
+    assert "not known" not in said
+    assert re.search(r"; leakage at the motor's own conditions \+1\d %$", said)
+
+
+def test_a_change_has_the_night_on_which_it_began() -> None:
+    found = standing(Nights(motor(), N, SLEEVE))
+    assert row(found, "K_balance_sleeve", N - 1)["change_start"] == night_of(AT)
+    assert row(found, "K_piston_ring", N - 1).get("change_start") is None
 
 
 def test_a_wear_of_the_ring_leaves_the_reference_leakage_unchanged() -> None:
@@ -120,7 +232,9 @@ def test_a_limit_of_the_motor_type_that_the_motor_has_always_passed() -> None:
     found = limited(1.2, 3.0, {})
     # Three nights of five tell it; a limit needs no baseline.
     assert found.states[REFERENCE] == ("insufficient",) * 2 + ("warning",) * (N - 2)
-    assert str(row(found, REFERENCE, 10)["state_reason"]).endswith("the motor type is 1.2 l/min")
+    without_baseline = row(found, REFERENCE, 10)
+    assert str(without_baseline["state_reason"]).endswith("the motor type is 1.2 l/min")
+    assert (without_baseline["warning_limit"], without_baseline["alarm_limit"]) == (1.2, 3.0)
     value = found.watched[REFERENCE].series[-1]
     assert words(found, REFERENCE) == (
         f"reference leakage {value:.3g} l/min, and the limit of the motor type is 1.2 l/min"
