@@ -129,7 +129,7 @@ def _row(
     days = np.array([night.toordinal() for night in motor.nights], dtype=np.int64)
     recent = _calendar(motor, newest)
     told = [status for status in recent if status is not None]
-    path, gap = _gap_change(motor, changed, standing)
+    path, gap = _gap_change(motor, changed, standing, newest)
     kept = good["kept_share"].tail(RECENT_NIGHTS).median() if good.height else None
     return FleetRow(
         motor_id=motor.motor_id,
@@ -178,7 +178,12 @@ def _is_known_now(
     night = motor.nights[known[-1]]
     if standing is not None and standing.leakage_night is not None:
         return standing.leakage_is_known and bool(night >= standing.leakage_night)
-    return bool((newest or night) - night <= STALE_AFTER)
+    return _is_recent(night, newest)
+
+
+def _is_recent(night: dt.date, newest: dt.date | None) -> bool:
+    """Whether a night is one of the fleet's last, so that its figures are of now."""
+    return (newest or night) - night <= STALE_AFTER
 
 
 def _leakage_change(changed: Changes, standing: Standing | None) -> float | None:
@@ -188,18 +193,18 @@ def _leakage_change(changed: Changes, standing: Standing | None) -> float | None
 
 
 def _gap_change(
-    motor: MotorHistory, changed: Changes, standing: Standing | None
+    motor: MotorHistory, changed: Changes, standing: Standing | None, newest: dt.date | None
 ) -> tuple[str, float | None]:
-    """The path whose gap has changed most, and how much in percent; since a change, if one is."""
+    """The path whose gap has changed most, and how much in percent, by nights that tell of now."""
     if not motor.baselines:
         return (changed.gap[0], changed.gap[1].gap_percent) if changed.gap else ("", None)
-    begin = standing.change_start if standing else None
-    since = np.array([begin is None or night >= begin for night in motor.nights])
-    medians = {
-        name: float(np.median(course.value[known][-LAST_NIGHTS:]))
-        for name, course in motor.gap_changes().items()
-        if motor.baselines.get(f"K_{name}") and (known := course.is_known & since).any()
-    }
+    begin = (standing.change_start if standing else None) or dt.date.min
+    medians = {}
+    for name, course in motor.gap_changes().items():
+        known = [place for place in np.flatnonzero(course.is_known) if motor.nights[place] >= begin]
+        is_told = bool(motor.baselines.get(f"K_{name}")) and bool(known)
+        if is_told and _is_recent(motor.nights[known[-1]], newest):
+            medians[name] = float(np.median(course.value[known[-LAST_NIGHTS:]]))
     path = max(medians, key=lambda name: abs(medians[name]), default="")
     return path, medians.get(path)
 

@@ -57,8 +57,7 @@ def path_behind(standing: Standing, name: str, place: int) -> Attribution | None
         return None
     indicator = standing.watched[name].indicator
     flows = path_flows(standing, name, place)
-    begin = standing.change_start(name, place) or 0
-    changes = _changes(standing, place, flows, begin)
+    changes = _changes(standing, place, flows)
     if indicator.path:
         return _of_coefficient(indicator.path, flows, changes)
     names = tuple(changes)
@@ -66,7 +65,7 @@ def path_behind(standing: Standing, name: str, place: int) -> Attribution | None
     weights = np.array([flows[one] for one in names])
     covariance = _covariance(list(changes.values()))
     if len(names) < len(flows):
-        rest = _rest(standing, name, place, begin, float(weights @ sizes), weights, covariance)
+        rest = _rest(standing, name, place, float(weights @ sizes), weights, covariance)
         if rest is None:
             return None
         size, variance, shared = rest
@@ -173,15 +172,13 @@ def _latest_sums(standing: Standing, place: int) -> Array | None:
     return sums
 
 
-def _changes(
-    standing: Standing, place: int, flows: Mapping[str, float], begin: int
-) -> dict[str, _Change]:
-    """Changes of the coefficients that were known in the baseline and are known since a night.
+def _changes(standing: Standing, place: int, flows: Mapping[str, float]) -> dict[str, _Change]:
+    """Changes of the coefficients that were known in the baseline and are known since.
 
     A wear that goes on is judged by its latest nights, one that has had no recent night says
     nothing of now, and what all motors of the oil circuit did is none.
     """
-    numbers = standing.history.numbers
+    begin, numbers = standing.earliest_onset(place), standing.history.numbers
     found = {}
     for name, watched in standing.watched.items():
         path = watched.indicator.path
@@ -238,7 +235,6 @@ def _rest(
     standing: Standing,
     name: str,
     place: int,
-    begin: int,
     explained: float,
     weights: Array,
     covariance: Array,
@@ -253,7 +249,7 @@ def _rest(
     """
     segment, _, _ = standing.watched[name].at(place)
     series, baseline = standing.own_change(name, place)
-    recent = series[max(begin, segment.first) : place + 1]
+    recent = series[max(standing.earliest_onset(place), segment.first) : place + 1]
     recent = recent[np.isfinite(recent)][-NIGHTS_OF_NOW:]
     if baseline is None or not len(recent):
         return None

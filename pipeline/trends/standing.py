@@ -193,9 +193,26 @@ class Standing:
         A sudden change of the whole motor begins it anew.
         """
         size = self.rise(name, place)
-        began = [one.place for one in self.sudden if one.stands(place)]
-        began += [] if size is None else [self.history.place_of(size.since_night)]
-        return max(began, default=None)
+        began = [] if size is None else [self.history.place_of(size.since_night)]
+        return max([*began, *self._sudden_places(place)], default=None)
+
+    def earliest_onset(self, place: int) -> int:
+        """Place of the night on which the change began that some raised indicator tells first.
+
+        A wear shows in one indicator before it does in another. A sudden change of the whole motor
+        begins it anew.
+        """
+        begins = [
+            onset
+            for name in self.watched
+            if self.states[name][place] in CHANGED
+            and (onset := self.onset(name, place)) is not None
+        ]
+        return max([min([place, *begins]), *self._sudden_places(place)])
+
+    def _sudden_places(self, place: int) -> list[int]:
+        """Places of the sudden changes that stand in a night."""
+        return [one.place for one in self.sudden if one.stands(place)]
 
     def line_start(self, name: str, place: int) -> int:
         """Place of the first night of the line that tells the slope as of a night.
@@ -206,9 +223,8 @@ class Standing:
         """
         segment, _, _ = self.watched[name].at(place)
         onset = self.onset(name, place)
-        began = [one.place for one in self.sudden if one.stands(place)]
-        began += [] if onset is None else [onset]
-        return max([segment.first, *began])
+        began = [] if onset is None else [onset]
+        return max([segment.first, *began, *self._sudden_places(place)])
 
 
 def _with_onset_by_level(own: Track, inside: int, needed: int) -> Track:

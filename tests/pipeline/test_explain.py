@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from pathlib import Path
 
+import polars as pl
 import pytest
 
 from pipeline.config import load_fleet
@@ -12,6 +13,7 @@ from pipeline.errors import UsageError
 from pipeline.explain import explain
 from pipeline.fleet import RunRequest, run_fleet
 from tests.conftest import OwnFleet
+from tests.pipeline.report.conftest import change_table
 
 FIRST = dt.date(2026, 1, 2)
 
@@ -48,6 +50,16 @@ def test_one_pressure_all_night_is_told_with_what_would_help(own_fleet: OwnFleet
     assert "no reference leakage (200 bar" in told
     assert "leakage at the night's own mean (180 bar" in told
     assert "identified" not in told
+
+
+def test_a_poor_fit_is_called_one(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB560-01", fitted=True)
+    output = load_fleet(fleet).output
+    poor = pl.lit(-1295.0).alias("validation_fit_percent")
+    change_table(output, "fits", lambda rows: rows.with_columns(poor), f"{FIRST}")
+    (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("fit: ")]
+    assert "validation -1295.0 % (poor: worse than a constant flow)" in told
+    assert told.count("poor") == 1
 
 
 def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:

@@ -141,7 +141,7 @@ motorLeakage.nightTables = (() => {
         "",
       ]);
     const parts = [table(["Figure", "Value", "Unit"], rows)];
-    if (isPoor(fit.training_fit_percent) || isPoor(fit.validation_fit_percent))
+    if (FIGURE_ROWS.some(([, key]) => key.endsWith("_fit_percent") && isPoor(fit[key])))
       parts.push(
         element(
           "p",
