@@ -52,7 +52,7 @@ def test_one_pressure_all_night_is_told_with_what_would_help(own_fleet: OwnFleet
 
 def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     fleet = own_fleet("CB400-02")
-    log = min((fleet.parent.parent / "logs" / "CB400-02").iterdir())
+    log = min((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
     log.write_bytes(b"nonsense" * 1000)
     told = explain(fitted(fleet), "CB400-02", FIRST)
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
