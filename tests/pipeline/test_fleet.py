@@ -253,7 +253,7 @@ def test_one_worker_writes_the_same_bytes_wherever_it_lies(
     run(fleet)
     run(fleet, output=tmp_path / "elsewhere", backend="loky", workers=1)
     (tmp_path / "moved").mkdir()
-    for name in ("configs", "logs"):
+    for name in ("configs", "demo"):
         shutil.copytree(tmp_path / name, tmp_path / "moved" / name)
     run(tmp_path / "moved/configs/fleet.toml")
     first = table_files(output_of(fleet))
