@@ -24,26 +24,28 @@ $(READY): requirements.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
 	@touch $@
 
+# The demo's logs are made where no fleet is named.
 ifdef CONFIG
-fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=2 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
-	$(BIN)/motor-leakage fit-fleet $(CONFIG) $(OPTIONS)
-report: $(READY) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
-	$(BIN)/motor-leakage report $(CONFIG) --jobs $(JOBS)
-check: $(READY)  ## check a fleet's config and the head of its logs: CONFIG=...
-	$(BIN)/motor-leakage check $(CONFIG)
+FLEET := $(CONFIG)
 else
-fit-fleet: demo-logs
-	$(BIN)/motor-leakage fit-fleet $(DEMO)/configs/fleet.toml $(OPTIONS)
+FLEET := configs/fleet.toml
+fit-fleet report check: demo-logs
 report: fit-fleet
-	$(BIN)/motor-leakage report $(DEMO)/configs/fleet.toml --jobs $(JOBS)
-check: demo-logs
-	$(BIN)/motor-leakage check $(DEMO)/configs/fleet.toml
 endif
 
-demo-logs: $(DEMO)/truth.json ## a simulated fleet of six motors in demo/
+fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=2 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
+	$(BIN)/motor-leakage fit-fleet $(FLEET) $(OPTIONS)
+
+report: $(READY) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
+	$(BIN)/motor-leakage report $(FLEET) --jobs $(JOBS)
+
+check: $(READY)  ## check a fleet's config and the head of its logs: CONFIG=...
+	$(BIN)/motor-leakage check $(FLEET)
+
+demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fleet.toml, in demo/
 
 $(DEMO)/truth.json: | $(READY)
-	$(BIN)/motor-leakage demo $(DEMO)
+	$(BIN)/motor-leakage demo .
 
 lint: $(READY)   ## style, types, and that the generated docs are up to date
 	$(BIN)/ruff check .
@@ -70,5 +72,5 @@ bench-guard: $(READY) ## whether it is slower than at the last committed results
 docs: $(READY)   ## make the config and table reference anew
 	$(BIN)/python -m pipeline.reference docs
 
-clean:           ## remove the virtual environment and the demo with its tables; yours stay
+clean:           ## remove the virtual environment and the demo's logs; tables stay
 	rm -rf $(VENV) $(DEMO)

@@ -23,16 +23,16 @@ DAY_MINUTES = 1440.0
 
 def write_day(folder: Path, minutes: float, rate_hz: float, *formats: str) -> None:
     """Write the demo's configs, and one log in each of some formats."""
-    writing._prepare(folder, writing.shipped_configs())
-    plan = Plan(1, minutes, rate_hz, 1, NIGHT)
+    config, plan = writing.demo_config(folder), Plan(1, minutes, rate_hz, 1, NIGHT)
+    writing._clear(folder / "demo")
     wanted = {MOTORS[name] for name in formats}
-    nights = [one for one in writing._demo_nights(folder, plan) if one.spec.motor_id in wanted]
-    writing._write_nights(folder / "logs", nights)
+    nights = [one for one in writing._demo_nights(config, plan) if one.spec.motor_id in wanted]
+    writing._write_nights(folder / "demo" / "logs", nights)
 
 
 def log_of(day: Path, name: str) -> Path:
     """The log of a day in a format."""
-    (log,) = (day / "logs" / MOTORS[name]).iterdir()
+    (log,) = (day / "demo" / "logs" / MOTORS[name]).iterdir()
     return log
 
 
@@ -51,7 +51,7 @@ def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = Fal
             "(oil_circuit = ).*", rf'\1"tank of {motor_id}"', text.replace(MOTORS[name], motor_id)
         )
         (motors / f"{motor_id}.toml").write_text(own, "utf-8")
-        target = folder / "logs" / motor_id / log.name
+        target = folder / "demo" / "logs" / motor_id / log.name
         target.parent.mkdir(parents=True)
         (os.link if linked else shutil.copyfile)(log, target)
     return folder / "configs" / "fleet.toml"
@@ -59,4 +59,6 @@ def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = Fal
 
 def logs_of(config: Path) -> list[Path]:
     """All logs of such a fleet."""
-    return sorted(path for path in (config.parent.parent / "logs").rglob("*") if path.is_file())
+    return sorted(
+        path for path in (config.parent.parent / "demo" / "logs").rglob("*") if path.is_file()
+    )

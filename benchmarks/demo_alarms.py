@@ -36,7 +36,7 @@ def main() -> None:
 
 def compare(demo: Path, output: Path) -> None:
     """Write the comparison of one demo's alarms with its truth."""
-    truth = json.loads((demo / "truth.json").read_text("utf-8"))["motors"]
+    truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))["motors"]
     files = sorted((output / "tables" / "alarms").glob("*/*.parquet"))
     alarms = pl.concat(pl.read_parquet(path) for path in files).sort("night", "indicator")
     raised = {

@@ -106,7 +106,7 @@ def _cut_row(demo: Demo, folder: Path) -> list[str]:
     config = write_fleet(demo.folder, folder, CUT, demo.nights)
     for motor, logs in demo.nights.items():
         last = max(logs)
-        whole = next((folder / "logs" / motor).glob(f"*{last}*"))
+        whole = next((folder / "demo" / "logs" / motor).glob(f"*{last}*"))
         data = whole.read_bytes()
         cut = whole.with_name(whole.name.replace(str(last), str(last + dt.timedelta(days=1))))
         cut.write_bytes(data[: len(data) // 2])

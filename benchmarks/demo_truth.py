@@ -35,7 +35,7 @@ def main() -> None:
 
 def compare(demo: Path, output: Path) -> None:
     """Write the comparison of one demo's tables with its truth."""
-    truth = json.loads((demo / "truth.json").read_text("utf-8"))["motors"]
+    truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))["motors"]
     fits = _table(output, "fits").filter(pl.col("is_primary"))
     parameters = _table(output, "parameters").join(fits.select(KEY), on=KEY)
     rows = [

@@ -68,7 +68,7 @@ def measure(
             _deliver(folder, "short", (short - 1) % SHORT_NIGHTS, short)
         if number > done + 1:
             _run(config)
-            _blank(folder / "logs")
+            _blank(folder / "demo" / "logs")
         _deliver(folder, "long", 0, number)
         output = folder / "out"
         runs = []
@@ -79,7 +79,7 @@ def measure(
             shutil.rmtree(output)
             (folder / "before").rename(output)
         _run(config)
-        _blank(folder / "logs")
+        _blank(folder / "demo" / "logs")
         found[number] = {name: statistics.median(run[name] for run in runs) for name in runs[0]}
         done = number
     return found
@@ -97,7 +97,7 @@ def _own_fleet(folder: Path) -> Path:
 def _deliver(folder: Path, demo: str, source: int, number: int) -> None:
     """Put a night's logs of a demo where the fleet looks, moved to another night."""
     for motor_id in MOTORS:
-        log = sorted((folder / demo / "logs" / motor_id).glob("*.parquet"))[source]
+        log = sorted((folder / demo / "demo" / "logs" / motor_id).glob("*.parquet"))[source]
         label = dt.date.fromisoformat(log.stem.removeprefix(f"{motor_id}_"))
         table = pq.read_table(log)
         moved = FIRST + dt.timedelta(days=number - 1)
@@ -109,7 +109,7 @@ def _deliver(folder: Path, demo: str, source: int, number: int) -> None:
             pa.scalar(step, pa.duration("us")) if stamps else step // dt.timedelta(milliseconds=1)
         )
         shifted = pc.add(table[0], shift)
-        target = folder / "logs" / motor_id / f"{motor_id}_{moved}.parquet"
+        target = folder / "demo" / "logs" / motor_id / f"{motor_id}_{moved}.parquet"
         target.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(table.set_column(0, time_column.name, shifted), target)
 

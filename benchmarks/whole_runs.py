@@ -106,7 +106,7 @@ def until_first_byte(config: Path) -> Cost:
     shutil.rmtree(config.parent.parent / "out", ignore_errors=True)
     library = ctypes.CDLL(None)
     watch = library.inotify_init()
-    for path in (config.parent.parent / "logs").glob("*/*"):
+    for path in (config.parent.parent / "demo" / "logs").glob("*/*"):
         library.inotify_add_watch(watch, os.fsencode(path), IN_ACCESS)
     begin = time.perf_counter()
     process = subprocess.Popen(fit_command(config, 2), stdout=subprocess.DEVNULL)

@@ -76,7 +76,9 @@ def own_fleet(demo_folder: Path, tmp_path: Path, request: pytest.FixtureRequest)
             if file.stem not in motors:
                 file.unlink()
         for motor in motors:
-            shutil.copytree(demo_folder / "logs" / motor, tmp_path / "logs" / motor)
+            shutil.copytree(
+                demo_folder / "demo" / "logs" / motor, tmp_path / "demo" / "logs" / motor
+            )
         if fitted:
             shutil.copytree(request.getfixturevalue("fitted_output"), tmp_path / "out")
         return tmp_path / "configs" / "fleet.toml"

@@ -1,6 +1,6 @@
 """The queries of `docs/queries.md`: found on the page, run, and their answers written into it.
 
-``python -m tests.query_page FOLDER`` runs them on the tables in ``FOLDER/demo/out/tables`` and puts
+``python -m tests.query_page FOLDER`` runs them on the tables in ``FOLDER/out/tables`` and puts
 the answers below the queries.
 """
 
@@ -44,7 +44,7 @@ def questions() -> list[Question]:
 
 
 def answer(engine: str, question: Question) -> pl.DataFrame:
-    """Answer a question on the tables in `demo/out/tables` of the folder in which we are."""
+    """Answer a question on the tables in `out/tables` of the folder in which we are."""
     if engine == "DuckDB":
         with duckdb.connect() as connection:
             connection.execute(preparation()[engine]).fetchall()

@@ -55,14 +55,14 @@ Rows = list[dict[str, Any]]
 
 @pytest.fixture(scope="module")
 def demo(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the demo's tables in `demo/out/`, and trends of motors of the same names."""
+    """A folder with the demo's tables in `out/`, and trends of motors of the same names."""
     folder = tmp_path_factory.mktemp("demo")
-    tables = folder / "demo" / "out" / "tables"
+    tables = folder / "out" / "tables"
     tables.mkdir(parents=True)
     for table in (fitted_output / "tables").iterdir():
         if table.name not in {one.name for one in (*TREND_TABLES, DECISIONS)}:
             (tables / table.name).symlink_to(table)
-    write_trends(folder / "demo" / "out")
+    write_trends(folder / "out")
     return folder
 
 
@@ -81,12 +81,10 @@ def history(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
             night = dt.date.fromisoformat(path.stem)
             before = rows.with_columns(pl.col("night") - EARLIER, **_less_worn(table))
             added = [name for name in list(table.schema)[-2:] if name not in table.key]
-            write_table(
-                night_file(folder / "demo" / "out", table, night - EARLIER), before.drop(added)
-            )
+            write_table(night_file(folder / "out", table, night - EARLIER), before.drop(added))
             now = _with_faults(rows) if table is FITS and night == NEWEST else rows
-            write_table(night_file(folder / "demo" / "out", table, night), now)
-    write_trends(folder / "demo" / "out")
+            write_table(night_file(folder / "out", table, night), now)
+    write_trends(folder / "out")
     return folder
 
 
@@ -189,10 +187,7 @@ def _with_faults(rows: pl.DataFrame) -> pl.DataFrame:
 
 def fits(history: Path, **values: object) -> Rows:
     """Primary rows of `fits` with the given values, of the newer nights."""
-    files = [
-        night_file(history / "demo" / "out", FITS, NEWEST - dt.timedelta(days=day))
-        for day in range(3)
-    ]
+    files = [night_file(history / "out", FITS, NEWEST - dt.timedelta(days=day)) for day in range(3)]
     rows = pl.concat([read_table(path, FITS) for path in files]).filter("is_primary").to_dicts()
     return [row for row in rows if all(row[name] == value for name, value in values.items())]
 
@@ -319,8 +314,7 @@ def test_5_fit_on_new_data(ask: Any, history: Path) -> None:
 def test_6_refused_data(ask: Any, history: Path) -> None:
     rows = ask(6)
     files = [
-        night_file(history / "demo" / "out", QUALITY, NEWEST - dt.timedelta(days=day))
-        for day in range(3)
+        night_file(history / "out", QUALITY, NEWEST - dt.timedelta(days=day)) for day in range(3)
     ]
     nights = [row for path in files for row in read_table(path, QUALITY).to_dicts()]
     found = {(row["motor_id"], row["channel"], row["reason"]): row for row in rows}
@@ -352,7 +346,7 @@ def test_8_error_budget(ask: Any, history: Path) -> None:
     effects = {
         row["source"]: row["effect"]
         for row in read_table(
-            night_file(history / "demo" / "out", SENSITIVITIES, NEWEST), SENSITIVITIES
+            night_file(history / "out", SENSITIVITIES, NEWEST), SENSITIVITIES
         ).to_dicts()
         if row["motor_id"] == STEADY and row["indicator"] == "reference_leakage"
     }
@@ -424,11 +418,11 @@ def test_plain_reading_of_old_and_new_files_sees_all_columns(
 ) -> None:
     """What `union_by_name` and `diagonal` are for: the first file has fewer columns."""
     monkeypatch.chdir(history)
-    first, *_, last = sorted(Path("demo/out/tables/fits").rglob("*.parquet"))
+    first, *_, last = sorted(Path("out/tables/fits").rglob("*.parquet"))
     assert len(pl.read_parquet_schema(first)) < len(pl.read_parquet_schema(last))
     with duckdb.connect() as connection:
         relation = connection.sql(
-            "SELECT * FROM read_parquet('demo/out/tables/fits/**/*.parquet', union_by_name = true,"
+            "SELECT * FROM read_parquet('out/tables/fits/**/*.parquet', union_by_name = true,"
             " hive_partitioning = false)"
         )
         assert relation.columns == list(FITS.schema)

@@ -20,7 +20,7 @@ EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 ConfigFile = Annotated[
-    Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as demo/configs/fleet.toml.")
+    Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
 Output = Annotated[

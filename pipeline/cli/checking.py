@@ -42,7 +42,7 @@ def check(
 ) -> None:
     """Check the config of a fleet and look at the ends of each log; nothing is fitted.
 
-    Example: motor-leakage check demo/configs/fleet.toml
+    Example: motor-leakage check configs/fleet.toml
 
     Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
 

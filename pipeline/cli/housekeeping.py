@@ -30,7 +30,7 @@ def prune(
 
     Figures, trends and alarms stay, and no night is made anew for it.
 
-    Example: motor-leakage prune demo/configs/fleet.toml --tables predictions,starts --keep 400
+    Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
     from pipeline.fleet import locked
     from pipeline.retention import nights_kept, old_files
@@ -80,7 +80,7 @@ def migrate(
     The program reads them without it; queries over old and new files together may need it. Rows
     and figures stay, new columns are null.
 
-    Example: motor-leakage migrate demo/configs/fleet.toml --dry-run
+    Example: motor-leakage migrate configs/fleet.toml --dry-run
     """
     from collections import Counter
 
@@ -115,7 +115,7 @@ def pull(
 ) -> None:
     """Bring the output folder up to date with the object store that it is published to.
 
-    Example: motor-leakage pull demo/configs/fleet.toml
+    Example: motor-leakage pull configs/fleet.toml
     """
     from pipeline.fleet import refresh
 

@@ -17,23 +17,25 @@ class ImageFormat(StrEnum):
 
 
 def demo(
-    folder: Annotated[Path, typer.Argument(help="Folder to write; it is made.")],
+    folder: Annotated[Path, typer.Argument(help="Gets demo/, and configs/ where it has none.")],
     nights: Annotated[int, typer.Option(min=1, help="Nights of logs.")] = 75,
     minutes: Annotated[float, typer.Option(min=1.0, help="Minutes of log a night.")] = 90.0,
     rate: Annotated[float, typer.Option(min=0.1, help="Samples a second.")] = 5.0,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the simulation.")] = 1,
     jobs: Annotated[int, typer.Option(min=1, help="Worker processes.")] = 2,
 ) -> None:
-    """Write a simulated fleet: config, logs in three formats, and the truth beside them.
+    """Write logs of a simulated fleet in three formats to demo/, and the truth beside them.
 
-    Example: motor-leakage demo demo --nights 3
+    Example: motor-leakage demo . --nights 3
 
-    The examples of the other commands are of this fleet. Its tables go to demo/out/.
+    They are the logs of the fleet configs/fleet.toml, which the examples of the other commands
+    name. Its tables go to out/.
     """
     from pipeline.demo import write_demo
 
     write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate, seed=seed, workers=jobs)
-    typer.echo(f"demo fleet written to {folder}; its config is {folder / 'configs' / 'fleet.toml'}")
+    config = folder / "configs" / "fleet.toml"
+    typer.echo(f"logs written to {folder / 'demo' / 'logs'}; the fleet's config is {config}")
 
 
 def draw_model(
@@ -56,7 +58,7 @@ def draw_model(
     Nothing is fitted: gap heights and eccentricities are the configured ones, and the settings
     are the fleet's, without what a motor overrides. Prints the files that were written.
 
-    Example: motor-leakage model --type CB560 --config demo/configs/fleet.toml --format svg
+    Example: motor-leakage model --type CB560 --config configs/fleet.toml --format svg
     """
     from pipeline.config import load_fleet
     from pipeline.demo import shipped_configs

@@ -34,7 +34,7 @@ def explain(
 ) -> None:
     """Say in words why a motor's night has the figures it has, or none.
 
-    Example: motor-leakage explain demo/configs/fleet.toml CB560-01 2026-01-03
+    Example: motor-leakage explain configs/fleet.toml CB560-01 2026-01-03
     """
     from pipeline.explain import explain as explained
 
@@ -67,9 +67,9 @@ def report(
 ) -> None:
     """Write the report: pages for the fleet and each motor that open without a server.
 
-    Example: motor-leakage report demo/configs/fleet.toml
+    Example: motor-leakage report configs/fleet.toml
 
-    Then open demo/out/report/index.html. A further run makes only what has changed. Exit code 1: a
+    Then open out/report/index.html. A further run makes only what has changed. Exit code 1: a
     table file could not be read; the rest is there.
     """
     from pipeline.config import Execution
@@ -125,11 +125,11 @@ def export(
 ) -> None:
     """Write published tables in another format; what is there of the same name is replaced.
 
-    Example: motor-leakage export demo/configs/fleet.toml --csv csv --tables fits,parameters --bom
+    Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
 
     Text that a spreadsheet would take for a formula gets an apostrophe in front.
 
-    Example: motor-leakage export demo/configs/fleet.toml --delta lake
+    Example: motor-leakage export configs/fleet.toml --delta lake
 
     Delta Lake tables are written whole, each in one transaction.
     """

@@ -66,7 +66,7 @@ def fit_fleet(
 ) -> None:
     """Fit every new night of the fleet's motors and write the tables.
 
-    Example: motor-leakage fit-fleet demo/configs/fleet.toml --jobs 2 --since 2026-01-02
+    Example: motor-leakage fit-fleet configs/fleet.toml --jobs 2 --since 2026-01-02
 
     Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
     config; 3: another run holds the output; 4: nothing could be published.
@@ -101,7 +101,7 @@ def retry(
 
     A log that cannot be read is not tried again while it is unchanged; this does.
 
-    Example: motor-leakage retry demo/configs/fleet.toml
+    Example: motor-leakage retry configs/fleet.toml
 
     Exit codes as those of fit-fleet.
     """
@@ -136,7 +136,7 @@ def fit(
 ) -> None:
     """Fit one motor's night from its logs and say what came of it; nothing is published.
 
-    Example: motor-leakage fit demo/configs/fleet.toml CB560-01 2026-01-03
+    Example: motor-leakage fit configs/fleet.toml CB560-01 2026-01-03
     """
     from tempfile import TemporaryDirectory
 

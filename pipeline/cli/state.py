@@ -30,7 +30,7 @@ def status(
 ) -> None:
     """Print the fleet's state: the motors that need attention first, and since when.
 
-    Example: motor-leakage status demo/configs/fleet.toml --max-age 26h
+    Example: motor-leakage status configs/fleet.toml --max-age 26h
 
     Exit code 0; with --max-age 1 where the last good run is too old, or there was none.
     """
@@ -60,7 +60,7 @@ def ack(
 ) -> None:
     """Acknowledge an alarm, or say what an inspection found; kept across runs and shown.
 
-    Example: motor-leakage ack demo/configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
+    Example: motor-leakage ack configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
 
     Once somebody has looked, add --finding confirmed, or --finding not_confirmed.
     """
@@ -98,7 +98,7 @@ def baseline_reset(
     An overhaul, an oil change or a change of flushing belongs into the motor's file, dated, in
     `events`: that starts a new baseline as well.
 
-    Example: motor-leakage baseline reset demo/configs/fleet.toml CB560-01 2026-02-15 --note "new"
+    Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
     from pipeline.decisions import Decision, record_decision
     from pipeline.status import known_indicators

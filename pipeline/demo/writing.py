@@ -1,10 +1,10 @@
-"""Make the demo: a folder with the shipped configs, the logs of six motors, and the truth."""
+"""Demo fleet on disk: the shipped configs, simulated logs of six motors, and the truth."""
 
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
 import json
+import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Final
@@ -17,7 +17,8 @@ from pipeline.demo.log_writers import replacing, write_log
 from pipeline.demo.recording import record_night
 from pipeline.errors import UsageError
 
-MARKER: Final = ".motor-leakage-demo.json"
+# Says that a folder is ours to clear.
+MARKER: Final = ".motor-leakage-demo"
 TRUTH: Final = "truth.json"
 NIGHTS_A_TASK: Final = 8
 YEARS: Final = (1971, 2200)
@@ -36,13 +37,15 @@ def write_demo(
     first_night: dt.date = dt.date(2026, 1, 2),
     progress: Progress | None = None,
 ) -> None:
-    """Write the demo fleet: ``configs/``, ``logs/<motor_id>/`` and, last of all, ``truth.json``.
+    """Write the logs of the fleet ``configs/fleet.toml`` of a folder to ``demo/`` beside it.
+
+    Below ``demo/`` come ``logs/<motor_id>/`` and, last of all, ``truth.json``.
 
     Parameters
     ----------
     folder
-        Where to: absent, empty, or an earlier demo, whose logs are replaced. Refused is an earlier
-        demo whose configs were changed or added to since; other files beside them are left alone.
+        Holds ``configs/``, which is copied from the shipped one where there is none and else left
+        alone. ``demo/`` must be absent, empty, or an earlier demo, whose logs are replaced.
     nights
         Number of nights, one log file each and motor.
     minutes
@@ -62,15 +65,18 @@ def write_demo(
     ------
     UsageError
         ``demo_arguments``, ``demo_configs``, or ``demo_folder``: refused, or it cannot be written.
+    ConfigError
+        If the fleet's config has faults.
     """
     _check_arguments(nights, minutes, rate_hz, seed, workers, first_night)
     plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night)
     try:
-        _prepare(folder, shipped_configs())
-        demo_nights = _demo_nights(folder, plan)
-        _write_logs(folder / "logs", demo_nights, workers, progress)
+        demo_nights = _demo_nights(demo_config(folder), plan)
+        demo = folder / "demo"
+        _clear(demo)
+        _write_logs(demo / "logs", demo_nights, workers, progress)
         document = truth_document(plan, demo_nights)
-        _write_text(folder / TRUTH, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
+        _write_text(demo / TRUTH, json.dumps(document, indent=1, ensure_ascii=False) + "\n")
     except OSError as error:
         raise UsageError(
             "demo_folder",
@@ -80,7 +86,7 @@ def write_demo(
 
 
 def shipped_configs() -> Path:
-    """Folder of the configs that the demo runs on: the package's, or the repository's.
+    """Folder of the shipped configs: the package's, or the repository's.
 
     Raises
     ------
@@ -112,60 +118,39 @@ def _check_arguments(
             raise UsageError("demo_arguments", f"{name} is {value}; expected {lowest} to {highest}")
 
 
-def _prepare(folder: Path, configs: Path) -> None:
-    """Make the folder ready: shipped configs in it, no logs and no truth of an earlier demo."""
-    contents = {
-        path.relative_to(configs).as_posix(): path.read_bytes()
-        for path in sorted(configs.rglob("*.toml"))
-    }
-    _check_folder(folder)
-    (folder / TRUTH).unlink(missing_ok=True)
-    for demo in DEMO_FLEET:
-        logs = folder / "logs" / demo.motor_id
-        logs.mkdir(parents=True, exist_ok=True)
-        for path in (*logs.glob(f"{demo.motor_id}_*"), *logs.glob(".*.partial")):
-            path.unlink()
-    # The marker comes first: a demo that was interrupted can be made again.
-    digests = {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}
-    _write_text(folder / MARKER, json.dumps({"configs": digests}, indent=1) + "\n")
-    for name, content in contents.items():
-        path = folder / "configs" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as partial:
-            partial.write_bytes(content)
+def demo_config(folder: Path) -> Path:
+    """The fleet file of a folder; where it has no ``configs/``, the shipped ones are copied."""
+    configs = folder / "configs"
+    if not configs.exists():
+        partial = folder / ".configs.partial"
+        shutil.rmtree(partial, ignore_errors=True)
+        shutil.copytree(shipped_configs(), partial)
+        partial.rename(configs)
+    return configs / "fleet.toml"
 
 
-def _check_folder(folder: Path) -> None:
-    """Refuse any folder in which something of someone's could be lost."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / MARKER).is_file():
+def _clear(demo: Path) -> None:
+    """Make the demo's folder ready; refuse one that may hold something of somebody's."""
+    is_free = not demo.exists() or (demo.is_dir() and not any(demo.iterdir()))
+    if not is_free and not (demo / MARKER).is_file():
         raise UsageError(
-            "demo_folder", f"{folder} is neither empty nor a demo; name a folder that is not there"
+            "demo_folder",
+            f"{demo} is neither empty nor a demo; move it away, or name another folder",
         )
-    digests = _recorded_digests(folder / MARKER)
-    for path in sorted((folder / "configs").rglob("*.toml")):
-        name = path.relative_to(folder / "configs").as_posix()
-        if digests.get(name) != hashlib.sha256(path.read_bytes()).hexdigest():
-            raise UsageError(
-                "demo_folder",
-                f"{path} is not as the demo wrote it and would be lost; name another folder,"
-                " or move it away",
-            )
+    demo.mkdir(parents=True, exist_ok=True)
+    # The marker comes first: a demo that was interrupted can be made again.
+    _write_text(demo / MARKER, "`motor-leakage demo` made this folder and may replace its logs\n")
+    (demo / TRUTH).unlink(missing_ok=True)
+    for motor in DEMO_FLEET:
+        logs = demo / "logs" / motor.motor_id
+        logs.mkdir(parents=True, exist_ok=True)
+        for path in (*logs.glob(f"{motor.motor_id}_*"), *logs.glob(".*.partial")):
+            path.unlink()
 
 
-def _recorded_digests(marker: Path) -> Mapping[str, str]:
-    try:
-        return dict(json.loads(marker.read_text(encoding="utf-8"))["configs"])
-    except (ValueError, KeyError, TypeError) as error:
-        raise UsageError(
-            "demo_folder", f"{marker} cannot be read; name another folder, or delete this one"
-        ) from error
-
-
-def _demo_nights(folder: Path, plan: Plan) -> list[DemoNight]:
+def _demo_nights(config: Path, plan: Plan) -> list[DemoNight]:
     """All nights of all motors of the demo."""
-    specs = {spec.motor_id: spec for spec in load_fleet(folder / "configs" / "fleet.toml").motors}
+    specs = {spec.motor_id: spec for spec in load_fleet(config).motors}
     return [
         DemoNight(demo, _spec(specs, demo.motor_id), plan, number)
         for demo in DEMO_FLEET
@@ -176,7 +161,7 @@ def _demo_nights(folder: Path, plan: Plan) -> list[DemoNight]:
 def _spec(specs: Mapping[str, MotorSpec], motor_id: str) -> MotorSpec:
     if motor_id not in specs:
         raise UsageError(
-            "demo_configs", f"the shipped configs have no motor {motor_id}; restore motors/"
+            "demo_configs", f"the demo needs motor {motor_id} in configs/motors/; restore its file"
         )
     return specs[motor_id]
 

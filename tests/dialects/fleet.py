@@ -28,7 +28,7 @@ def first_nights(demo: Path) -> Nights:
     demo
         Folder that `pipeline.demo.write_demo` made.
     """
-    truth = json.loads((demo / "truth.json").read_text("utf-8"))
+    truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))
     plan = Plan(
         truth["nights"],
         truth["minutes"],
@@ -76,7 +76,7 @@ def write_fleet(demo: Path, folder: Path, dialect: Dialect, nights: Nights) -> P
             file.unlink()
             continue
         document = tomllib.loads(file.read_text("utf-8"))
-        logs = folder / "logs" / file.stem
+        logs = folder / "demo" / "logs" / file.stem
         logs.mkdir(parents=True)
         for label, log in nights[file.stem].items():
             dialect.write(logs, f"{file.stem}_{label}", log)

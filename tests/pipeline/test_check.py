@@ -63,7 +63,7 @@ def test_a_broken_log_is_a_fault_with_its_name(
     own_fleet: OwnFleet, motor: str, content: bytes
 ) -> None:
     fleet = own_fleet(motor)
-    path = sorted((fleet.parent.parent / "logs" / motor).iterdir())[1]
+    path = sorted((fleet.parent.parent / "demo" / "logs" / motor).iterdir())[1]
     path.write_bytes(content)
     one = checks_of(fleet)[motor]
     assert (one.n_files, one.n_nights) == (3, 2)
@@ -221,7 +221,7 @@ def test_counts_and_channels_that_say_nothing_of_the_load_have_no_usual_size(
 def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: OwnFleet) -> None:
     """What stands on change, in a log whose other channels are periodic."""
     fleet = own_fleet("CB400-02")
-    log = max((fleet.parent.parent / "logs" / "CB400-02").iterdir())
+    log = max((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
     table = pl.read_parquet(log)
     filled = pl.col("oil_temperature").forward_fill()
     sent = pl.when(filled.ne_missing(filled.shift())).then(filled).alias("oil_temperature")
@@ -247,6 +247,6 @@ def change(fleet: Path, motor: str, *changes: tuple[str, str]) -> None:
 
 def test_a_motor_without_a_readable_log_has_no_channels(own_fleet: OwnFleet) -> None:
     fleet = own_fleet("CB400-02")
-    for path in (fleet.parent.parent / "logs" / "CB400-02").iterdir():
+    for path in (fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir():
         path.write_bytes(b"nonsense")
     assert checks_of(fleet)["CB400-02"].channels == ()

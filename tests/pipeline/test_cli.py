@@ -62,7 +62,7 @@ def fleet(own_fleet: OwnFleet) -> Path:
 
 
 def break_log(fleet: Path, motor: str) -> Path:
-    path = max((fleet.parent.parent / "logs" / motor).iterdir())
+    path = max((fleet.parent.parent / "demo" / "logs" / motor).iterdir())
     path.write_bytes(b"nonsense" * 1000)
     return path
 
@@ -152,7 +152,7 @@ def test_2_for_no_config_no_command_and_no_such_file(call: Call, tmp_path: Path)
 
 def test_2_where_the_root_of_the_logs_is_not_there(call: Call, fleet: Path) -> None:
     """A folder that is not mounted must not pass for a fleet without new logs."""
-    logs = fleet.parent.parent / "logs"
+    logs = fleet.parent.parent / "demo" / "logs"
     logs.rename(logs.with_name("unmounted"))
     for command in ("fit-fleet", "check"):
         code, _, err = call(command, fleet)
@@ -162,7 +162,7 @@ def test_2_where_the_root_of_the_logs_is_not_there(call: Call, fleet: Path) -> N
 
 def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
     fleet = own_fleet(CSV, PARQUET)
-    for path in (fleet.parent.parent / "logs").rglob("*.*"):
+    for path in (fleet.parent.parent / "demo" / "logs").rglob("*.*"):
         path.unlink()
     code, out, err = call("fit-fleet", fleet)
     assert (code, err) == (0, "")
@@ -373,7 +373,7 @@ def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) ->
     assert (code, out) == (2, "")
     assert f"no log of {CSV} covers the night of 2020-01-03: they cover 2026-01-02 to" in err
     assert "fit-fleet" not in err
-    for path in (fleet.parent.parent / "logs" / CSV).iterdir():
+    for path in (fleet.parent.parent / "demo" / "logs" / CSV).iterdir():
         path.unlink()
     code, _, err = call("fit", fleet, CSV, "2026-01-03")
     assert code == 2
@@ -407,9 +407,9 @@ def test_help_of_each_command_shows_an_example(call: Call, command: str) -> None
 def test_examples_of_the_help_run_as_they_stand(
     call: Call, demo_folder: Path, fitted_output: Path, tmp_path: Path, monkeypatch: Any
 ) -> None:
-    """Each line, pasted where `motor-leakage demo demo --nights 3` was run."""
-    shutil.copytree(demo_folder, tmp_path / "demo")
-    shutil.copytree(fitted_output, tmp_path / "demo" / "out")
+    """Each line, pasted where `motor-leakage demo . --nights 3` was run."""
+    shutil.copytree(demo_folder, tmp_path, dirs_exist_ok=True)
+    shutil.copytree(fitted_output, tmp_path / "out")
     monkeypatch.chdir(tmp_path)
     docs = [
         command.callback.__doc__ or "" for command in app.registered_commands if command.callback
@@ -418,7 +418,7 @@ def test_examples_of_the_help_run_as_they_stand(
     assert {example.split()[0] for example in examples} == set(COMMANDS)
     for example in examples:
         # The first was run before; three nights raise no alarm that could be acknowledged.
-        if example == "demo demo --nights 3" or example.startswith("ack "):
+        if example == "demo . --nights 3" or example.startswith("ack "):
             continue
         code, _, err = call(*shlex.split(example))
         assert (code, err) == (0, ""), example
@@ -465,15 +465,16 @@ def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:
             check=False,
         )
 
-    made = run("demo", "demo", "--nights", "1", "--minutes", "30", "--jobs", "1")
+    made = run("demo", ".", "--nights", "1", "--minutes", "30", "--jobs", "1")
     assert made.returncode == 0, made.stderr
-    fitted = run("fit-fleet", "demo/configs/fleet.toml")
+    fitted = run("fit-fleet", "configs/fleet.toml")
     assert (fitted.returncode, fitted.stderr) == (0, "")
     assert fitted.stdout.count(": ok (1 ok)") == 6
     assert "\x1b" not in fitted.stdout
-    found = pl.read_parquet(tmp_path / "demo" / "out" / "tables" / "fits" / "**" / "*.parquet")
-    assert not (tmp_path / "out").exists()
+    found = pl.read_parquet(tmp_path / "out" / "tables" / "fits" / "**" / "*.parquet")
     assert found.filter("is_primary")["motor_id"].n_unique() == 6
-    refused = run("demo", ".")
+    (tmp_path / "mine" / "demo").mkdir(parents=True)
+    (tmp_path / "mine" / "demo" / "notes.txt").touch()
+    refused = run("demo", "mine")
     assert refused.returncode == 2
-    assert "name a folder" in refused.stderr
+    assert "name another folder" in refused.stderr

@@ -61,7 +61,7 @@ def test_shipped_configs_load(configs: Path) -> None:
     fleet = load(configs)
     assert [spec.motor_id for spec in fleet.motors] == MOTOR_IDS
     assert fleet.name == "Demo fleet"
-    assert fleet.log_root == configs.parent / "logs"
+    assert fleet.log_root == configs.parent / "demo" / "logs"
     assert fleet.output == configs.parent / "out"
     for spec in fleet.motors:
         for mode in ("none", "fixed", "estimated"):

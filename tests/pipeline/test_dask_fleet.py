@@ -154,10 +154,10 @@ def test_workers_read_logs_from_a_bucket_and_the_tables_go_into_one(
     fleet = own_fleet("CB400-01", "CB400-02")
     with s3_server(monkeypatch, "test-dask"), scheduler_with(2) as processes:
         store = ObjectStore.at("s3://test-dask/logs")
-        for path in sorted((tmp_path / "logs").rglob("*.*")):
-            store.create(path.relative_to(tmp_path / "logs").as_posix(), path.read_bytes())
-        shutil.rmtree(tmp_path / "logs")
-        text = fleet.read_text("utf-8").replace("../logs", store.url)
+        for path in sorted((tmp_path / "demo" / "logs").rglob("*.*")):
+            store.create(path.relative_to(tmp_path / "demo" / "logs").as_posix(), path.read_bytes())
+        shutil.rmtree(tmp_path / "demo" / "logs")
+        text = fleet.read_text("utf-8").replace("../demo/logs", store.url)
         fleet.write_text(
             text.replace("[folders]", '[folders]\nobject_store = "s3://test-dask/fleet"'), "utf-8"
         )

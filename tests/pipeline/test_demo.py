@@ -361,11 +361,11 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_demo_is_whole(demo: Path) -> None:
     fleet = load_fleet(demo / "configs" / "fleet.toml")
     assert [spec.motor_id for spec in fleet.motors] == sorted(MOTORS)
-    assert fleet.log_root == (demo / "logs").resolve()
+    assert fleet.log_root == (demo / "demo" / "logs").resolve()
     for spec in fleet.motors:
         (pattern,) = spec.file.logs.files
         assert len(list(fleet.log_root.glob(pattern))) == 2
-    assert list(json.loads((demo / "truth.json").read_text())["motors"]) == list(MOTORS)
+    assert list(json.loads((demo / "demo" / "truth.json").read_text())["motors"]) == list(MOTORS)
     assert not list(demo.rglob("*.partial"))
 
 
@@ -379,58 +379,58 @@ def test_two_workers_write_the_same_bytes(demo: Path, tmp_path: Path) -> None:
 def test_another_seed_makes_other_logs(demo: Path, tmp_path: Path) -> None:
     small_demo(tmp_path, nights=1, seed=2)
     before = digests(demo)
-    for name, digest in digests(tmp_path / "logs").items():
-        assert before[f"logs/{name}"] != digest
+    for name, digest in digests(tmp_path / "demo" / "logs").items():
+        assert before[f"demo/logs/{name}"] != digest
 
 
 def test_a_night_does_not_depend_on_how_many_are_made(demo: Path, tmp_path: Path) -> None:
     small_demo(tmp_path, nights=1)
-    assert digests(tmp_path / "logs").items() <= digests(demo / "logs").items()
+    assert digests(tmp_path / "demo" / "logs").items() <= digests(demo / "demo" / "logs").items()
 
 
 def test_a_demo_is_replaced_and_other_files_in_it_are_not(tmp_path: Path) -> None:
     small_demo(tmp_path, nights=2)
-    (tmp_path / "truth.json").unlink()  # as if interrupted
+    (tmp_path / "demo" / "truth.json").unlink()  # as if interrupted
     (tmp_path / "notes.txt").write_text("mine")
-    (tmp_path / "logs" / "CB400-01" / "mine.csv").write_text("mine")
+    (tmp_path / "demo" / "logs" / "CB400-01" / "mine.csv").write_text("mine")
     small_demo(tmp_path, nights=1)
-    assert (tmp_path / "truth.json").is_file()
+    assert (tmp_path / "demo" / "truth.json").is_file()
     assert (tmp_path / "notes.txt").read_text() == "mine"
-    names = {path.name for path in (tmp_path / "logs" / "CB400-01").iterdir()}
+    names = {path.name for path in (tmp_path / "demo" / "logs" / "CB400-01").iterdir()}
     assert names == {"CB400-01_2026-01-02.csv", "mine.csv"}
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "thesis.txt").write_text("mine")
+    (tmp_path / "demo").mkdir()
+    (tmp_path / "demo" / "thesis.txt").write_text("mine")
     with pytest.raises(UsageError, match="neither empty nor a demo") as caught:
         small_demo(tmp_path)
     assert caught.value.code == "demo_folder"
-    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+    assert [path.name for path in (tmp_path / "demo").iterdir()] == ["thesis.txt"]
 
 
-@pytest.mark.parametrize("name", ["motors/CB400-01.toml", "motors/mine.toml"])
-def test_changed_configs_are_not_lost(tmp_path: Path, name: str) -> None:
+def test_the_fleet_s_own_config_is_used_and_left_alone(tmp_path: Path) -> None:
     small_demo(tmp_path, nights=1)
-    changed = tmp_path / "configs" / name
-    changed.write_text("# mine\n")
-    before = digests(tmp_path)
-    with pytest.raises(UsageError, match="not as the demo wrote it"):
-        small_demo(tmp_path)
-    assert digests(tmp_path) == before
-
-
-def test_a_damaged_marker_is_told(tmp_path: Path) -> None:
-    (tmp_path / ".motor-leakage-demo.json").write_text("[]")
-    with pytest.raises(UsageError, match="cannot be read"):
-        small_demo(tmp_path)
+    motors = tmp_path / "configs" / "motors"
+    changed = motors / "CB400-01.toml"
+    changed.write_text(changed.read_text().replace('"drain_flow_lpm"', '"case_drain"'))
+    before = digests(tmp_path / "configs")
+    small_demo(tmp_path, nights=1)
+    assert digests(tmp_path / "configs") == before
+    (log,) = (tmp_path / "demo" / "logs" / "CB400-01").iterdir()
+    assert "case_drain" in log.read_text().splitlines()[0]
+    (motors / "CB560-01.toml").unlink()
+    with pytest.raises(UsageError, match="needs motor CB560-01"):
+        small_demo(tmp_path, nights=1)
+    assert (tmp_path / "demo" / "truth.json").is_file()
 
 
 def test_a_file_in_the_folder_s_place_is_told(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
+    (tmp_path / "demo").write_text("mine")
     with pytest.raises(UsageError, match="neither empty nor a demo"):
-        small_demo(tmp_path / "file")
+        small_demo(tmp_path)
     with pytest.raises(UsageError, match="cannot be written: Not a directory"):
-        small_demo(tmp_path / "file" / "demo")
+        small_demo(tmp_path / "demo")
 
 
 @pytest.mark.parametrize(

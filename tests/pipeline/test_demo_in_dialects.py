@@ -60,7 +60,7 @@ def assert_the_same(
     result = fit(config, folder / "out")
     assert [outcome.motor_id for outcome in result.outcomes] == sorted(motors)
     found = compare(fitted.output, folder / "out", tuple(motors))
-    files = sum(path.is_file() for path in (folder / "logs").rglob("*"))
+    files = sum(path.is_file() for path in (folder / "demo" / "logs").rglob("*"))
     assert (found.n_read, found.n_failed) == (files, 0)
     assert set(found.largest) == {"fits", "parameters", "starts", "sensitivities"}
     for table, largest in found.largest.items():

@@ -64,7 +64,7 @@ def test_a_poor_fit_is_called_one(own_fleet: OwnFleet) -> None:
 
 def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     fleet = own_fleet("CB400-02")
-    log = min((fleet.parent.parent / "logs" / "CB400-02").iterdir())
+    log = min((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
     log.write_bytes(b"nonsense" * 1000)
     told = explain(fitted(fleet), "CB400-02", FIRST)
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")

@@ -94,7 +94,7 @@ def check_same_tables(output: Path, other: Path, *motors: str) -> None:
 
 
 def log_file(fleet_file: Path, motor: str, night: dt.date) -> Path:
-    (path,) = (fleet_file.parent.parent / "logs" / motor).glob(f"{motor}_{night}.*")
+    (path,) = (fleet_file.parent.parent / "demo" / "logs" / motor).glob(f"{motor}_{night}.*")
     return path
 
 
@@ -135,7 +135,7 @@ def test_three_types_and_three_formats(fitted_output: Path) -> None:
 
 def test_input_files_tell_what_was_read(fitted_output: Path, demo_folder: Path) -> None:
     for row in rows(fitted_output, "input_files").iter_rows(named=True):
-        path = demo_folder / "logs" / row["path"]
+        path = demo_folder / "demo" / "logs" / row["path"]
         assert row["size_bytes"] == path.stat().st_size
         assert str(row["night"]) in row["path"]
         assert row["first_time"] < row["last_time"]
@@ -192,7 +192,7 @@ def test_nothing_but_tables_and_what_saves_work_is_left(fitted_output: Path) -> 
 
 @pytest.mark.parametrize("motor", EXCITED)
 def test_estimates_are_near_the_truth(fitted_output: Path, demo_folder: Path, motor: str) -> None:
-    truth = json.loads((demo_folder / "truth.json").read_text())["motors"][motor]["nights"]
+    truth = json.loads((demo_folder / "demo" / "truth.json").read_text())["motors"][motor]["nights"]
     fits = {row["night"]: row for row in rows(fitted_output, "fits", motor).iter_rows(named=True)}
     for night in NIGHTS:
         true = truth[night.isoformat()]
@@ -253,7 +253,7 @@ def test_one_worker_writes_the_same_bytes_wherever_it_lies(
     run(fleet)
     run(fleet, output=tmp_path / "elsewhere", backend="loky", workers=1)
     (tmp_path / "moved").mkdir()
-    for name in ("configs", "logs"):
+    for name in ("configs", "demo"):
         shutil.copytree(tmp_path / name, tmp_path / "moved" / name)
     run(tmp_path / "moved/configs/fleet.toml")
     first = table_files(output_of(fleet))

@@ -54,8 +54,8 @@ def first_cells(text: str) -> Iterator[str]:
 def run_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the demo and its tables: nights long enough for verdicts on coefficients."""
     folder = tmp_path_factory.mktemp("run")
-    write_demo(folder / "demo", nights=2, minutes=90, rate_hz=1.0, workers=1)
-    fleet = load_fleet(folder / "demo" / "configs" / "fleet.toml")
+    write_demo(folder, nights=2, minutes=90, rate_hz=1.0, workers=1)
+    fleet = load_fleet(folder / "configs" / "fleet.toml")
     alone = fleet.execution.model_copy(update={"backend": "sequential"})
     run_fleet(RunRequest(replace(fleet, execution=alone)))
     return folder
@@ -172,7 +172,7 @@ def test_tables_lie_where_the_page_says(after_a_run: Path) -> None:
         # In three nights nothing is raised and no baseline is frozen.
         if pattern.split("/")[1] in ("alarms", "baselines", "change_points"):
             continue
-        assert list((after_a_run / "demo" / "out").glob(pattern)), pattern
+        assert list((after_a_run / "out").glob(pattern)), pattern
 
 
 # README

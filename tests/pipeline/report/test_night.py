@@ -156,7 +156,7 @@ def test_heights_of_a_placeholder_s_geometry_are_not_shown(fitted: dict[str, Any
 
 def test_parameters_say_which_rest_on_a_placeholder(own_fleet: OwnFleet) -> None:
     fleet_file = own_fleet("CB400-01")
-    for log in sorted((fleet_file.parent.parent / "logs" / "CB400-01").iterdir())[1:]:
+    for log in sorted((fleet_file.parent.parent / "demo" / "logs" / "CB400-01").iterdir())[1:]:
         log.unlink()
     type_file = fleet_file.parent / "motor_types" / "CB400.toml"
     before, name, after = type_file.read_text("utf-8").partition('name = "piston_ring"')
