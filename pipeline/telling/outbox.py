@@ -1,0 +1,396 @@
+"""The outbox: which rows of `alarms` each receiver has yet to be told, and which it never need be.
+
+Rows get into it from the published table alone, and each is known by its key and by what it says.
+So it does not matter where a run was broken off, and a row that is made anew is not told again
+unless it says something else. What a receiver has not taken waits, in the same deliveries, for the
+next run. The outbox is two sealed files with the same content, of which one is enough.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import logging
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import StoreError
+from pipeline.landing import put, read
+from pipeline.schema import ALARMS
+from pipeline.sealed import seal, unseal
+from pipeline.store import month_stamps, read_table, table_folder
+from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
+
+log = logging.getLogger(__name__)
+
+OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
+# Rows of one delivery at most.
+MOST_CHANGES = 500
+# Waits before a delivery is tried again in the same run [s].
+PAUSES_S = (1.0, 4.0)
+# After so many deliveries that failed, the rest of them waits for the next run.
+MOST_FAILURES = 3
+# What a row says; other columns are its key or follow from it.
+SAID = ("from_state", "to_state", "way", "path", "reason")
+
+Change = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """A delivery that a receiver has not taken: its id, since when it waits (UTC), and its rows."""
+
+    id: str
+    since: dt.datetime
+    changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Queue:
+    """What is kept of a receiver.
+
+    Attributes
+    ----------
+    told_since
+        When it was first named in the config (UTC); rows that were published before are not sent.
+    waiting
+        Deliveries that it has not taken.
+    fault
+        What went wrong last; empty where all was taken.
+    """
+
+    told_since: dt.datetime
+    waiting: tuple[Waiting, ...] = ()
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outbox:
+    """All queues, and the rows of `alarms` that are in them or were.
+
+    Attributes
+    ----------
+    queues
+        By the receiver's name.
+    known
+        Of each row a hash of its key, and of what it says.
+    stamps
+        What `month_stamps` said of each month when its rows were taken up.
+    """
+
+    queues: Mapping[str, Queue] = field(default_factory=dict)
+    known: Mapping[str, str] = field(default_factory=dict)
+    stamps: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What a receiver has not been told; `since` and `fault` are null where there is nothing."""
+
+    receiver: str
+    told_since: dt.datetime
+    undelivered: int
+    since: dt.datetime | None
+    fault: str | None
+
+
+def read_outbox(output: Path) -> Outbox | None:
+    """The outbox, from whichever of its files is sound; None where none is.
+
+    Raises
+    ------
+    StoreError
+        If there is one that cannot be read, and no sound one.
+    """
+    unreadable: StoreError | None = None
+    for name in OUTBOX_FILES:
+        try:
+            found = parsed(read(output / name))
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            unreadable = StoreError("store_read", f"{name} cannot be read: {error.strerror}")
+            continue
+        if found is not None:
+            return found
+        log.warning("%s is damaged", name)
+    if unreadable is not None:
+        raise unreadable
+    return None
+
+
+def parsed(content: bytes) -> Outbox | None:
+    """The outbox that a file holds; None where it is damaged."""
+    document = unseal(content)
+    try:
+        if document is None:
+            return None
+        return Outbox(
+            {name: _queue(one) for name, one in document["queues"].items()},
+            dict(one.split("-") for one in document["known"]),
+            document["stamps"],
+        )
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _queue(document: Mapping[str, Any]) -> Queue:
+    waiting = tuple(
+        Waiting(one["id"], dt.datetime.fromisoformat(one["since"]), tuple(one["changes"]))
+        for one in document["waiting"]
+    )
+    told_since = dt.datetime.fromisoformat(document["told_since"])
+    return Queue(told_since, waiting, document["fault"])
+
+
+def write_outbox(output: Path, outbox: Outbox) -> None:
+    """Write both files, as far as they are not so already.
+
+    Raises
+    ------
+    StoreError
+        If one cannot be written.
+    """
+    document = asdict(outbox) | {"known": sorted(map("-".join, outbox.known.items()))}
+    content = seal(json.loads(json.dumps(document, default=dt.datetime.isoformat)))
+    for name in OUTBOX_FILES:
+        try:
+            present = read(output / name)
+        except OSError:
+            present = None
+        if present != content:
+            put(output / name, content)
+
+
+def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:
+    """Let the receivers of a config have their queues, before a run publishes anything.
+
+    Rows that a run before has published and not taken up go to the receivers that there were. A
+    new receiver is told of none of them; one that the config names no more is told of nothing.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read or written.
+    """
+    before = read_outbox(output)
+    if not names and (before is None or not before.queues):
+        return
+    outbox = taken_up(before or Outbox(), output, fleet)
+    for name in sorted(outbox.queues.keys() - set(names)):
+        if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
+            log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
+    for name in sorted(set(names) - outbox.queues.keys()):
+        if outbox.known:
+            log.warning(
+                "alarms: the %s is told from now on; the %d rows of `alarms` so far are not sent",
+                name,
+                len(outbox.known),
+            )
+    now = dt.datetime.now(dt.UTC)
+    queues = {name: outbox.queues.get(name, Queue(now)) for name in names}
+    write_outbox(output, replace(outbox, queues=queues))
+
+
+def take_up(output: Path, fleet: str) -> None:
+    """Put the rows of `alarms` that are not known yet into all queues.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read or written.
+    """
+    before = read_outbox(output)
+    if before is not None and before.queues:
+        after = taken_up(before, output, fleet)
+        if after != before:
+            write_outbox(output, after)
+
+
+def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
+    """The outbox with the rows of those months that were written to since it was made."""
+    stamps = month_stamps(output, ALARMS)
+    known, changes, since = dict(outbox.known), list[Change](), 0
+    for month, stamp in sorted(stamps.items()):
+        if outbox.stamps.get(month) == stamp:
+            continue
+        try:
+            rows = list(_rows_of(output, month))
+        except StoreError as error:
+            log.warning("alarms: %s; its rows wait until it is whole", error)
+            del stamps[month]
+            continue
+        for row in rows:
+            key, said = _digest([str(row[name]) for name in ALARMS.key]), _digest_of(row)
+            if known.get(key) != said:
+                what = "changed" if key in known else "new"
+                changes.append({"id": f"{key}-{said}", "change": what, **_plain(row)})
+                known[key], since = said, max(since, stamp)
+    when = dt.datetime.fromtimestamp(since / 1e9, dt.UTC)
+    queues = {
+        name: replace(queue, waiting=(*queue.waiting, *_deliveries(fleet, name, when, changes)))
+        for name, queue in outbox.queues.items()
+    }
+    return Outbox(queues, known, stamps)
+
+
+def _rows_of(output: Path, month: str) -> Iterator[Mapping[str, Any]]:
+    for path in sorted((table_folder(output, ALARMS) / f"month={month}").glob("*.parquet")):
+        yield from read_table(path, ALARMS).iter_rows(named=True)
+
+
+def _digest_of(row: Mapping[str, Any]) -> str:
+    return _digest([row[name] for name in SAID])
+
+
+def _digest(parts: object) -> str:
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def _plain(row: Mapping[str, Any]) -> Change:
+    """A row as JSON has it."""
+    return {
+        name: None
+        if isinstance(value, float) and not math.isfinite(value)
+        else value
+        if value is None or isinstance(value, int | float | str)
+        else str(value)
+        for name, value in row.items()
+    }
+
+
+def _deliveries(
+    fleet: str, name: str, since: dt.datetime, changes: Sequence[Change]
+) -> Iterator[Waiting]:
+    for first in range(0, len(changes), MOST_CHANGES):
+        some = tuple(changes[first : first + MOST_CHANGES])
+        parts = [fleet, name, *(one["id"] for one in some)]
+        yield Waiting(f"msg_{_digest(parts)}", since, some)
+
+
+def is_waiting(output: Path) -> bool:
+    """Whether a receiver has yet to be told of anything.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read.
+    """
+    outbox = read_outbox(output)
+    return outbox is not None and any(queue.waiting for queue in outbox.queues.values())
+
+
+def deliver(
+    output: Path,
+    receivers: Sequence[Receiver],
+    fleet: str,
+    pause: Callable[[float], None] = time.sleep,
+) -> tuple[str, ...]:
+    """Let every receiver take what waits for it; the outbox is written after each delivery.
+
+    Parameters
+    ----------
+    output, fleet
+        Output folder and name of the fleet.
+    receivers
+        Who is told.
+    pause
+        Waits for some seconds.
+
+    Returns
+    -------
+    tuple of str
+        What went wrong, in words.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read or written: what was delivered may be delivered again.
+    """
+    outbox, faults = read_outbox(output) or Outbox(), []
+    for receiver in receivers:
+        if receiver.name not in outbox.queues:
+            continue
+        for queue in _after_each(outbox.queues[receiver.name], receiver, fleet, pause):
+            outbox = replace(outbox, queues={**outbox.queues, receiver.name: queue})
+            write_outbox(output, outbox)
+        left = outbox.queues[receiver.name]
+        if left.waiting:
+            n = sum(len(one.changes) for one in left.waiting)
+            faults.append(f"{receiver.label}: {left.fault}; {n} changes wait for the next run")
+    return tuple(faults)
+
+
+def _after_each(
+    queue: Queue, receiver: Receiver, fleet: str, pause: Callable[[float], None]
+) -> Iterator[Queue]:
+    """The queue after each delivery that was tried; what was not taken goes behind the others.
+
+    A receiver that failed in the run before gets one try for each, as does one that hangs: so a
+    dead one costs a run little, and a delivery that it never takes does not hold up the others.
+    """
+    failures, pauses = 0, () if queue.fault else PAUSES_S
+    for one in queue.waiting:
+        rest = tuple(other for other in queue.waiting if other is not one)
+        try:
+            _take(receiver, _delivery(one, fleet), pauses, pause)
+        except UndeliveredError as error:
+            pauses, failures = (), failures + 1
+            queue = replace(queue, waiting=(*rest, one), fault=error.why)
+            yield queue
+            if error.hung or failures == MOST_FAILURES:
+                return
+        else:
+            queue = replace(queue, waiting=rest, fault=queue.fault if rest else "")
+            yield queue
+
+
+def _take(
+    receiver: Receiver,
+    delivery: Delivery,
+    pauses: Sequence[float],
+    pause: Callable[[float], None],
+) -> None:
+    for seconds in pauses:
+        try:
+            return receiver.take(delivery)
+        except UndeliveredError as error:
+            if error.hung:
+                raise
+        pause(seconds)
+    return receiver.take(delivery)
+
+
+def _delivery(one: Waiting, fleet: str) -> Delivery:
+    document = {"id": one.id, "type": "alarms", "fleet": fleet, "changes": one.changes}
+    return Delivery(one.id, json.dumps(document, sort_keys=True).encode())
+
+
+def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:
+    """What each receiver has not been told, rows included that no run has taken up yet.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read.
+    """
+    outbox = read_outbox(output)
+    if outbox is None or not receivers:
+        return ()
+    queues = taken_up(outbox, output, fleet).queues
+    return tuple(
+        Backlog(
+            receiver.label,
+            queue.told_since,
+            sum(len(one.changes) for one in queue.waiting),
+            min((one.since for one in queue.waiting), default=None),
+            queue.fault or None,
+        )
+        for receiver in receivers
+        if (queue := queues.get(receiver.name)) is not None
+    )
