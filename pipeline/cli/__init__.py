@@ -86,6 +86,10 @@ def _call(*, as_json: bool) -> int:
         raise UsageError("usage", error.format_message()) from error
 
 
+def _say(error: MotorLeakageError, code: int, *, as_json: bool) -> None:
+    typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
+
+
 def main() -> NoReturn:
     """Run the command; every expected error is one message on stderr and a stated exit code."""
     # Before anything is parsed: a fault in the arguments is a message, too.
@@ -95,10 +99,10 @@ def main() -> NoReturn:
         code = _call(as_json=as_json)
     except MotorLeakageError as error:
         code = _exit_code(error)
-        typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
+        _say(error, code, as_json=as_json)
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
     if code in SIGNALS:
         words = f"stopped by {SIGNALS[code]}; what is written is whole, and the next call goes on"
-        typer.echo(error_line("interrupted", words, code, as_json=as_json), err=True)
+        _say(MotorLeakageError("interrupted", words), code, as_json=as_json)
     sys.exit(code)

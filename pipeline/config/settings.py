@@ -383,7 +383,7 @@ class Alarms(Section):
         "", description="The same is posted there; http or https; empty: nowhere"
     )
     webhook_headers: dict[str, str] = Field(
-        default_factory=dict,
+        {},
         description="Headers of the post; `${NAME}` in a value is the environment variable NAME",
     )
     webhook_secret: str = Field(
