@@ -46,7 +46,7 @@ class Command:
         except (OSError, ValueError) as error:
             raise UndeliveredError(one_line(str(error))) from error
         if code:
-            raise UndeliveredError(f"ended with {code}: {words}")
+            raise UndeliveredError(f"ended with {code}{': ' if words else ''}{words}")
 
     def _run(self, given: BinaryIO, said: BinaryIO) -> int:
         with subprocess.Popen(  # noqa: S603 - the config names the program

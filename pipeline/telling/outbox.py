@@ -78,7 +78,7 @@ class Outbox:
     queues
         By the receiver's name.
     known
-        Of each row a hash of its key, and of what it says.
+        By a hash of a row's key, a hash of what it says and how often that has changed.
     stamps
         What `month_stamps` said of each month when its rows were taken up.
     """
@@ -132,7 +132,7 @@ def parsed(content: bytes) -> Outbox | None:
             return None
         return Outbox(
             {name: _queue(one) for name, one in document["queues"].items()},
-            dict(one.split("-") for one in document["known"]),
+            dict(one.split("-", 1) for one in document["known"]),
             document["stamps"],
         )
     except (ValueError, KeyError, TypeError, AttributeError):
@@ -219,18 +219,18 @@ def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
     for month, stamp in sorted(stamps.items()):
         if outbox.stamps.get(month) == stamp:
             continue
-        try:
-            rows = list(_rows_of(output, month))
-        except StoreError as error:
-            log.warning("alarms: %s; its rows wait until it is whole", error)
+        rows, whole = _rows_of(output, month)
+        if not whole:
             del stamps[month]
-            continue
         for row in rows:
             key, said = _digest([str(row[name]) for name in ALARMS.key]), _digest_of(row)
-            if known.get(key) != said:
-                what = "changed" if key in known else "new"
-                changes.append({"id": f"{key}-{said}", "change": what, **_plain(row)})
-                known[key], since = said, max(since, stamp)
+            before, _, times = known.get(key, "-").partition("-")
+            if before != said:
+                # A row that says again what it said once is not what a receiver has had.
+                known[key] = f"{said}-{int(times) + 1 if before else 0}"
+                what = "changed" if before else "new"
+                changes.append({"id": f"{key}-{known[key]}", "change": what, **_plain(row)})
+                since = max(since, stamp)
     when = dt.datetime.fromtimestamp(since / 1e9, dt.UTC)
     queues = {
         name: replace(queue, waiting=(*queue.waiting, *_deliveries(fleet, name, when, changes)))
@@ -239,9 +239,16 @@ def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
     return Outbox(queues, known, stamps)
 
 
-def _rows_of(output: Path, month: str) -> Iterator[Mapping[str, Any]]:
+def _rows_of(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
+    """The rows of a month's sound files, and whether all of them are."""
+    rows, whole = list[dict[str, Any]](), True
     for path in sorted((table_folder(output, ALARMS) / f"month={month}").glob("*.parquet")):
-        yield from read_table(path, ALARMS).iter_rows(named=True)
+        try:
+            rows += read_table(path, ALARMS).to_dicts()
+        except StoreError as error:
+            log.warning("alarms: %s; its rows wait until it is whole", error)
+            whole = False
+    return rows, whole
 
 
 def _digest_of(row: Mapping[str, Any]) -> str:
@@ -255,13 +262,15 @@ def _digest(parts: object) -> str:
 def _plain(row: Mapping[str, Any]) -> Change:
     """A row as JSON has it."""
     return {
-        name: None
-        if isinstance(value, float) and not math.isfinite(value)
-        else value
-        if value is None or isinstance(value, int | float | str)
-        else str(value)
+        name: value if value is None or isinstance(value, int | str) else _plain_value(value)
         for name, value in row.items()
     }
+
+
+def _plain_value(value: object) -> float | str | None:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value)
 
 
 def _deliveries(

@@ -197,10 +197,19 @@ def test_a_row_that_says_something_else_is_told_as_changed(
     run(tmp_path, [row("M1", **said), row("M2")], receiver)
     before, changed, new = receiver.changes()
     assert [one["change"] for one in (before, changed, new)] == ["new", "changed", "new"]
-    # The first half of the id is the row, the second what it says.
+    # The first part of the id is the row, the others what it says.
     assert changed["id"].split("-")[0] == before["id"].split("-")[0]
     assert changed["id"].split("-")[1] != before["id"].split("-")[1]
     assert changed | said == changed
+
+
+def test_a_row_that_says_again_what_it_said_before_is_no_repeat(tmp_path: Path) -> None:
+    receiver = Fake()
+    for state in ("alarm", "warning", "alarm", "alarm"):
+        run(tmp_path, [row("M1", state=state)], receiver)
+    assert [one["to_state"] for one in receiver.changes()] == ["alarm", "warning", "alarm"]
+    assert len({one["id"] for one in receiver.changes()}) == 3
+    assert len({document["id"] for document in receiver.taken}) == 3
 
 
 def test_a_delivery_has_no_more_rows_than_a_receiver_can_hold(tmp_path: Path) -> None:
@@ -392,7 +401,7 @@ def test_one_that_cannot_be_read_is_not_taken_for_none(
 def test_a_damaged_table_waits_and_keeps_nothing_else(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    receiver, later = Fake(), dt.date(2026, 3, 1)
+    receiver, later = Fake(), FIRST + dt.timedelta(1)
     open_outbox(tmp_path, ["command"], FLEET)
     publish(tmp_path, row("M1"), row("M2", later))
     whole = night_file(tmp_path, ALARMS, FIRST).read_bytes()
@@ -413,7 +422,7 @@ def test_only_months_that_were_written_to_are_read(
     read: list[str] = []
     real = module._rows_of
 
-    def counted(output: Path, month: str) -> Any:
+    def counted(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
         read.append(month)
         return real(output, month)
 
