@@ -58,8 +58,9 @@ from pipeline.spread import run_motors
 from pipeline.status import last_good_run
 from pipeline.store import last_night
 from pipeline.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
-from pipeline.telling.outbox import deliver, is_waiting, open_outbox, take_up
+from pipeline.telling.outbox import is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.record import (
     forget_records,

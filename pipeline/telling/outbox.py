@@ -13,8 +13,7 @@ import hashlib
 import json
 import logging
 import math
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,17 +23,13 @@ from pipeline.landing import put, read
 from pipeline.schema import ALARMS
 from pipeline.sealed import seal, unseal
 from pipeline.store import month_stamps, read_table, table_folder
-from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
+from pipeline.telling.delivery import Receiver
 
 log = logging.getLogger(__name__)
 
 OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
 # Rows of one delivery at most.
 MOST_CHANGES = 500
-# Waits before a delivery is tried again in the same run [s].
-PAUSES_S = (1.0, 4.0)
-# After so many deliveries that failed, the rest of them waits for the next run.
-MOST_FAILURES = 3
 # What a row says; other columns are its key or follow from it.
 SAID = ("from_state", "to_state", "way", "path", "reason")
 
@@ -292,92 +287,6 @@ def is_waiting(output: Path) -> bool:
     """
     outbox = read_outbox(output)
     return outbox is not None and any(queue.waiting for queue in outbox.queues.values())
-
-
-def deliver(
-    output: Path,
-    receivers: Sequence[Receiver],
-    fleet: str,
-    pause: Callable[[float], None] = time.sleep,
-) -> tuple[str, ...]:
-    """Let every receiver take what waits for it; the outbox is written after each delivery.
-
-    Parameters
-    ----------
-    output, fleet
-        Output folder and name of the fleet.
-    receivers
-        Who is told.
-    pause
-        Waits for some seconds.
-
-    Returns
-    -------
-    tuple of str
-        What went wrong, in words.
-
-    Raises
-    ------
-    StoreError
-        If the outbox cannot be read or written: what was delivered may be delivered again.
-    """
-    outbox, faults = read_outbox(output) or Outbox(), []
-    for receiver in receivers:
-        if receiver.name not in outbox.queues:
-            continue
-        for queue in _after_each(outbox.queues[receiver.name], receiver, fleet, pause):
-            outbox = replace(outbox, queues={**outbox.queues, receiver.name: queue})
-            write_outbox(output, outbox)
-        left = outbox.queues[receiver.name]
-        if left.waiting:
-            n = sum(len(one.changes) for one in left.waiting)
-            faults.append(f"{receiver.label}: {left.fault}; {n} changes wait for the next run")
-    return tuple(faults)
-
-
-def _after_each(
-    queue: Queue, receiver: Receiver, fleet: str, pause: Callable[[float], None]
-) -> Iterator[Queue]:
-    """The queue after each delivery that was tried; what was not taken goes behind the others.
-
-    A receiver that failed in the run before gets one try for each, as does one that hangs: so a
-    dead one costs a run little, and a delivery that it never takes does not hold up the others.
-    """
-    failures, pauses = 0, () if queue.fault else PAUSES_S
-    for one in queue.waiting:
-        rest = tuple(other for other in queue.waiting if other is not one)
-        try:
-            _take(receiver, _delivery(one, fleet), pauses, pause)
-        except UndeliveredError as error:
-            pauses, failures = (), failures + 1
-            queue = replace(queue, waiting=(*rest, one), fault=error.why)
-            yield queue
-            if error.hung or failures == MOST_FAILURES:
-                return
-        else:
-            queue = replace(queue, waiting=rest, fault=queue.fault if rest else "")
-            yield queue
-
-
-def _take(
-    receiver: Receiver,
-    delivery: Delivery,
-    pauses: Sequence[float],
-    pause: Callable[[float], None],
-) -> None:
-    for seconds in pauses:
-        try:
-            return receiver.take(delivery)
-        except UndeliveredError as error:
-            if error.hung:
-                raise
-        pause(seconds)
-    return receiver.take(delivery)
-
-
-def _delivery(one: Waiting, fleet: str) -> Delivery:
-    document = {"id": one.id, "type": "alarms", "fleet": fleet, "changes": one.changes}
-    return Delivery(one.id, json.dumps(document, sort_keys=True).encode())
 
 
 def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:

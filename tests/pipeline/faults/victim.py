@@ -42,7 +42,7 @@ OF_TELLING = {
     "opening the outbox": "pipeline.fleet.open_outbox",
     "taking up": "pipeline.fleet.take_up",
     "telling": "pipeline.fleet.deliver",
-    "told": "pipeline.telling.outbox.write_outbox",
+    "told": "pipeline.telling.delivering.write_outbox",
 }
 # Those that a worker goes through.
 OF_MOTORS = ("planning", "reading", "fitting", "staging")

@@ -17,14 +17,12 @@ from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, frame
 from pipeline.store import night_file, write_table
 from pipeline.telling import outbox as module
+from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
 from pipeline.telling.delivery import Delivery, UndeliveredError
 from pipeline.telling.outbox import (
     MOST_CHANGES,
-    MOST_FAILURES,
     OUTBOX_FILES,
-    PAUSES_S,
     backlogs,
-    deliver,
     open_outbox,
     parsed,
     read_outbox,

@@ -12,7 +12,7 @@ import pytest
 from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, run_fleet
 from pipeline.landing import remove_all
-from pipeline.telling import outbox
+from pipeline.telling import delivering
 from tests.pipeline.telling.fleet import add_night, keep, run, told_fleet, write_config
 from tests.pipeline.telling.servers import Hook, hook
 from tests.pipeline.test_cli import Call
@@ -21,7 +21,7 @@ from tests.pipeline.test_cli import call as call  # a fixture
 
 @pytest.fixture(autouse=True)
 def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(outbox, "PAUSES_S", ())
+    monkeypatch.setattr(delivering, "PAUSES_S", ())
 
 
 @pytest.fixture
