@@ -36,7 +36,6 @@ from pipeline.logs import legible
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import plan_motor, run_motor
 from pipeline.night_statistics import hash_of
-from pipeline.notify import notify
 from pipeline.object_store import ObjectStore
 from pipeline.publishing import Publisher
 from pipeline.schema import (
@@ -59,6 +58,10 @@ from pipeline.spread import run_motors
 from pipeline.status import last_good_run
 from pipeline.store import last_night
 from pipeline.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.telling.delivering import deliver
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.outbox import is_waiting, open_outbox, take_up
+from pipeline.telling.receivers import receivers_of
 from pipeline.trends.record import (
     forget_records,
     note_touched,
@@ -206,6 +209,7 @@ def run_fleet(
         If there is nothing that tasks could run on.
     """
     fleet, output = request.fleet, request.fleet.output
+    receivers = receivers_of(fleet.settings.alarms)
     if fleet.log_url:
         _require_logs(fleet.log_url)
     minimum_free_mib = fleet.execution.minimum_free_mib
@@ -224,13 +228,34 @@ def run_fleet(
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             stores = (fleet.log_url,) if fleet.log_url else ()
+            open_outbox(output, [one.name for one in receivers], fleet.name)
             with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
                 result = _run(request, staging, progress, heartbeat, run_tasks)
+            _take_up(fleet)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
-    for fault in notify(fleet.settings.alarms, fleet.name, result.alarms):
-        log.warning("%s", fault)
+        _tell(fleet, receivers)
     return result
+
+
+def _take_up(fleet: Fleet) -> None:
+    """Queue what was published; where that fails, the next run does it."""
+    try:
+        take_up(fleet.output, fleet.name)
+    except StoreError as error:
+        log.warning("alarms: %s; the next run tells of them", error)
+
+
+def _tell(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
+    """Deliver what waits; that it cannot be delivered costs nobody the run."""
+    try:
+        if is_waiting(fleet.output):
+            # What was delivered is to be known on every machine.
+            with working_copy(fleet.object_store, fleet.output):
+                for fault in deliver(fleet.output, receivers, fleet.name):
+                    log.warning("%s", fault)
+    except StoreError as error:
+        log.warning("alarms: %s; what was delivered may be delivered again", error)
 
 
 def _require_logs(url: str) -> None:

@@ -228,6 +228,8 @@ def _kind(field: Schema, root: Schema) -> str:
     if field.get("type") == "array":
         kinds = [_kind(_resolved(one, root), root) for one in _options(field["items"])]
         return f"list of {', '.join(kinds)}"
+    if isinstance(field.get("additionalProperties"), Mapping):
+        return f"table of {_kind(field['additionalProperties'], root)}"
     if "pattern" in field:
         return f"text as `{field['pattern']}`"
     # An exclusive limit takes the place of an inclusive one on the same side.

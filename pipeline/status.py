@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +16,8 @@ from pipeline.explain import FITS_OF_A_NIGHT, fit_words
 from pipeline.heartbeat import Beat, read_heartbeat
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
 from pipeline.store import read_rows, read_table, table_folder
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.outbox import Backlog, backlogs
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
@@ -24,6 +26,9 @@ REFERENCES = ("reference_leakage", "own_reference_leakage")
 SENSORS = ("pressure_zero", "flow_zero")
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 GOOD_RUNS = ("ok", "motors_failed")
+# States that an inspection can confirm, and those that can be acknowledged.
+RAISED = ("warning", "alarm", "common_cause")
+TOLD = (*RAISED, "stale")
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +88,8 @@ class FleetStatus:
         Alarms whose inspection found wear, and all that were inspected.
     beat
         What the run that is under way, or the last one, says of itself; None before the first.
+    receivers
+        What each receiver of changes of state has not been told.
     """
 
     motors: tuple[MotorState, ...]
@@ -90,10 +97,13 @@ class FleetStatus:
     findings_confirmed: int
     findings: int
     beat: Beat | None = None
+    receivers: tuple[Backlog, ...] = ()
 
 
-def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
-    """The state of some motors.
+def fleet_status(
+    output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = (), fleet: str = ""
+) -> FleetStatus:
+    """The state of some motors, and what receivers of the fleet's alarms have yet to be told.
 
     Raises
     ------
@@ -120,6 +130,7 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
         findings.count("confirmed"),
         len(findings),
         read_heartbeat(output),
+        backlogs(output, receivers, fleet),
     )
 
 
@@ -266,8 +277,19 @@ def last_good_run(output: Path) -> dt.datetime | None:
     return None
 
 
-def alarmed_night(output: Path, motor_id: str, indicator: str) -> dt.date:
-    """The night of an indicator's last alarm, which an acknowledgement refers to.
+def last_alarm(
+    output: Path, motor_id: str, name: str, states: Collection[str]
+) -> tuple[str, dt.date]:
+    """The indicator that a name stands for, and the night in which it was last raised.
+
+    Parameters
+    ----------
+    output, motor_id
+        Whose.
+    name
+        Of the indicator, in the tables (``K_piston_ring``) or in words (piston ring leakage).
+    states
+        States that count.
 
     Raises
     ------
@@ -275,14 +297,30 @@ def alarmed_night(output: Path, motor_id: str, indicator: str) -> dt.date:
         ``no_alarm``: there was none; the message names those that there were.
     """
     rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
-    raised = rows.filter(pl.col("to_state").is_in(["warning", "alarm", "common_cause"]))
-    own = _last(raised.filter(indicator=indicator))
-    if own is None:
-        known = ", ".join(sorted(raised["indicator"].unique())) or "none at all"
+    raised = rows.filter(pl.col("to_state").is_in(list(states)))
+    known = sorted(raised["indicator"].unique())
+    indicator = name if name in known else _in_words(known).get(_plain(name))
+    if indicator is None:
+        named = ", ".join(known) or "none at all"
         raise UsageError(
-            "no_alarm", f"{motor_id} has had no alarm of {indicator!r}; there were of: {known}"
+            "no_alarm", f"{motor_id} has had no alarm of {name!r}; there were of: {named}"
         )
-    return own
+    night = _last(raised.filter(indicator=indicator))
+    assert night is not None
+    return indicator, night
+
+
+def _in_words(indicators: Sequence[str]) -> dict[str, str]:
+    """Indicators by all that they are called; a path's name alone is its leakage."""
+    from pipeline.trends.words import name_of  # heavy, and seldom needed
+
+    paths = {_plain(one.removeprefix("K_")): one for one in indicators if one.startswith("K_")}
+    names = {_plain(name): one for one in indicators for name in (one, name_of(one))}
+    return paths | names
+
+
+def _plain(name: str) -> str:
+    return name.strip().replace("_", " ").lower().removeprefix("the ")
 
 
 def known_indicators(output: Path, motor_id: str) -> list[str]:

@@ -14,6 +14,7 @@ from rich.table import Table
 from pipeline.errors import one_line
 from pipeline.heartbeat import FINISHED, RUNNING
 from pipeline.status import FleetStatus, MotorState
+from pipeline.telling.outbox import Backlog
 
 # Words beside colours: a state is never told by colour alone.
 COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
@@ -44,6 +45,7 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
             "findings": found.findings,
             "findings_confirmed": found.findings_confirmed,
             "run": None if found.beat is None else asdict(found.beat),
+            "receivers": [asdict(one) for one in found.receivers],
         }
         typer.echo(json.dumps(fleet, default=str))
         return
@@ -61,12 +63,23 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
     typer.echo(f"last good run: {ended}{', which is too old' if too_old else ''}")
     if (line := _run_line(found)) is not None:
         typer.echo(line)
+    for one in found.receivers:
+        if one.undelivered:
+            typer.echo(_undelivered_line(one))
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
         typer.echo(
             f"inspections that confirmed an alarm: {found.findings_confirmed} of "
             f"{found.findings} ({share:.0f} %)"
         )
+
+
+def _undelivered_line(one: Backlog) -> str:
+    why = f"; last try: {one.fault}" if one.fault else ""
+    return (
+        f"not delivered to {one.receiver}: {one.undelivered} changes of state, since "
+        f"{one.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+    )
 
 
 def _run_line(found: FleetStatus) -> str | None:

@@ -15,6 +15,7 @@ from pipeline.ledger import month_of
 from pipeline.manifest import Manifest, read_manifest
 from pipeline.sealed import unseal_bytes
 from pipeline.store import PUT_ASIDE
+from pipeline.telling.outbox import OUTBOX_FILES, parsed
 from pipeline.trends.kept_nights import kept_folder
 from pipeline.trends.record import read_record, record_file
 
@@ -31,7 +32,7 @@ class TableFault:
         Relative to the folder of the tables; of another file, to the output folder.
     code
         ``table_altered``, ``table_missing``, ``table_unlisted``, ``manifest_damaged``,
-        ``ledger_damaged``, ``history_damaged`` or ``journal_damaged``.
+        ``ledger_damaged``, ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
     message
         In words, with what to do.
     """
@@ -56,6 +57,7 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
     yield from _verify_ledger(output)
     yield from _verify_history(output)
     yield from _verify_journal(output)
+    yield from _verify_outbox(output)
 
 
 def _verify_listed(output: Path) -> Iterator[TableFault]:
@@ -137,6 +139,25 @@ def _verify_journal(output: Path) -> Iterator[TableFault]:
         yield TableFault(
             name, "journal_damaged", f"line {number} is damaged; take the line from a backup"
         )
+
+
+def _verify_outbox(output: Path) -> Iterator[TableFault]:
+    there = [name for name in OUTBOX_FILES if (output / name).exists()]
+    damaged = [name for name in there if _is_damaged_outbox(output / name)]
+    again = "the next run makes it anew from the other one"
+    if len(damaged) == len(there):
+        again = "what was not delivered is not known any more; the next run says what is not sent"
+    for name in damaged:
+        yield TableFault(name, "outbox_damaged", again)
+
+
+def _is_damaged_outbox(path: Path) -> bool:
+    try:
+        return parsed(read(path)) is None
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
 
 
 def _manifest_at(output: Path, path: Path) -> Manifest | None:

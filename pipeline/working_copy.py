@@ -37,6 +37,7 @@ ROOT = "current.json"
 # What of an output folder is published: not the lock, the staging folder, or a report.
 FOLDERS = ("tables", "ledger", "manifest")
 JOURNAL = "decisions.jsonl"
+FILES = (JOURNAL, "outbox.json", "outbox.copy.json")
 # Beside the output's own files: of what this folder is a copy.
 RECORD = ".object-store.json"
 # Objects that a newer run has replaced stay this long, for those who have just read `current.json`.
@@ -245,8 +246,7 @@ def _paths(output: Path) -> Iterator[str]:
         for path in sorted((output / folder).rglob("*")):
             if path.is_file() and not path.name.startswith(TEMPORARY_PREFIX):
                 yield path.relative_to(output).as_posix()
-    if (output / JOURNAL).exists():
-        yield JOURNAL
+    yield from (name for name in FILES if (output / name).exists())
 
 
 def _digest(path: Path) -> str:

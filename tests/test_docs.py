@@ -1,14 +1,22 @@
 """The walk-through of a fit is run as it stands; the example of a historian's log is a config; the
-limits on the page on security are the code's."""
+receiver on the page on trends takes what is sent; the limits on the page on security are the
+code's."""
 
 from __future__ import annotations
 
+import base64
 import doctest
+import json
 import re
 import sys
+import time
 import tomllib
 from pathlib import Path
+from typing import Any
 
+import pytest
+
+from pipeline.config import Alarms
 from pipeline.config.motors import Channel, Logs
 from pipeline.ingest import (
     csv_header,
@@ -18,7 +26,10 @@ from pipeline.ingest import (
     parquet_log,
     parquet_text,
 )
+from pipeline.telling.delivery import Delivery
+from pipeline.telling.web_hook import WebHook
 from tests.pipeline.ingest.fuzzing.judging import CODES
+from tests.pipeline.telling.servers import hook
 
 DOCS = Path(__file__).parent.parent / "docs"
 
@@ -41,6 +52,36 @@ def test_the_historian_s_log_is_one_that_the_config_takes() -> None:
         "hold",
         (192,),
     )
+
+
+def test_the_receiver_on_the_page_on_trends_takes_what_is_sent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    page = (DOCS / "trends.md").read_text("utf-8").partition("## 10.")[2]
+    config = tomllib.loads(page.partition("```toml")[2].partition("```")[0])["alarms"]
+    alarms = Alarms.model_validate(config | {"command": tuple(config["command"])})
+    names: dict[str, Any] = {}
+    exec(page.partition("```python")[2].partition("```")[0], names)  # noqa: S102 - our own page
+    secret = base64.b64encode(bytes(32)).decode()
+    monkeypatch.setenv("HOOK_SECRET", secret)
+    monkeypatch.setenv("HOOK_TOKEN", "token")
+    content = json.dumps({"changes": [{"id": "a-1"}, {"id": "b-1"}]}).encode()
+    with hook() as server:
+        receiver = WebHook(server.url(), alarms.webhook_headers, alarms.webhook_secret)
+        for _ in range(2):
+            receiver.take(Delivery("msg_1", content))
+    first, second = server.posts
+    assert first.headers["authorization"] == "Bearer token"
+    theirs = names["Receiver"](secret)
+    assert theirs.changes(first.headers, first.body) == [{"id": "a-1"}, {"id": "b-1"}]
+    assert theirs.changes(second.headers, second.body) == []
+    with pytest.raises(ValueError, match="not signed"):
+        theirs.changes(first.headers, first.body.replace(b"a-1", b"c-1"))
+    with pytest.raises(ValueError, match="not signed"):
+        names["Receiver"]("AAAB").changes(first.headers, first.body)
+    monkeypatch.setattr(time, "time", lambda: int(first.headers["webhook-timestamp"]) + 301)
+    with pytest.raises(ValueError, match="too old"):
+        theirs.changes(first.headers, first.body)
 
 
 def test_the_limits_of_the_page_on_security_are_those_of_the_code() -> None:

@@ -13,10 +13,13 @@ from pipeline.cli.arguments import (
     EXIT_LOCKED,
     EXIT_NOTHING_PUBLISHED,
     EXIT_OK,
+    EXIT_TERMINATED,
     EXIT_USAGE,
 )
 from pipeline.errors import LockedError, MotorLeakageError, UsageError
 from pipeline.messages import error_line, speak
+
+SIGNALS = {EXIT_INTERRUPTED: "SIGINT (Ctrl-C)", EXIT_TERMINATED: "SIGTERM"}
 
 app = typer.Typer(
     name="motor-leakage",
@@ -70,15 +73,21 @@ def _exit_code(error: MotorLeakageError) -> int:
     return EXIT_LOCKED if isinstance(error, LockedError) else EXIT_NOTHING_PUBLISHED
 
 
-def _call_as_program() -> int:
-    """Call the command so that wrong usage is an error of ours and not a box; its exit code."""
+def _call(*, as_json: bool) -> int:
+    """Call the command; its exit code. For programs wrong usage is an error of ours, not a box."""
     try:
-        return int(app(standalone_mode=False) or EXIT_OK)
+        return int(app(standalone_mode=not as_json) or EXIT_OK)
+    except SystemExit as ended:
+        return int(ended.code or EXIT_OK)
     except Exception as error:
         # Typer's own class of errors has no public name in all versions.
         if not hasattr(error, "format_message"):
             raise
         raise UsageError("usage", error.format_message()) from error
+
+
+def _say(error: MotorLeakageError, code: int, *, as_json: bool) -> None:
+    typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
 
 
 def main() -> NoReturn:
@@ -87,10 +96,13 @@ def main() -> NoReturn:
     as_json = "--json" in sys.argv[1:]
     speak(as_json=as_json)
     try:
-        code = _call_as_program() if as_json else app()
+        code = _call(as_json=as_json)
     except MotorLeakageError as error:
         code = _exit_code(error)
-        typer.echo(error_line(error.code, str(error), code, as_json=as_json), err=True)
+        _say(error, code, as_json=as_json)
     except KeyboardInterrupt:
         code = EXIT_INTERRUPTED
-    sys.exit(code or EXIT_OK)
+    if code in SIGNALS:
+        words = f"stopped by {SIGNALS[code]}; what is written is whole, and the next call goes on"
+        _say(MotorLeakageError("interrupted", words), code, as_json=as_json)
+    sys.exit(code)

@@ -36,10 +36,13 @@ def status(
     """
     from pipeline.status import age_in_hours, fleet_status
     from pipeline.status_lines import print_status
+    from pipeline.telling.receivers import receivers_of
 
     limit_h = age_in_hours(max_age) if max_age else None
     fleet = load(config, output, None, logs=False)
-    found = fleet_status(fleet.output, [spec.motor_id for spec in fleet.motors])
+    receivers = receivers_of(fleet.settings.alarms)
+    motor_ids = [spec.motor_id for spec in fleet.motors]
+    found = fleet_status(fleet.output, motor_ids, receivers, fleet.name)
     too_old = False
     if limit_h is not None:
         ended = found.last_good_run
@@ -51,7 +54,10 @@ def status(
 def ack(
     config: ConfigFile,
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
-    indicator: Annotated[str, typer.Argument(help="The indicator, as `status` names it.")],
+    indicator: Annotated[
+        str,
+        typer.Argument(help="The indicator, as K_piston_ring or as `status` words it, in quotes."),
+    ],
     note: Annotated[str, typer.Option(help="In words.")],
     finding: Annotated[
         str, typer.Option(help="confirmed or not_confirmed, once somebody has looked.")
@@ -65,13 +71,13 @@ def ack(
     Once somebody has looked, add --finding confirmed, or --finding not_confirmed.
     """
     from pipeline.decisions import FINDINGS, Decision, record_decision
-    from pipeline.status import alarmed_night
+    from pipeline.status import RAISED, TOLD, last_alarm
 
     if finding not in ("", *FINDINGS):
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
     fleet = load(config, output, None, logs=False)
     known_motors([motor], fleet)
-    night = alarmed_night(fleet.output, motor, indicator)
+    indicator, night = last_alarm(fleet.output, motor, indicator, RAISED if finding else TOLD)
     decision = Decision(
         motor_id=motor,
         indicator=indicator,

@@ -14,6 +14,8 @@ from pipeline.errors import MotorLeakageError, one_line
 # What pydantic puts into the place of a fault and no file has: tags of a union, marks of a key.
 NO_KEYS = frozenset({"annular_gap", "speed_curve", "laminar", "[key]"})
 LONGEST_QUOTE = 80
+# Keys whose values may hold a secret: nothing of them is quoted.
+UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret"})
 OPENINGS = {
     "Input should be ": "expected ",
     "String should match pattern ": "expected text that matches ",
@@ -112,7 +114,8 @@ def _fault(detail: ErrorDetails, file: str, prefix: str, document: object) -> Fa
         context = detail["ctx"]
         message = f'got "{context["tag"]}"; expected one of {context["expected_tags"]}'
         return Fault(file, key, message)
-    return Fault(file, key, _quote(detail["input"]) + _expected(detail["msg"]))
+    given = "" if UNQUOTED.intersection(detail["loc"]) else _quote(detail["input"])
+    return Fault(file, key, given + _expected(detail["msg"]))
 
 
 def _key(place: Iterable[str | int], document: object) -> str:
@@ -136,10 +139,11 @@ def _below(document: object, part: str | int) -> object:
 
 
 def _quote(given: object) -> str:
-    """What stands in the file, unless that is long."""
+    """What stands in the file, unless that is long or may hold a secret."""
     text = json.dumps(given, default=str, ensure_ascii=False)
     long = isinstance(given, Mapping | list | tuple) and len(text) > LONGEST_QUOTE
-    return "" if long else f"got {text}; "
+    secret = isinstance(given, Mapping) and any(f'"{key}"' in text for key in UNQUOTED)
+    return "" if long or secret else f"got {text}; "
 
 
 def _expected(message: str) -> str:

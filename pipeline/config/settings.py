@@ -11,6 +11,8 @@ from zoneinfo import ZoneInfo, available_timezones
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from pipeline.config.web_hooks import VARIABLE, require_address, require_header
+
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, le=1)]
@@ -374,11 +376,20 @@ class Alarms(Section):
     )
     command: tuple[str, ...] = Field(
         (),
-        description="Program and arguments, run once a run that changed a state, without a shell; "
-        "it gets the new rows of `alarms` as JSON on its standard input",
+        description="Program and arguments, run without a shell for each delivery; it gets the new "
+        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-be-told))",
     )
     webhook_url: str = Field(
-        "", description="The same rows are posted there as JSON; empty: nowhere"
+        "", description="The same is posted there; http or https; empty: nowhere"
+    )
+    webhook_headers: dict[str, str] = Field(
+        {},
+        description="Headers of the post; `${NAME}` in a value is the environment variable NAME",
+    )
+    webhook_secret: str = Field(
+        "",
+        description="`${NAME}`: the environment variable with the secret, in Base64, that posts "
+        "are signed with as Standard Webhooks has it; empty: no signature",
     )
 
     @model_validator(mode="after")
@@ -390,9 +401,28 @@ class Alarms(Section):
             raise ValueError("expected warning_percent below alarm_percent")
         if self.deadband_percent >= self.warning_percent:
             raise ValueError("expected deadband_percent below warning_percent")
-        if self.webhook_url and not self.webhook_url.startswith(("http://", "https://")):
-            raise ValueError("expected webhook_url to begin with http:// or https://")
         return self
+
+    @field_validator("webhook_url")
+    @classmethod
+    def _is_address(cls, url: str) -> str:
+        if url:
+            require_address(url)
+        return url
+
+    @field_validator("webhook_headers")
+    @classmethod
+    def _are_headers(cls, headers: dict[str, str]) -> dict[str, str]:
+        for name, value in headers.items():
+            require_header(name, value)
+        return headers
+
+    @field_validator("webhook_secret")
+    @classmethod
+    def _is_variable(cls, secret: str) -> str:
+        if secret and not VARIABLE.fullmatch(secret):
+            raise ValueError("expected ${NAME}, with the secret in that environment variable")
+        return secret
 
 
 class Execution(Section):

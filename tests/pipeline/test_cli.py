@@ -224,15 +224,33 @@ def test_130_and_143_while_publishing(
     fleet = own_fleet(PARQUET)
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.publishing, "prepare_night", interrupted)
-        ended, out, _ = call("fit-fleet", fleet)
+        ended, out, err = call("fit-fleet", fleet)
     # What was begun is published whole, and nothing after it is begun.
     assert ended == code
+    assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
     assert any(line.startswith("interrupted; 3 nights of 1 motors") for line in out.splitlines())
     assert not (fleet.parent.parent / "out" / "tables" / "trends").exists()
     assert call("fit-fleet", fleet)[0] == 0
     assert (fleet.parent.parent / "out" / "tables" / "trends").exists()
     fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")
     assert fits["status"].to_list() == ["ok"] * 3
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_130_of_any_command_says_why(
+    call: Call, fleet: Path, monkeypatch: pytest.MonkeyPatch, as_json: bool
+) -> None:
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pipeline.status.fleet_status", interrupted)
+    code, out, err = call("status", fleet, *(["--json"] if as_json else []))
+    assert (code, out) == (130, "")
+    if as_json:
+        line = json.loads(err)
+        assert (line["event"], line["code"], line["exit_code"]) == ("error", "interrupted", 130)
+    else:
+        assert err.strip().startswith("motor-leakage: interrupted: stopped by SIGINT (Ctrl-C); ")
 
 
 # What is asked for

@@ -611,7 +611,6 @@ def test_what_is_no_toml_file_is_left_alone(configs: Path) -> None:
         ("alarms", "deadband_percent = 15.0", "expected deadband_percent below warning_percent"),
         ("alarms", "warning_percent = 30.0", "expected warning_percent below alarm_percent"),
         ("alarms", "on_nights = [6, 5]", "expected on_nights as [m, n] with 1 <= m <= n"),
-        ("alarms", 'webhook_url = "file:///etc/passwd"', "expected webhook_url to begin with http"),
         ("trend", "baseline_nights = 30\nprovisional_nights = 40", "no more than baseline_nights"),
     ],
 )
@@ -623,3 +622,64 @@ def test_settings_of_trends_that_contradict_each_other(
     (fault,) = faults(configs)
     assert fault.key == table
     assert words in str(fault)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        *(
+            (f"webhook_url = {url}", "webhook_url: expected http:// or https:// and a host")
+            for url in (
+                '"file:///T0KEN"',
+                '"http://"',
+                '"http:/T0KEN"',
+                '"http://h/T0 KEN"',
+                '"http://h/T0KEN\\r\\n"',
+                '"http://[::1"',
+                '"http://h:T0KEN/"',
+                '"http://h:99999/"',
+                '"h.example/T0KEN"',
+            )
+        ),
+        ('webhook_url = "https://me:T0KEN@h/"', "webhook_url: expected no name or password"),
+        ('webhook_url = ["http://h/T0KEN"]', "webhook_url: expected a valid string"),
+        ("deadband_percent = 15.0\nwebhook_url = 'http://h/T0KEN'", "expected deadband_percent"),
+        ('webhook_headers = { "X:" = "T0KEN" }', "webhook_headers: expected names of letters"),
+        ('webhook_headers = { Host = "T0KEN" }', "webhook_headers: expected no Host: the program"),
+        ('webhook_headers = { webhook-id = "T0KEN" }', "expected no webhook-id"),
+        *(
+            (f"webhook_headers = {{ X = {value} }}", "webhook_headers: expected printable ASCII")
+            for value in (
+                '"$T0KEN"',
+                '"${T0KEN"',
+                '"${}"',
+                '"${1}"',
+                '"T0KENñ"',
+                '"T0\\nKEN"',
+                '""',
+            )
+        ),
+        ("webhook_headers = { X = 1 }", "webhook_headers.X: expected a valid string"),
+        ('webhook_secret = "whsec_T0KEN"', "webhook_secret: expected ${NAME}, with the secret in"),
+        ('webhook_secret = "${A}${B}"', "webhook_secret: expected ${NAME}"),
+    ],
+)
+def test_a_web_hook_that_cannot_be_posted_to(configs: Path, line: str, words: str) -> None:
+    path = configs / "fleet.toml"
+    path.write_text(path.read_text("utf-8") + f"\n[alarms]\n{line}\n", "utf-8")
+    (fault,) = faults(configs)
+    assert words in str(fault)
+    assert "T0KEN" not in str(fault)
+
+
+def test_a_web_hook_with_all_that_it_may_have(configs: Path) -> None:
+    path = configs / "fleet.toml"
+    lines = """
+        [alarms]
+        webhook_url = "https://h.example:8443/a/b?c=d"
+        webhook_headers = { Authorization = "Bearer ${HOOK_TOKEN}", X-Plant = "3, hall ${HALL}" }
+        webhook_secret = "${HOOK_SECRET}"
+    """
+    path.write_text(path.read_text("utf-8") + lines, "utf-8")
+    alarms = load(configs).settings.alarms
+    assert alarms.webhook_headers["X-Plant"] == "3, hall ${HALL}"

@@ -4,11 +4,8 @@ and tables, terminals, spreadsheets and pages show what they are."""
 from __future__ import annotations
 
 import csv
-import http.server
 import json
 import sys
-import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +15,7 @@ from rich.console import Console
 
 from pipeline import status_lines
 from pipeline.check import check_fleet
-from pipeline.config import Alarms, ConfigError, load_fleet
+from pipeline.config import ConfigError, load_fleet
 from pipeline.csv_export import Selection, export_csv
 from pipeline.errors import UsageError
 from pipeline.fleet import RunRequest, run_fleet
@@ -27,9 +24,10 @@ from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.table import is_of_file
 from pipeline.ingest.time_stamps import require_time_format
 from pipeline.logs import find_logs
-from pipeline.notify import notify
 from pipeline.report import ReportRequest, build_report
 from pipeline.status import FleetStatus, MotorState
+from pipeline.telling.command import Command
+from pipeline.telling.delivery import Delivery, UndeliveredError
 from tests.pipeline.simulated import load_motor, motor_toml, write_configs
 
 FILE_NAMES = [
@@ -236,10 +234,10 @@ def test_a_state_is_shown_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     assert r"x\x1b[2J\n=1+1" in text
 
 
-# Notifications
+# Those who are told
 
 
-ROW = {"motor_id": TEXT, "reason": TEXT, "to_state": "alarm"}
+ROW = json.dumps({"motor_id": TEXT, "reason": TEXT, "to_state": "alarm"}).encode()
 
 
 def test_a_command_gets_names_on_its_standard_input_and_no_shell(
@@ -248,67 +246,15 @@ def test_a_command_gets_names_on_its_standard_input_and_no_shell(
     monkeypatch.chdir(tmp_path)
     keep = "import sys; open('got', 'wb').write(sys.stdin.buffer.read()); print(sys.argv[1:])"
     argument = "; touch harmed; $(touch harmed)"
-    settings = Alarms(command=(sys.executable, "-c", keep, argument))
-    assert notify(settings, TEXT, [ROW]) == ()
+    Command((sys.executable, "-c", keep, argument)).take(Delivery("msg_1", ROW))
     assert [path.name for path in tmp_path.iterdir()] == ["got"]
-    got = json.loads((tmp_path / "got").read_bytes())
-    assert got == {"fleet": TEXT, "changes": [ROW]}
+    assert (tmp_path / "got").read_bytes() == ROW
 
 
-def test_what_a_command_says_is_one_line_that_prints(tmp_path: Path) -> None:
+def test_what_a_command_says_is_one_line_that_prints() -> None:
     say = f"import sys; sys.stderr.write({TEXT!r} * 100); sys.exit(3)"
-    (fault,) = notify(Alarms(command=(sys.executable, "-c", say)), "", [ROW])
-    assert fault.startswith("alarms.command ended with 3: x")
-    assert fault.isprintable()
-    assert len(fault) < 1000
-
-
-class Receiver(http.server.BaseHTTPRequestHandler):
-    """Keeps what is posted; answers as its path says."""
-
-    got: list[bytes]
-
-    def do_POST(self) -> None:
-        self.got.append(self.rfile.read(int(self.headers["Content-Length"])))
-        if self.path == "/nonsense":
-            self.wfile.write(b"\x1b[2J\n\n")
-        elif self.path == "/file":
-            self.send_response(302)
-            self.send_header("Location", "file:///etc/passwd")
-            self.end_headers()
-        else:
-            self.send_response(200)
-            self.end_headers()
-
-    def log_message(self, *_: object) -> None:
-        """Say nothing."""
-
-
-@pytest.fixture
-def receiver() -> Iterator[str]:
-    Receiver.got = []
-    with http.server.HTTPServer(("127.0.0.1", 0), Receiver) as server:
-        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
-        thread.start()
-        yield f"http://127.0.0.1:{server.server_port}"
-        server.shutdown()
-        thread.join()
-
-
-def test_a_web_hook_gets_names_as_json(receiver: str) -> None:
-    assert notify(Alarms(webhook_url=f"{receiver}/"), TEXT, [ROW]) == ()
-    (got,) = Receiver.got
-    assert json.loads(got) == {"fleet": TEXT, "changes": [ROW]}
-
-
-@pytest.mark.parametrize(
-    ("end", "words"),
-    [("/nonsense", ""), ("/file", "file:///etc/passwd"), ("/a b", "control characters")],
-)
-def test_a_web_hook_that_answers_with_nonsense_costs_nobody_the_run(
-    receiver: str, end: str, words: str
-) -> None:
-    (fault,) = notify(Alarms(webhook_url=receiver + end), "", [ROW])
-    assert fault.startswith("alarms.webhook_url: ")
-    assert words in fault
-    assert fault.isprintable()
+    with pytest.raises(UndeliveredError) as caught:
+        Command((sys.executable, "-c", say)).take(Delivery("msg_1", ROW))
+    assert caught.value.why.startswith("ended with 3: ")
+    assert caught.value.why.isprintable()
+    assert len(caught.value.why) < 1000

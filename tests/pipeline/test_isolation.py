@@ -400,7 +400,9 @@ def test_a_signal_while_trends_are_made_keeps_the_fits(
     finally:
         process.kill()
         process.communicate()
-    assert (process.returncode, err) == (code, "")
+    assert process.returncode == code
+    assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
+    assert len(err.splitlines()) == 1
     assert "interrupted; 0 nights of 1 motors" in out
     runs = pl.read_parquet(output_of(fleet) / "tables/runs/**/*.parquet").sort("started_at")
     assert runs["status"][-1] == "interrupted"

@@ -16,9 +16,18 @@ from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import UsageError
 from pipeline.publishing import Publisher
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
-from pipeline.status import age_in_hours, alarmed_night, fleet_status, last_findings, motor_state
+from pipeline.status import (
+    RAISED,
+    TOLD,
+    age_in_hours,
+    fleet_status,
+    last_alarm,
+    last_findings,
+    motor_state,
+)
 from pipeline.store import night_file, write_table
 from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.words import size_words
 from tests.pipeline.test_cli import Call
 from tests.pipeline.test_cli import call as call  # a fixture
 from tests.pipeline.trends.nights import Nights, configure, motor, night_of, standing, step
@@ -433,10 +442,44 @@ def test_a_reset_that_would_do_nothing_is_refused(
     assert read_decisions(output) == ()
 
 
-def test_the_night_of_an_alarm(output: Path) -> None:
-    assert alarmed_night(output, "M1", "K_piston_ring") == night_of(4)
+@pytest.mark.parametrize(
+    "name",
+    [
+        "K_piston_ring",
+        "piston ring leakage",
+        "Piston ring",
+        " the piston ring leakage",
+        "k_piston_ring",
+    ],
+)
+def test_an_alarm_is_known_by_each_of_its_names(
+    output: Path, config: Path, call: Call, name: str
+) -> None:
+    code, out, _ = call("ack", config, "M1", name, "--note", "seen")
+    assert (code, out) == (0, "M1: K_piston_ring, raised last on 2026-01-06: acknowledged\n")
+    assert [one.indicator for one in read_decisions(output)] == ["K_piston_ring"]
+    assert "(acknowledged: seen)" in call("status", config)[1]
+
+
+def test_whatever_can_be_raised_is_known_by_the_words_of_status(output: Path) -> None:
+    row = pl.read_parquet(night_file(output, ALARMS, night_of(4))).to_dicts()[0]
+    names = [*NAMES, "K_balance_sleeve", "own_reference_leakage", "baseline_deviation", "C_f"]
+    names += ["peer_deviation", "pressure_zero", "flow_zero"]
+    rows = frame(ALARMS, [row | {"indicator": name} for name in names])
+    write_table(night_file(output, ALARMS, night_of(4)), rows)
+    for name in names:
+        for words in (name, size_words(name, 30.0, None, "").removesuffix(" +30 %")):
+            assert last_alarm(output, "M1", words, RAISED) == (name, night_of(4))
+
+
+def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
+    row = pl.read_parquet(night_file(output, ALARMS, night_of(4))).to_dicts()[0]
+    stale = row | {"night": night_of(5), "to_state": "stale"}
+    write_table(night_file(output, ALARMS, night_of(5)), frame(ALARMS, [stale]))
+    assert last_alarm(output, "M1", "K_piston_ring", TOLD) == ("K_piston_ring", night_of(5))
+    assert last_alarm(output, "M1", "K_piston_ring", RAISED) == ("K_piston_ring", night_of(4))
     with pytest.raises(UsageError, match="there were of: none at all"):
-        alarmed_night(output, "M2", "K_piston_ring")
+        last_alarm(output, "M2", "K_piston_ring", TOLD)
 
 
 @pytest.mark.parametrize("text", ["", "h", "26", "-1h", "0h", "infh", "nanh", "1y", "26 h ours"])

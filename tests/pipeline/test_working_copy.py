@@ -26,9 +26,11 @@ from pipeline.decisions import Decision, read_decisions, record_decision
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.object_store import ObjectStore
+from pipeline.telling.outbox import OUTBOX_FILES, is_waiting
 from pipeline.working_copy import ROOT, Snapshot, pull, push, read_snapshot
 from tests.conftest import OwnFleet
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
+from tests.pipeline.telling.fleet import keep, told_fleet, write_config
 from tests.pipeline.test_fleet import CSV, PARQUET, output_of, status_of, table_files
 from tests.pipeline.workshop import DAY, Workshop
 
@@ -336,3 +338,33 @@ def test_a_working_copy_is_not_written_to_without_being_published(
     assert error.value.code == "store_copy"
     assert table_files(shop.output) == tables
     assert run(shop.fleet, shop.output).n_nights == 1
+
+
+# Those who are told of alarms
+
+
+def test_what_was_told_is_known_on_every_machine(server: Server, tmp_path: Path) -> None:
+    fleet = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
+    run(fleet, tmp_path / "out")
+    write_config(tmp_path, keep(tmp_path / "told"))
+    for machine in ("second", "third", "out"):
+        run(fleet, tmp_path / machine)
+        assert len((tmp_path / "told").read_text().splitlines()) == 1
+        assert not is_waiting(tmp_path / machine)
+    assert set(OUTBOX_FILES) < read_snapshot(ObjectStore.at(URL)).files.keys()
+
+
+def test_nothing_is_told_that_is_not_published(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def denied(*_: object) -> Snapshot:
+        raise StoreError("object_store_denied", "cannot be written")
+
+    fleet = told_fleet(tmp_path, keep(tmp_path / "told"))
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.working_copy, "push", denied)
+        with pytest.raises(StoreError):
+            run(fleet, tmp_path / "out")
+    assert not (tmp_path / "told").exists()
+    run(fleet, tmp_path / "out")
+    assert len((tmp_path / "told").read_text().splitlines()) == 1

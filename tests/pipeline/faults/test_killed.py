@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +33,14 @@ Kill = Callable[[Path, str, int], None]
 
 @pytest.fixture(scope="module")
 def kill(tiny_fleet: TinyFleet) -> Iterator[Kill]:
-    """Kills a run at the Nth call of the disk, or the Nth entry into a stage."""
+    """Kills a run of the tiny fleet."""
+    with killer() as kill_run:
+        yield lambda output, stage, number: kill_run(tiny_fleet.folder, output, stage, number)
+
+
+@contextmanager
+def killer() -> Iterator[Callable[[Path, Path, str, int], None]]:
+    """Kills a run of the fleet in a folder at the Nth call of the disk, or entry into a stage."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.pipeline.faults.victim"],
         stdin=subprocess.PIPE,
@@ -43,11 +51,11 @@ def kill(tiny_fleet: TinyFleet) -> Iterator[Kill]:
     assert process.stdin is not None
     assert process.stdout is not None
 
-    def ask(output: Path, stage: str, number: int) -> None:
+    def ask(folder: Path, output: Path, stage: str, number: int) -> None:
         assert process.stdin is not None
         assert process.stdout is not None
         request = {
-            "folder": str(tiny_fleet.folder),
+            "folder": str(folder),
             "output": str(output),
             "stage": stage,
             "number": number,

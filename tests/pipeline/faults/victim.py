@@ -37,6 +37,13 @@ STAGES = {
     "remembering trends": "pipeline.fleet.write_record",
     "publishing the run": "pipeline.publishing.Publisher.of_run",
 }
+# Those of a run whose fleet tells somebody of its alarms.
+OF_TELLING = {
+    "opening the outbox": "pipeline.fleet.open_outbox",
+    "taking up": "pipeline.fleet.take_up",
+    "telling": "pipeline.fleet.deliver",
+    "told": "pipeline.telling.delivering.write_outbox",
+}
 # Those that a worker goes through.
 OF_MOTORS = ("planning", "reading", "fitting", "staging")
 OF_TRENDS = ("trends", "staging trends")
@@ -50,7 +57,7 @@ def die() -> None:
 
 def at_entry(stage: str, number: int, then: Callable[[], None]) -> pytest.MonkeyPatch:
     """Do something when a stage is entered for the Nth time."""
-    owner, _, name = STAGES[stage].rpartition(".")
+    owner, _, name = (STAGES | OF_TELLING)[stage].rpartition(".")
     try:
         holder: Any = importlib.import_module(owner)
     except ModuleNotFoundError:

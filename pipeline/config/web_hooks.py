@@ -1,0 +1,52 @@
+"""Address and headers of a web hook, as a config may state them."""
+
+from __future__ import annotations
+
+import re
+from urllib.parse import urlsplit
+
+# An environment variable in a value.
+VARIABLE = re.compile(r"\$\{([A-Za-z_][A-Za-z0-9_]*)\}")
+HEADER_NAME = re.compile(r"[A-Za-z0-9_-]+")
+HEADER_VALUE = re.compile(r"[\x20-\x7e]+")
+ADDRESS = re.compile(r"[\x21-\x7e]+")
+# Headers that the program sets itself, and all that begin with `webhook-`.
+OWN_HEADERS = ("connection", "content-length", "content-type", "host", "transfer-encoding")
+
+
+def require_address(url: str) -> None:
+    """Refuse an address that nothing can be posted to.
+
+    Raises
+    ------
+    ValueError
+        That says what is expected, and nothing of the address.
+    """
+    try:
+        parts = urlsplit(url)
+        whole = bool(parts.hostname) and parts.port != 0
+    except ValueError:
+        whole = False
+    if not whole or not ADDRESS.fullmatch(url) or parts.scheme not in ("http", "https"):
+        raise ValueError("expected http:// or https:// and a host, without blanks")
+    if "@" in parts.netloc:
+        raise ValueError("expected no name or password; webhook_headers is the place for them")
+
+
+def require_header(name: str, value: str) -> None:
+    """Refuse a header that cannot be sent, or that the program sets itself.
+
+    Raises
+    ------
+    ValueError
+        That says what is expected, and nothing of the value.
+    """
+    if not HEADER_NAME.fullmatch(name):
+        raise ValueError("expected names of letters, digits and hyphens")
+    if name.lower() in OWN_HEADERS or name.lower().startswith("webhook-"):
+        raise ValueError(f"expected no {name}: the program sets it itself")
+    if not HEADER_VALUE.fullmatch(value) or "$" in VARIABLE.sub("", value):
+        raise ValueError(
+            f"expected printable ASCII in {name}, and $ in ${{NAME}} alone, which stands for an "
+            "environment variable"
+        )

@@ -1,0 +1,103 @@
+"""Receivers take what waits for them in the outbox, each delivery with a few tries."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
+from pipeline.telling.outbox import Outbox, Queue, Waiting, read_outbox, write_outbox
+
+# Waits before a delivery is tried again in the same run [s].
+PAUSES_S = (1.0, 4.0)
+# After so many deliveries that failed, the rest of them waits for the next run.
+MOST_FAILURES = 3
+
+
+def deliver(
+    output: Path,
+    receivers: Sequence[Receiver],
+    fleet: str,
+    pause: Callable[[float], None] = time.sleep,
+) -> tuple[str, ...]:
+    """Let every receiver take what waits for it; the outbox is written after each delivery.
+
+    Parameters
+    ----------
+    output, fleet
+        Output folder and name of the fleet.
+    receivers
+        Who is told.
+    pause
+        Waits for some seconds.
+
+    Returns
+    -------
+    tuple of str
+        What went wrong, in words.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read or written: what was delivered may be delivered again.
+    """
+    outbox, faults = read_outbox(output) or Outbox(), []
+    for receiver in receivers:
+        if receiver.name not in outbox.queues:
+            continue
+        for queue in _after_each(outbox.queues[receiver.name], receiver, fleet, pause):
+            outbox = replace(outbox, queues={**outbox.queues, receiver.name: queue})
+            write_outbox(output, outbox)
+        left = outbox.queues[receiver.name]
+        if left.waiting:
+            n = sum(len(one.changes) for one in left.waiting)
+            faults.append(f"{receiver.label}: {left.fault}; {n} changes wait for the next run")
+    return tuple(faults)
+
+
+def _after_each(
+    queue: Queue, receiver: Receiver, fleet: str, pause: Callable[[float], None]
+) -> Iterator[Queue]:
+    """The queue after each delivery that was tried; what was not taken goes behind the others.
+
+    A receiver that failed in the run before gets one try for each, as does one that hangs: so a
+    dead one costs a run little, and a delivery that it never takes does not hold up the others.
+    """
+    failures, pauses = 0, () if queue.fault else PAUSES_S
+    for one in queue.waiting:
+        rest = tuple(other for other in queue.waiting if other is not one)
+        try:
+            _take(receiver, _delivery(one, fleet), pauses, pause)
+        except UndeliveredError as error:
+            pauses, failures = (), failures + 1
+            queue = replace(queue, waiting=(*rest, one), fault=error.why)
+            yield queue
+            if error.hung or failures == MOST_FAILURES:
+                return
+        else:
+            queue = replace(queue, waiting=rest, fault=queue.fault if rest else "")
+            yield queue
+
+
+def _take(
+    receiver: Receiver,
+    delivery: Delivery,
+    pauses: Sequence[float],
+    pause: Callable[[float], None],
+) -> None:
+    for seconds in pauses:
+        try:
+            return receiver.take(delivery)
+        except UndeliveredError as error:
+            if error.hung:
+                raise
+        pause(seconds)
+    return receiver.take(delivery)
+
+
+def _delivery(one: Waiting, fleet: str) -> Delivery:
+    document = {"id": one.id, "type": "alarms", "fleet": fleet, "changes": one.changes}
+    return Delivery(one.id, json.dumps(document, sort_keys=True).encode())

@@ -1,0 +1,314 @@
+"""The outbox: which rows of `alarms` each receiver has yet to be told, and which it never need be.
+
+Rows get into it from the published table alone, and each is known by its key and by what it says.
+So it does not matter where a run was broken off, and a row that is made anew is not told again
+unless it says something else. What a receiver has not taken waits, in the same deliveries, for the
+next run. The outbox is two sealed files with the same content, of which one is enough.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import StoreError
+from pipeline.landing import put, read
+from pipeline.schema import ALARMS
+from pipeline.sealed import seal, unseal
+from pipeline.store import month_stamps, read_table, table_folder
+from pipeline.telling.delivery import Receiver
+
+log = logging.getLogger(__name__)
+
+OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
+# Rows of one delivery at most.
+MOST_CHANGES = 500
+# What a row says; other columns are its key or follow from it.
+SAID = ("from_state", "to_state", "way", "path", "reason")
+
+Change = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Waiting:
+    """A delivery that a receiver has not taken: its id, since when it waits (UTC), and its rows."""
+
+    id: str
+    since: dt.datetime
+    changes: tuple[Change, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Queue:
+    """What is kept of a receiver.
+
+    Attributes
+    ----------
+    told_since
+        When it was first named in the config (UTC); rows that were published before are not sent.
+    waiting
+        Deliveries that it has not taken.
+    fault
+        What went wrong last; empty where all was taken.
+    """
+
+    told_since: dt.datetime
+    waiting: tuple[Waiting, ...] = ()
+    fault: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outbox:
+    """All queues, and the rows of `alarms` that are in them or were.
+
+    Attributes
+    ----------
+    queues
+        By the receiver's name.
+    known
+        By a hash of a row's key, a hash of what it says and how often that has changed.
+    stamps
+        What `month_stamps` said of each month when its rows were taken up.
+    """
+
+    queues: Mapping[str, Queue] = field(default_factory=dict)
+    known: Mapping[str, str] = field(default_factory=dict)
+    stamps: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Backlog:
+    """What a receiver has not been told; `since` and `fault` are null where there is nothing."""
+
+    receiver: str
+    told_since: dt.datetime
+    undelivered: int
+    since: dt.datetime | None
+    fault: str | None
+
+
+def read_outbox(output: Path) -> Outbox | None:
+    """The outbox, from whichever of its files is sound; None where none is.
+
+    Raises
+    ------
+    StoreError
+        If there is one that cannot be read, and no sound one.
+    """
+    unreadable: StoreError | None = None
+    for name in OUTBOX_FILES:
+        try:
+            found = parsed(read(output / name))
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            unreadable = StoreError("store_read", f"{name} cannot be read: {error.strerror}")
+            continue
+        if found is not None:
+            return found
+        log.warning("%s is damaged", name)
+    if unreadable is not None:
+        raise unreadable
+    return None
+
+
+def parsed(content: bytes) -> Outbox | None:
+    """The outbox that a file holds; None where it is damaged."""
+    document = unseal(content)
+    try:
+        if document is None:
+            return None
+        return Outbox(
+            {name: _queue(one) for name, one in document["queues"].items()},
+            dict(one.split("-", 1) for one in document["known"]),
+            document["stamps"],
+        )
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def _queue(document: Mapping[str, Any]) -> Queue:
+    waiting = tuple(
+        Waiting(one["id"], dt.datetime.fromisoformat(one["since"]), tuple(one["changes"]))
+        for one in document["waiting"]
+    )
+    told_since = dt.datetime.fromisoformat(document["told_since"])
+    return Queue(told_since, waiting, document["fault"])
+
+
+def write_outbox(output: Path, outbox: Outbox) -> None:
+    """Write both files, as far as they are not so already.
+
+    Raises
+    ------
+    StoreError
+        If one cannot be written.
+    """
+    document = asdict(outbox) | {"known": sorted(map("-".join, outbox.known.items()))}
+    content = seal(json.loads(json.dumps(document, default=dt.datetime.isoformat)))
+    for name in OUTBOX_FILES:
+        try:
+            present = read(output / name)
+        except OSError:
+            present = None
+        if present != content:
+            put(output / name, content)
+
+
+def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:
+    """Let the receivers of a config have their queues, before a run publishes anything.
+
+    Rows that a run before has published and not taken up go to the receivers that there were. A
+    new receiver is told of none of them; one that the config names no more is told of nothing.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read or written.
+    """
+    before = read_outbox(output)
+    if not names and (before is None or not before.queues):
+        return
+    outbox = taken_up(before or Outbox(), output, fleet)
+    for name in sorted(outbox.queues.keys() - set(names)):
+        if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
+            log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
+    for name in sorted(set(names) - outbox.queues.keys()):
+        if outbox.known:
+            log.warning(
+                "alarms: the %s is told from now on; the %d rows of `alarms` so far are not sent",
+                name,
+                len(outbox.known),
+            )
+    now = dt.datetime.now(dt.UTC)
+    queues = {name: outbox.queues.get(name, Queue(now)) for name in names}
+    write_outbox(output, replace(outbox, queues=queues))
+
+
+def take_up(output: Path, fleet: str) -> None:
+    """Put the rows of `alarms` that are not known yet into all queues.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read or written.
+    """
+    before = read_outbox(output)
+    if before is not None and before.queues:
+        after = taken_up(before, output, fleet)
+        if after != before:
+            write_outbox(output, after)
+
+
+def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
+    """The outbox with the rows of those months that were written to since it was made."""
+    stamps = month_stamps(output, ALARMS)
+    known, changes, since = dict(outbox.known), list[Change](), 0
+    for month, stamp in sorted(stamps.items()):
+        if outbox.stamps.get(month) == stamp:
+            continue
+        rows, whole = _rows_of(output, month)
+        if not whole:
+            del stamps[month]
+        for row in rows:
+            key, said = _digest([str(row[name]) for name in ALARMS.key]), _digest_of(row)
+            before, _, times = known.get(key, "-").partition("-")
+            if before != said:
+                # A row that says again what it said once is not what a receiver has had.
+                known[key] = f"{said}-{int(times) + 1 if before else 0}"
+                what = "changed" if before else "new"
+                changes.append({"id": f"{key}-{known[key]}", "change": what, **_plain(row)})
+                since = max(since, stamp)
+    when = dt.datetime.fromtimestamp(since / 1e9, dt.UTC)
+    queues = {
+        name: replace(queue, waiting=(*queue.waiting, *_deliveries(fleet, name, when, changes)))
+        for name, queue in outbox.queues.items()
+    }
+    return Outbox(queues, known, stamps)
+
+
+def _rows_of(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
+    """The rows of a month's sound files, and whether all of them are."""
+    rows, whole = list[dict[str, Any]](), True
+    for path in sorted((table_folder(output, ALARMS) / f"month={month}").glob("*.parquet")):
+        try:
+            rows += read_table(path, ALARMS).to_dicts()
+        except StoreError as error:
+            log.warning("alarms: %s; its rows wait until it is whole", error)
+            whole = False
+    return rows, whole
+
+
+def _digest_of(row: Mapping[str, Any]) -> str:
+    return _digest([row[name] for name in SAID])
+
+
+def _digest(parts: object) -> str:
+    return hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:16]
+
+
+def _plain(row: Mapping[str, Any]) -> Change:
+    """A row as JSON has it."""
+    return {
+        name: value if value is None or isinstance(value, int | str) else _plain_value(value)
+        for name, value in row.items()
+    }
+
+
+def _plain_value(value: object) -> float | str | None:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return str(value)
+
+
+def _deliveries(
+    fleet: str, name: str, since: dt.datetime, changes: Sequence[Change]
+) -> Iterator[Waiting]:
+    for first in range(0, len(changes), MOST_CHANGES):
+        some = tuple(changes[first : first + MOST_CHANGES])
+        parts = [fleet, name, *(one["id"] for one in some)]
+        yield Waiting(f"msg_{_digest(parts)}", since, some)
+
+
+def is_waiting(output: Path) -> bool:
+    """Whether a receiver has yet to be told of anything.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read.
+    """
+    outbox = read_outbox(output)
+    return outbox is not None and any(queue.waiting for queue in outbox.queues.values())
+
+
+def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:
+    """What each receiver has not been told, rows included that no run has taken up yet.
+
+    Raises
+    ------
+    StoreError
+        If the outbox cannot be read.
+    """
+    outbox = read_outbox(output)
+    if outbox is None or not receivers:
+        return ()
+    queues = taken_up(outbox, output, fleet).queues
+    return tuple(
+        Backlog(
+            receiver.label,
+            queue.told_since,
+            sum(len(one.changes) for one in queue.waiting),
+            min((one.since for one in queue.waiting), default=None),
+            queue.fault or None,
+        )
+        for receiver in receivers
+        if (queue := queues.get(receiver.name)) is not None
+    )

@@ -1,0 +1,20 @@
+"""The receivers that a config names."""
+
+from __future__ import annotations
+
+from pipeline.config import Alarms
+from pipeline.telling.command import Command
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.web_hook import WebHook
+
+
+def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
+    """All that `[alarms]` names; none by default."""
+    found: list[Receiver] = []
+    if settings.command:
+        found.append(Command(settings.command))
+    if settings.webhook_url:
+        found.append(
+            WebHook(settings.webhook_url, settings.webhook_headers, settings.webhook_secret)
+        )
+    return tuple(found)

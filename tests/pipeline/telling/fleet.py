@@ -1,0 +1,50 @@
+"""A motor that is in alarm from its third night on, by a limit of its type, and who is told."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import polars as pl
+
+from pipeline.config import load_fleet
+from pipeline.fleet import RunRequest, RunResult, run_fleet
+from tests.pipeline.trends.nights import Nights, configure, night_of, publish
+
+QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'
+# The leakage is 1.4 l/min, or 2.8 where it has doubled.
+LIMITS = "[limits]\nwarning_l_per_min = 0.5\nalarm_l_per_min = {alarm}\n"
+N = 3
+
+
+def keep(path: Path) -> str:
+    """A command that appends each delivery to a file, as a line."""
+    script = 'cat >> "$0"; echo >> "$0"'
+    return f"command = {json.dumps(['/bin/sh', '-c', script, str(path)])}"
+
+
+def told_fleet(folder: Path, alarms: str, n: int = N, alarm: float = 1.0) -> Path:
+    """Publish some nights and write the config, with lines of `[alarms]`; the fleet's file."""
+    config = write_config(folder, alarms, alarm)
+    (spec,) = load_fleet(config).motors
+    publish(folder / "out", Nights(spec, n).frames())
+    return config
+
+
+def write_config(folder: Path, alarms: str, alarm: float = 1.0) -> Path:
+    fleet = f"{QUICK}[alarms]\n{alarms}\n"
+    return configure(folder, fleet=fleet, limits=LIMITS.format(alarm=alarm))
+
+
+def add_night(folder: Path, place: int) -> None:
+    """Publish another night, with the flow of the others."""
+    (spec,) = load_fleet(folder / "configs" / "fleet.toml").motors
+    frames = Nights(spec, place + 1).frames()
+    publish(
+        folder / "out",
+        {name: rows.filter(pl.col("night") == night_of(place)) for name, rows in frames.items()},
+    )
+
+
+def run(config: Path) -> RunResult:
+    return run_fleet(RunRequest(load_fleet(config)))

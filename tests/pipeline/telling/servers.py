@@ -1,0 +1,87 @@
+"""Servers on loopback that take a web hook's posts, and some that do not."""
+
+from __future__ import annotations
+
+import http.server
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Post:
+    """A request as it came."""
+
+    method: str
+    path: str
+    headers: dict[str, str]
+    body: bytes
+
+
+@dataclass
+class Hook:
+    """A server that keeps what is posted to it.
+
+    Attributes
+    ----------
+    answers
+        By path, status and Location of the answer; 200 where there is none.
+    """
+
+    port: int = 0
+    posts: list[Post] = field(default_factory=list)
+    answers: dict[str, tuple[int, str]] = field(default_factory=dict)
+
+    def url(self, path: str = "/hook") -> str:
+        return f"http://127.0.0.1:{self.port}{path}"
+
+
+@contextmanager
+def hook() -> Iterator[Hook]:
+    """Start one."""
+    found = Hook()
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_POST(self) -> None:
+            body = self.rfile.read(int(self.headers.get("Content-Length", 0)))
+            headers = {name.lower(): value for name, value in self.headers.items()}
+            found.posts.append(Post(self.command, self.path, headers, body))
+            status, location = found.answers.get(self.path, (200, ""))
+            self.send_response(status)
+            if location:
+                self.send_header("Location", location)
+            self.end_headers()
+
+        do_GET = do_POST  # noqa: N815 - as the base class calls it
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        found.port = server.server_port
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        yield found
+        server.shutdown()
+        thread.join()
+
+
+@contextmanager
+def raw(talk: Callable[[socket.socket, threading.Event], None]) -> Iterator[str]:
+    """A server that does as it likes with its first connection; its URL."""
+    over = threading.Event()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def once() -> None:
+            connection, _ = server.accept()
+            with connection:
+                connection.recv(65536)
+                talk(connection, over)
+
+        thread = threading.Thread(target=once)
+        thread.start()
+        yield f"http://127.0.0.1:{server.getsockname()[1]}/T0KEN?key=T0KEN"
+        over.set()
+        thread.join()

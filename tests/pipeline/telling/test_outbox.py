@@ -1,0 +1,455 @@
+"""Rows of `alarms` reach every receiver at least once, and each knows which it has had."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import logging
+import os
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.errors import StoreError
+from pipeline.schema import ALARMS, frame
+from pipeline.store import night_file, write_table
+from pipeline.telling import outbox as module
+from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
+from pipeline.telling.delivery import Delivery, UndeliveredError
+from pipeline.telling.outbox import (
+    MOST_CHANGES,
+    OUTBOX_FILES,
+    backlogs,
+    open_outbox,
+    parsed,
+    read_outbox,
+    take_up,
+    write_outbox,
+)
+from pipeline.verification import verify_tables
+
+FLEET = "Mill"
+FIRST = dt.date(2026, 2, 17)
+
+
+@dataclass
+class Fake:
+    """A receiver that takes or refuses as it is told."""
+
+    name: str = "command"
+    label: str = "alarms.command"
+    refuses: Callable[[Delivery], bool] = lambda _: False
+    hangs: bool = False
+    tried: list[Delivery] = field(default_factory=list)
+    taken: list[dict[str, Any]] = field(default_factory=list)
+
+    def take(self, delivery: Delivery) -> None:
+        self.tried.append(delivery)
+        if self.refuses(delivery):
+            raise UndeliveredError("out of ink", hung=self.hangs)
+        document = json.loads(delivery.content)
+        assert document["id"] == delivery.id
+        self.taken.append(document)
+
+    def changes(self) -> list[dict[str, Any]]:
+        return [one for document in self.taken for one in document["changes"]]
+
+
+def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -> dict[str, Any]:
+    return {
+        "run_id": "r",
+        "motor_id": motor,
+        "night": night,
+        "time": dt.datetime(night.year, night.month, night.day, 6, tzinfo=dt.UTC),
+        "indicator": "K_piston_ring",
+        "from_state": "ok",
+        "to_state": state,
+        "reason": "piston ring leakage +27 % [25, 29]",
+        "deviation_percent": 27.0,
+        "way": "level",
+        "path": None,
+        **more,
+    }
+
+
+def publish(output: Path, *rows: dict[str, Any]) -> None:
+    """Put the rows of each night, in place of those that it has."""
+    for night in {one["night"] for one in rows}:
+        here = [one for one in rows if one["night"] == night]
+        path = night_file(output, ALARMS, night)
+        before = path.parent.stat().st_mtime_ns if path.parent.exists() else 0
+        write_table(path, frame(ALARMS, here).sort(ALARMS.key))
+        # Runs follow each other less closely than the clock of a file system ticks.
+        after = max(before + 1, path.parent.stat().st_mtime_ns)
+        os.utime(path.parent, ns=(after, after))
+
+
+def run(
+    output: Path, rows: Iterable[dict[str, Any]], *receivers: Fake, fleet: str = FLEET
+) -> tuple[str, ...]:
+    """What a run does that publishes some rows; nobody waits between tries."""
+    open_outbox(output, [one.name for one in receivers], fleet)
+    publish(output, *rows)
+    take_up(output, fleet)
+    return deliver(output, receivers, fleet, lambda _: None)
+
+
+def undelivered(output: Path, *receivers: Fake) -> list[int]:
+    return [one.undelivered for one in backlogs(output, receivers, FLEET)]
+
+
+# Who is told of what
+
+
+def test_every_receiver_gets_the_rows_of_a_run_once(tmp_path: Path) -> None:
+    first, second = Fake(), Fake("webhook", "alarms.webhook_url")
+    assert run(tmp_path, [row("M1"), row("M2")], first, second) == ()
+    assert run(tmp_path, [], first, second) == ()
+    (document,) = first.taken
+    assert (document["fleet"], document["type"]) == (FLEET, "alarms")
+    expected = row("M1") | {"night": "2026-02-17", "time": "2026-02-17 06:00:00+00:00"}
+    found = document["changes"][0]
+    assert expected | {"change": "new", "id": found["id"]} == found
+    assert [one["motor_id"] for one in document["changes"]] == ["M1", "M2"]
+    assert second.taken[0]["changes"] == document["changes"]
+    # Each delivery is one receiver's.
+    assert second.taken[0]["id"] != document["id"]
+    assert (len(first.taken), len(second.taken)) == (1, 1)
+
+
+def test_without_receivers_there_is_no_outbox(tmp_path: Path) -> None:
+    assert run(tmp_path, [row("M1")]) == ()
+    assert not any((tmp_path / name).exists() for name in OUTBOX_FILES)
+    assert backlogs(tmp_path, [], FLEET) == ()
+
+
+def test_a_new_receiver_is_told_of_what_comes_and_the_run_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    first, second = Fake(), Fake("webhook")
+    run(tmp_path, [row("M1")])
+    run(tmp_path, [], first)
+    assert "the command is told from now on; the 1 rows of `alarms` so far are not sent" in (
+        caplog.text
+    )
+    run(tmp_path, [row("M1"), row("M2")], first, second)
+    assert [one["motor_id"] for one in first.changes()] == ["M2"]
+    assert [one["motor_id"] for one in second.changes()] == ["M2"]
+    (backlog,) = backlogs(tmp_path, [second], FLEET)
+    assert dt.datetime.now(dt.UTC) - backlog.told_since < dt.timedelta(minutes=10)
+
+
+def test_one_that_is_named_no_more_begins_anew(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    deaf = Fake(refuses=lambda _: True)
+    run(tmp_path, [row("M1")], deaf)
+    run(tmp_path, [row("M1"), row("M2")])
+    assert "there is no command any more; 1 changes were not delivered" in caplog.text
+    again = Fake()
+    run(tmp_path, [row("M1"), row("M2"), row("M3")], again)
+    assert [one["motor_id"] for one in again.changes()] == ["M3"]
+
+
+def test_rows_that_a_run_published_and_did_not_take_up_are_told_by_the_next(
+    tmp_path: Path,
+) -> None:
+    receiver = Fake()
+    open_outbox(tmp_path, ["command"], FLEET)
+    publish(tmp_path, row("M1"))  # and there the run was killed
+    assert undelivered(tmp_path, receiver) == [1]
+    run(tmp_path, [row("M1"), row("M2")], receiver)
+    assert [one["motor_id"] for one in receiver.changes()] == ["M1", "M2"]
+    assert undelivered(tmp_path, receiver) == [0]
+
+
+def test_a_row_that_is_made_anew_is_not_told_again(tmp_path: Path) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1")], receiver)
+    # Another run's row; figures of another kind of machine; the table lost and made anew.
+    run(tmp_path, [row("M1", run_id="s", deviation_percent=27.0 + 1e-12)], receiver)
+    night_file(tmp_path, ALARMS, FIRST).unlink()
+    run(tmp_path, [], receiver)
+    run(tmp_path, [row("M1")], receiver)
+    assert len(receiver.taken) == 1
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"to_state": "warning"},
+        {"from_state": "insufficient"},
+        {"way": "recomputed"},
+        {"path": "piston_ring"},
+        {"reason": "piston ring leakage +31 % [29, 33]"},
+    ],
+)
+def test_a_row_that_says_something_else_is_told_as_changed(
+    tmp_path: Path, said: dict[str, Any]
+) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1")], receiver)
+    run(tmp_path, [row("M1", **said), row("M2")], receiver)
+    before, changed, new = receiver.changes()
+    assert [one["change"] for one in (before, changed, new)] == ["new", "changed", "new"]
+    # The first part of the id is the row, the others what it says.
+    assert changed["id"].split("-")[0] == before["id"].split("-")[0]
+    assert changed["id"].split("-")[1] != before["id"].split("-")[1]
+    assert changed | said == changed
+
+
+def test_a_row_that_says_again_what_it_said_before_is_no_repeat(tmp_path: Path) -> None:
+    receiver = Fake()
+    for state in ("alarm", "warning", "alarm", "alarm"):
+        run(tmp_path, [row("M1", state=state)], receiver)
+    assert [one["to_state"] for one in receiver.changes()] == ["alarm", "warning", "alarm"]
+    assert len({one["id"] for one in receiver.changes()}) == 3
+    assert len({document["id"] for document in receiver.taken}) == 3
+
+
+def test_a_delivery_has_no_more_rows_than_a_receiver_can_hold(tmp_path: Path) -> None:
+    receiver = Fake()
+    run(tmp_path, [row(f"M{n}") for n in range(MOST_CHANGES + 1)], receiver)
+    assert [len(document["changes"]) for document in receiver.taken] == [MOST_CHANGES, 1]
+    assert len({one["id"] for one in receiver.changes()}) == MOST_CHANGES + 1
+
+
+def test_ids_hang_on_fleet_receiver_and_rows_alone(tmp_path: Path) -> None:
+    def ids(folder: str, fleet: str, name: str, *motors: str) -> tuple[str, list[str]]:
+        receiver = Fake(name)
+        run(tmp_path / folder, map(row, motors), receiver, fleet=fleet)
+        return receiver.taken[0]["id"], [one["id"] for one in receiver.changes()]
+
+    first = ids("a", FLEET, "command", "M1")
+    assert ids("b", FLEET, "command", "M1") == first
+    assert ids("c", "Other", "command", "M1")[0] != first[0]
+    assert ids("d", FLEET, "webhook", "M1")[0] != first[0]
+    assert ids("e", FLEET, "command", "M1", "M2")[0] != first[0]
+
+
+# Tries
+
+
+def test_what_was_not_taken_is_tried_again_by_the_next_run(tmp_path: Path) -> None:
+    receiver = Fake(refuses=lambda _: True)
+    (fault,) = run(tmp_path, [row("M1")], receiver)
+    assert fault == "alarms.command: out of ink; 1 changes wait for the next run"
+    (backlog,) = backlogs(tmp_path, [receiver], FLEET)
+    assert (backlog.undelivered, backlog.fault) == (1, "out of ink")
+    assert backlog.since is not None
+    stamp = night_file(tmp_path, ALARMS, FIRST).parent.stat().st_mtime
+    assert backlog.since.timestamp() == pytest.approx(stamp)
+    receiver.refuses = lambda _: False
+    assert run(tmp_path, [], receiver) == ()
+    assert undelivered(tmp_path, receiver) == [0]
+    # Bytes and id are the same each time.
+    assert len(set(receiver.tried)) == 1
+    assert backlogs(tmp_path, [receiver], FLEET)[0].fault is None
+
+
+def test_a_run_tries_three_times_and_the_next_once(tmp_path: Path) -> None:
+    receiver = Fake(refuses=lambda _: True)
+    waits: list[float] = []
+    open_outbox(tmp_path, ["command"], FLEET)
+    publish(tmp_path, row("M1"))
+    take_up(tmp_path, FLEET)
+    deliver(tmp_path, [receiver], FLEET, waits.append)
+    assert (len(receiver.tried), waits) == (3, list(PAUSES_S))
+    assert waits == sorted(waits)
+    deliver(tmp_path, [receiver], FLEET, waits.append)
+    assert (len(receiver.tried), len(waits)) == (4, 2)
+
+
+def test_one_that_hangs_costs_a_run_one_try(tmp_path: Path) -> None:
+    receiver = Fake(refuses=lambda _: True, hangs=True)
+    for motor in ("M1", "M2", "M3"):
+        run(tmp_path, [row(motor)], receiver)
+    assert len(receiver.tried) == 3
+    # Not always the same: it may be that delivery that it hangs of.
+    assert len({one.id for one in receiver.tried}) > 1
+
+
+def test_a_delivery_that_is_never_taken_does_not_hold_up_the_others(tmp_path: Path) -> None:
+    receiver = Fake(refuses=lambda one: b'"M0"' in one.content or b'"M1"' in one.content)
+    for number in range(4):
+        run(tmp_path, [row(f"M{number}", FIRST + dt.timedelta(number))], receiver)
+    assert [one["motor_id"] for one in receiver.changes()] == ["M2", "M3"]
+    assert undelivered(tmp_path, receiver) == [2]
+
+
+def test_a_dead_receiver_costs_a_run_a_few_tries(tmp_path: Path) -> None:
+    receiver = Fake(refuses=lambda _: True)
+    for number in range(9):
+        run(tmp_path, [row("M1", FIRST + dt.timedelta(number))], receiver)
+    receiver.tried.clear()
+    run(tmp_path, [], receiver)
+    assert len(receiver.tried) == MOST_FAILURES
+    receiver.refuses = lambda _: False
+    run(tmp_path, [], receiver)
+    assert len(receiver.changes()) == 9
+
+
+def test_one_that_fails_does_not_keep_the_other(tmp_path: Path) -> None:
+    deaf, other = Fake(refuses=lambda _: True), Fake("webhook")
+    assert len(run(tmp_path, [row("M1")], deaf, other)) == 1
+    assert len(other.taken) == 1
+    assert undelivered(tmp_path, deaf, other) == [1, 0]
+
+
+def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
+    """A run that ends between two deliveries repeats neither the first nor its rows."""
+    receiver = Fake()
+    open_outbox(tmp_path, ["command"], FLEET)
+    for number in range(2):
+        publish(tmp_path, row("M1", FIRST + dt.timedelta(number)))
+        take_up(tmp_path, FLEET)
+
+    def stop(delivery: Delivery) -> bool:
+        if len(receiver.tried) == 2:
+            raise KeyboardInterrupt
+        return False
+
+    receiver.refuses = stop
+    with pytest.raises(KeyboardInterrupt):
+        deliver(tmp_path, [receiver], FLEET)
+    receiver.refuses = lambda _: False
+    deliver(tmp_path, [receiver], FLEET)
+    assert [one["night"] for one in receiver.changes()] == ["2026-02-17", "2026-02-18"]
+
+
+# Its files
+
+
+def flip(path: Path) -> None:
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+
+
+@pytest.mark.parametrize("harm", [flip, Path.unlink], ids=["flipped", "gone"])
+@pytest.mark.parametrize("name", OUTBOX_FILES)
+def test_either_of_its_files_is_enough(
+    tmp_path: Path, name: str, harm: Callable[[Path], None]
+) -> None:
+    receiver = Fake(refuses=lambda _: True)
+    run(tmp_path, [row("M1")], receiver)
+    before = read_outbox(tmp_path)
+    harm(tmp_path / name)
+    codes = [(one.path, one.code) for one in verify_tables(tmp_path) if "outbox" in one.path]
+    assert codes == ([(name, "outbox_damaged")] if harm is flip else [])
+    assert undelivered(tmp_path, receiver) == [1]
+    receiver.refuses = lambda _: False
+    assert run(tmp_path, [], receiver) == ()
+    assert [one["change"] for one in receiver.changes()] == ["new"]
+    contents = {(tmp_path / one).read_bytes() for one in OUTBOX_FILES}
+    assert len(contents) == 1
+    after = parsed(contents.pop())
+    assert before is not None
+    assert after is not None
+    assert after.known == before.known
+
+
+def test_without_both_the_receivers_begin_anew_and_the_run_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    receiver = Fake(refuses=lambda _: True)
+    run(tmp_path, [row("M1"), row("M2")], receiver)
+    for name in OUTBOX_FILES:
+        flip(tmp_path / name)
+    assert len([one for one in verify_tables(tmp_path) if one.code == "outbox_damaged"]) == 2
+    receiver.refuses = lambda _: False
+    run(tmp_path, [], receiver)
+    assert receiver.taken == []
+    assert "outbox.json is damaged" in caplog.text
+    assert "the 2 rows of `alarms` so far are not sent" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        {"queues": []},
+        {"queues": {"command": {}}},
+        {"queues": {"command": {"told_since": "x", "waiting": [], "fault": ""}}},
+        {"known": ["x"]},
+        {"known": [1]},
+    ],
+)
+def test_a_sealed_file_of_another_shape_is_damaged(harm: dict[str, Any]) -> None:
+    sound = {"queues": {}, "known": [], "stamps": {}}
+    assert parsed(module.seal(sound)) is not None
+    assert parsed(module.seal(sound | harm)) is None
+
+
+def test_one_that_cannot_be_read_is_not_taken_for_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(tmp_path, [row("M1")], Fake())
+
+    def unreadable(path: Path) -> bytes:
+        raise OSError(5, "Input/output error", str(path))
+
+    monkeypatch.setattr(module, "read", unreadable)
+    with pytest.raises(StoreError, match="cannot be read: Input/output error"):
+        read_outbox(tmp_path)
+
+
+def test_a_damaged_table_waits_and_keeps_nothing_else(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    receiver, later = Fake(), FIRST + dt.timedelta(1)
+    open_outbox(tmp_path, ["command"], FLEET)
+    publish(tmp_path, row("M1"), row("M2", later))
+    whole = night_file(tmp_path, ALARMS, FIRST).read_bytes()
+    night_file(tmp_path, ALARMS, FIRST).write_bytes(whole[:-4])
+    run(tmp_path, [], receiver)
+    assert [one["motor_id"] for one in receiver.changes()] == ["M2"]
+    assert "2026-02-17.parquet of alarms is damaged" in caplog.text
+    night_file(tmp_path, ALARMS, FIRST).write_bytes(whole)
+    run(tmp_path, [], receiver)
+    assert [one["motor_id"] for one in receiver.changes()] == ["M2", "M1"]
+
+
+def test_only_months_that_were_written_to_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1"), row("M2", dt.date(2026, 3, 1))], receiver)
+    read: list[str] = []
+    real = module._rows_of
+
+    def counted(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
+        read.append(month)
+        return real(output, month)
+
+    monkeypatch.setattr(module, "_rows_of", counted)
+    run(tmp_path, [], receiver)
+    assert read == []
+    run(tmp_path, [row("M3", dt.date(2026, 3, 2))], receiver)
+    assert set(read) == {"2026-03"}
+
+
+def test_what_is_not_finite_is_null(tmp_path: Path) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1", deviation_percent=float("nan"))], receiver)
+    assert receiver.changes()[0]["deviation_percent"] is None
+
+
+def test_nothing_is_written_where_nothing_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1")], receiver)
+
+    def forbidden(*_: Any) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(module, "put", forbidden)
+    with caplog.at_level(logging.WARNING):
+        run(tmp_path, [], receiver)
+    assert caplog.text == ""
+    outbox = read_outbox(tmp_path)
+    assert outbox is not None
+    write_outbox(tmp_path, replace(outbox))

@@ -1,0 +1,151 @@
+"""Runs and those who are told: once, again where it failed, and nothing of a secret anywhere."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.fleet import RunRequest, run_fleet
+from pipeline.landing import remove_all
+from pipeline.telling import delivering
+from tests.pipeline.telling.fleet import add_night, keep, run, told_fleet, write_config
+from tests.pipeline.telling.servers import Hook, hook
+from tests.pipeline.test_cli import Call
+from tests.pipeline.test_cli import call as call  # a fixture
+
+
+@pytest.fixture(autouse=True)
+def _no_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(delivering, "PAUSES_S", ())
+
+
+@pytest.fixture
+def server() -> Iterator[Hook]:
+    with hook() as found:
+        yield found
+
+
+def told(folder: Path) -> list[dict[str, Any]]:
+    path = folder / "told"
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+def test_a_hook_that_fails_is_tried_again_by_a_run_with_nothing_new(
+    tmp_path: Path, server: Hook, call: Call, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = told_fleet(tmp_path, f'webhook_url = "{server.url("/hook")}"')
+    place = f"alarms.webhook_url (http://127.0.0.1:{server.port})"
+    server.answers["/hook"] = (500, "")
+    assert run(config).failed == ()
+    assert f"{place}: HTTP 500 Internal Server Error; 1 changes wait" in caplog.text
+    code, out, _ = call("status", config)
+    assert code == 0
+    assert f"not delivered to {place}: 1 changes of state, since 20" in out
+    assert "; last try: HTTP 500 Internal Server Error; the next run tries again" in out
+    line = json.loads(call("status", config, "--json")[1].splitlines()[-1])
+    (receiver,) = line["receivers"]
+    assert (receiver["receiver"], receiver["undelivered"]) == (place, 1)
+    assert receiver["fault"] == "HTTP 500 Internal Server Error"
+    assert receiver["told_since"] < receiver["since"]
+    server.answers.clear()
+    assert run(config).alarms == ()
+    first, second = server.posts
+    assert (first.body, first.headers["webhook-id"]) == (second.body, second.headers["webhook-id"])
+    assert [one["to_state"] for one in json.loads(first.body)["changes"]] == ["alarm"]
+    assert "not delivered" not in call("status", config)[1]
+    run(config)
+    assert len(server.posts) == 2
+
+
+def test_a_command_that_fails_is_tried_again_as_well(tmp_path: Path) -> None:
+    config = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
+    run(config)
+    write_config(tmp_path, keep(tmp_path / "told"))
+    run(config)
+    assert [len(one["changes"]) for one in told(tmp_path)] == [1]
+
+
+def test_a_hook_that_is_switched_on_later_is_told_of_what_comes(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = told_fleet(tmp_path, "warning_percent = 15.0")
+    run(config)
+    write_config(tmp_path, keep(tmp_path / "told"))
+    run(config)
+    assert told(tmp_path) == []
+    assert "the 1 rows of `alarms` so far are not sent" in caplog.text
+    # A limit above the leakage: what was raised is closed.
+    write_config(tmp_path, keep(tmp_path / "told"), alarm=2.0)
+    add_night(tmp_path, 3)
+    run(config)
+    (document,) = told(tmp_path)
+    states = [(one["change"], one["to_state"]) for one in document["changes"]]
+    assert ("changed", "warning") in states
+
+
+def test_what_is_made_anew_with_the_same_content_is_not_told_again(tmp_path: Path) -> None:
+    config = told_fleet(tmp_path, keep(tmp_path / "told"))
+    run(config)
+    run_fleet(RunRequest(load_fleet(config), force=True))
+    output = tmp_path / "out"
+    (output / "ledger" / "M1" / "trends").unlink()
+    remove_all(output / "tables" / "alarms")
+    assert len(run(config).alarms) == 1  # new in the tables, and yet known
+    assert (output / "tables" / "alarms").exists()
+    assert len(told(tmp_path)) == 1
+
+
+def test_a_row_that_says_something_else_is_told_as_changed(tmp_path: Path) -> None:
+    config = told_fleet(tmp_path, keep(tmp_path / "told"))
+    run(config)
+    write_config(tmp_path, keep(tmp_path / "told"), alarm=1.2)
+    run(config)
+    first, second = (document["changes"][0] for document in told(tmp_path))
+    assert (first["change"], second["change"]) == ("new", "changed")
+    assert "limit of the motor type is 1 l/min" in first["reason"]
+    assert "limit of the motor type is 1.2 l/min" in second["reason"]
+
+
+def test_nothing_of_path_query_or_token_is_left_anywhere(
+    tmp_path: Path,
+    server: Hook,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    call: Call,
+) -> None:
+    monkeypatch.setenv("HOOK_TOKEN", "S3CRET!")
+    config = told_fleet(
+        tmp_path,
+        f'webhook_url = "{server.url("/S3CRET?key=S3CRET")}"\n'
+        'webhook_headers = { Authorization = "Bearer ${HOOK_TOKEN}" }\n'
+        'webhook_secret = "${HOOK_TOKEN}"',
+    )
+    run(config)
+    monkeypatch.setenv("HOOK_TOKEN", "S3CRETS3")
+    for answer in ((500, ""), (302, server.url("/S3CRET")), (307, "http://S3CRET:1/S3CRET")):
+        server.answers["/S3CRET?key=S3CRET"] = answer
+        run(config)
+    assert [post.headers["authorization"] for post in server.posts] == ["Bearer S3CRETS3"] * 3
+    said = caplog.text + "".join(
+        call("status", config, *json_too)[1] for json_too in ([], ["--json"])
+    )
+    assert "S3CRET" not in said
+    for path in (tmp_path / "out").rglob("*"):
+        assert not path.is_file() or b"S3CRET" not in path.read_bytes()
+
+
+def test_who_is_told_shapes_no_figure(tmp_path: Path) -> None:
+    config = told_fleet(tmp_path, keep(tmp_path / "told"))
+    before = run(config).run_id
+    write_config(
+        tmp_path,
+        'webhook_url = "http://127.0.0.1:9/"\nwebhook_headers = { X = "1" }\n'
+        'webhook_secret = "${NONE}"',
+    )
+    after = run(config)
+    assert (after.run_id, after.alarms) == (before, ())
