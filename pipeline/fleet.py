@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.disk_space import require_space
@@ -36,6 +37,7 @@ from pipeline.logs import legible
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import plan_motor, run_motor
 from pipeline.night_statistics import hash_of
+from pipeline.nights import night_of
 from pipeline.notify import notify
 from pipeline.object_store import ObjectStore
 from pipeline.publishing import Publisher
@@ -43,7 +45,6 @@ from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
-    FITS,
     MOTOR_OUTCOMES,
     NIGHT_TABLES,
     RUNS,
@@ -57,8 +58,8 @@ from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of, why_anew
 from pipeline.spread import run_motors
 from pipeline.status import last_good_run
-from pipeline.store import last_night
 from pipeline.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.tonight import Tonight, tonight_of
 from pipeline.trends.record import (
     forget_records,
     note_touched,
@@ -118,6 +119,8 @@ class RunRequest:
     with_starts
         Whether nights that are, or were, fitted anew without their log get the starts of their
         search.
+    clock
+        The time of the run, by which logs lie in the future.
     """
 
     fleet: Fleet
@@ -127,6 +130,7 @@ class RunRequest:
     force: bool = False
     retry: bool = False
     with_starts: bool = False
+    clock: dt.datetime = field(default_factory=now)
 
     @property
     def specs(self) -> tuple[MotorSpec, ...]:
@@ -307,6 +311,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         retry=request.retry,
         with_starts=request.with_starts,
         nights_a_part=nights_a_part(request.fleet.execution, len(request.specs)),
+        latest_us=latest_us(request.clock),
     )
 
 
@@ -444,17 +449,19 @@ def _publish(
     publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
 ) -> int:
     """Publish what the motors' tasks have staged, then what was remembered of it."""
-    fresh = [outcome for outcome in outcomes if outcome.nights]
-    for outcome in fresh:
-        note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
-    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh], forget_night)
+    for outcome in outcomes:
+        if outcome.nights:
+            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+    # Of a motor without a new night there may be the row of a log that is of none.
+    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
+    publisher.nights(NIGHT_TABLES, staged, forget_night)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
         write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
         if outcome.finished:
             spec = specs[outcome.motor_id]
             write_settings(publisher.output, outcome.motor_id, settings_of(spec))
-    return sum(len(outcome.nights) for outcome in fresh)
+    return sum(len(outcome.nights) for outcome in outcomes)
 
 
 def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
@@ -481,7 +488,10 @@ def _publish_trends(
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
     publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
-    tonight = last_night(fleet.output, FITS)
+    try:
+        tonight = fleets_tonight(fleet, request.clock)
+    except StoreError as error:
+        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
     if tonight is None:
         return {}, [], False
     tasks = trend_tasks(
@@ -504,6 +514,12 @@ def _publish_trends(
     with interrupts_held() as came:
         alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
     return failures, alarms, bool(came)
+
+
+def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
+    """Tonight, as `tonight_of`, by the clock of a run."""
+    latest = night_of(latest_us(clock), fleet.settings.nights)
+    return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
 def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:

@@ -78,18 +78,19 @@ class FolderLogs:
 
     Parameters
     ----------
-    spec
-        The motor.
+    spec, latest_us
+        The motor, and its logs' latest time, as `inspect_log` takes them.
     """
 
-    def __init__(self, spec: MotorSpec) -> None:
+    def __init__(self, spec: MotorSpec, latest_us: int | None = None) -> None:
         self._spec = spec
+        self._latest_us = latest_us
         self._paths, self.absent = find_logs(spec)
         self.names = tuple(self._paths)
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
         """As `LogSource`."""
-        return inspect_log(name, self._paths[name], before, self._spec)
+        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us)
 
     def path(self, name: str) -> Path:
         """As `LogSource`; of one that is gone, where it was."""
@@ -117,8 +118,8 @@ class StoredLogs:
 
     Parameters
     ----------
-    spec
-        The motor.
+    spec, latest_us
+        As of `FolderLogs`.
 
     Raises
     ------
@@ -126,8 +127,9 @@ class StoredLogs:
         If they cannot be listed.
     """
 
-    def __init__(self, spec: MotorSpec) -> None:
+    def __init__(self, spec: MotorSpec, latest_us: int | None = None) -> None:
         self._spec = spec
+        self._latest_us = latest_us
         self._store = ObjectStore.at(spec.log_url)
         self._found, self.absent, self._unmatched = _matching(self._store, spec.file.logs.files)
         self.names = tuple(sorted(self._found))
@@ -145,7 +147,7 @@ class StoredLogs:
         except LogError as error:
             became = failed if error.code == "log_missing" else growing
             return became(_record(name, found), error)
-        record = inspect_log(name, path, None, self._spec)
+        record = inspect_log(name, path, None, self._spec, self._latest_us)
         record = replace(record, modified_ns=_modified_ns(found), inode=_number(found.tag))
         if before is not None and before.sha256 == record.sha256 and record.sha256:
             return replace(before, modified_ns=record.modified_ns, inode=record.inode)
@@ -279,6 +281,6 @@ def _translated(part: str) -> str:
     return "".join(found)
 
 
-def logs_of(spec: MotorSpec) -> LogSource:
+def logs_of(spec: MotorSpec, latest_us: int | None = None) -> LogSource:
     """A motor's logs, wherever its config says they are."""
-    return StoredLogs(spec) if spec.log_url else FolderLogs(spec)
+    return (StoredLogs if spec.log_url else FolderLogs)(spec, latest_us)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
+from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.ledger import FileRecord, Ledger
 from pipeline.log_shelf import Sight
@@ -64,6 +65,8 @@ class MotorTask:
         What an earlier task of this run has seen of its logs; None: nothing.
     parts
         Files below the staging folder with nights that other tasks have made.
+    latest_us
+        Samples after this time are refused [µs since 1970]: a day after the run's clock.
     """
 
     spec: MotorSpec
@@ -78,6 +81,7 @@ class MotorTask:
     nights_a_part: int = 0
     looked_at: Mapping[str, FileRecord] | None = None
     parts: tuple[str, ...] = ()
+    latest_us: int = field(default_factory=latest_us)
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -100,6 +104,9 @@ class MotorOutcome:
         Nights by outcome.
     nights
         Labels of the nights whose rows are staged.
+    withdrawn
+        Those of them that are no nights, as only the name or time of an unreadable log told them:
+        their rows go.
     inputs
         Hashes of the contents that were read, in the order of the files.
     files
@@ -124,6 +131,7 @@ class MotorOutcome:
     message: str | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
     nights: tuple[dt.date, ...] = ()
+    withdrawn: tuple[dt.date, ...] = ()
     inputs: tuple[str, ...] = ()
     files: Mapping[str, int] = field(default_factory=dict)
     growing: tuple[str, ...] = ()
