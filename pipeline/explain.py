@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from pipeline.errors import UsageError
 from pipeline.explain_residuals import explain_residuals
 from pipeline.schema import (

@@ -186,6 +186,9 @@ def run_fleet(
 ) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
+    A motor whose task hangs or dies is done by a second run, when the first has published what the
+    others have made and told of their alarms.
+
     Parameters
     ----------
     request
@@ -209,12 +212,46 @@ def run_fleet(
     EngineError
         If there is nothing that tasks could run on.
     """
+    # One motor holds up no other.
+    result = _run_once(request, progress, crew, first=len(request.specs) > 1)
+    late = [outcome for outcome in result.outcomes if outcome.is_set_aside]
+    if not late or result.interrupted:
+        return result
+    again = replace(request, motors=tuple(outcome.motor_id for outcome in late))
+    try:
+        return _joined(result, _run_once(again, progress, None, first=False))
+    except (LockedError, EngineError) as error:
+        log.warning("%s; the next run does what is left", error)
+    for outcome in late:
+        progress(outcome)
+    return result
+
+
+def _joined(first: RunResult, second: RunResult) -> RunResult:
+    """What came of a run and of the one that did what it had set aside."""
+    outcomes = {outcome.motor_id: outcome for outcome in (*first.outcomes, *second.outcomes)}
+    seconds = Counter(first.seconds_by_stage)
+    seconds.update(second.seconds_by_stage)
+    return replace(
+        first,
+        outcomes=tuple(outcomes[motor_id] for motor_id in sorted(outcomes)),
+        n_nights=first.n_nights + second.n_nights,
+        interrupted=second.interrupted,
+        seconds=first.seconds + second.seconds,
+        alarms=(*first.alarms, *second.alarms),
+        seconds_by_stage=dict(seconds),
+    )
+
+
+def _run_once(
+    request: RunRequest, progress: Progress, crew: Crew | None, *, first: bool
+) -> RunResult:
+    """Do a run; the first of two sets motors aside that hang or die."""
     fleet, output = request.fleet, request.fleet.output
     if fleet.log_url:
         _require_logs(fleet.log_url)
-    minimum_free_mib = fleet.execution.minimum_free_mib
     if not fleet.object_store:
-        require_space(output, request.specs, minimum_free_mib)
+        require_space(output, request.specs, fleet.execution, crew)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -224,12 +261,12 @@ def run_fleet(
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
                 # A working copy knows its logs only once it is up to date.
-                require_space(output, request.specs, minimum_free_mib)
+                require_space(output, request.specs, fleet.execution, crew)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             stores = (fleet.log_url,) if fleet.log_url else ()
             with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
-                result = _run(request, staging, progress, heartbeat, run_tasks)
+                result = _run(request, staging, progress, heartbeat, run_tasks, first=first)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
     for fault in notify(fleet.settings.alarms, fleet.name, result.alarms):
@@ -329,6 +366,8 @@ def _run(
     progress: Progress,
     heartbeat: Heartbeat,
     run_tasks: RunTasks,
+    *,
+    first: bool,
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
@@ -336,10 +375,11 @@ def _run(
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _motors(run_tasks, tasks):
+        for outcome in _motors(run_tasks, tasks, first=first):
             outcomes[outcome.motor_id] = outcome
-            heartbeat.motor_done()
-            progress(outcome)
+            if not outcome.is_set_aside:
+                heartbeat.motor_done()
+                progress(outcome)
     except KeyboardInterrupt:
         interrupted = True
     ends = [time.perf_counter()]
@@ -379,11 +419,13 @@ def _run(
     return replace(result, interrupted=interrupted)
 
 
-def _motors(run_tasks: RunTasks, tasks: Sequence[MotorTask]) -> Iterator[MotorOutcome]:
+def _motors(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool
+) -> Iterator[MotorOutcome]:
     """Outcomes of the motors; those for which there was no engine any more have failed."""
     left = {task.spec.motor_id: task for task in tasks}
     try:
-        for outcome in run_motors(run_tasks, run_motor, tasks):
+        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
             del left[outcome.motor_id]
             yield outcome
     except EngineError as error:

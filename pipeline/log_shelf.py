@@ -6,6 +6,7 @@ import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from pipeline.config import MotorSpec
@@ -22,11 +23,13 @@ from pipeline.logs import (
     labels_of,
     place_failed,
     reaches_us,
+    require_answer,
     source_of,
 )
 from pipeline.night_rows import utc
 from pipeline.nights import Night, night_of, nights_between
 from pipeline.settings_hashes import reading_hash
+from pipeline.worker_process import Loss, reading
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
@@ -55,6 +58,8 @@ class LogShelf:
         What was known of its files.
     latest_us
         Samples after this time are refused [µs since 1970].
+    silent
+        Those that did not answer: none is opened.
     looked_at
         What another task of this run has seen of them; none is then looked at again.
 
@@ -79,13 +84,15 @@ class LogShelf:
         spec: MotorSpec,
         before: Mapping[str, FileRecord],
         latest_us: int,
+        silent: Mapping[str, Loss],
         looked_at: Mapping[str, FileRecord] | None = None,
     ) -> None:
         self._spec = spec
         self.before: Mapping[str, FileRecord] = before
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
-        self._source = logs_of(spec, latest_us)
+        self._silent = silent
+        self._source = logs_of(spec, latest_us, silent)
         self.absent = self._source.absent
         self.unmatched = self._source.unmatched
         found = self._look() if looked_at is None else looked_at
@@ -101,9 +108,26 @@ class LogShelf:
     def _look(self) -> dict[str, FileRecord]:
         """What is known of each file by its ends."""
         return {
-            name: replace(self._source.look_at(name, self._known(name)), read_with=self._read_with)
+            name: replace(self._look_at(name), read_with=self._read_with)
             for name in self._source.names
         }
+
+    def _look_at(self, name: str) -> FileRecord:
+        known = self._known(name)
+        if name not in self._silent:
+            return self._source.look_at(name, known)
+        # As far as anybody can tell, it is as it was.
+        return (
+            known
+            if known and known.status == "ok"
+            else self._unanswered(FileRecord(name, 0, 0, None))
+        )
+
+    def _unanswered(self, record: FileRecord) -> FileRecord:
+        """The record of a file that is to be tried again by the next run."""
+        loss = self._silent[record.path]
+        error = LogError(loss.code, Path(record.path), loss.how)
+        return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
         """What was known of a file, if it was understood as it is now."""
@@ -184,10 +208,15 @@ class LogShelf:
         record = self.files[name]
         if record.status != "ok":
             return None
+        if name in self._silent:
+            self.files[name] = self._unanswered(record)
+            return None
         content: RawLog | None = None
         try:
-            source = source_of(self._spec, self._latest_us)
-            content = read_log(self._source.path(name), source)
+            source, path = source_of(self._spec, self._latest_us), self._source.path(name)
+            require_answer(name, path)
+            with reading(name):
+                content = read_log(path, source)
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None

@@ -10,7 +10,7 @@ import re
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -32,6 +32,7 @@ from pipeline.logs import (
     without_match,
 )
 from pipeline.object_store import ObjectChangedError, ObjectStore, StoredObject
+from pipeline.worker_process import reading
 
 # Copies that a task keeps at a time: those that it has in memory, and one more.
 COPIES = 3
@@ -80,12 +81,16 @@ class FolderLogs:
     ----------
     spec, latest_us
         The motor, and its logs' latest time, as `inspect_log` takes them.
+    silent
+        Files and patterns that are not looked at, as of `find_logs`.
     """
 
-    def __init__(self, spec: MotorSpec, latest_us: int | None = None) -> None:
+    def __init__(
+        self, spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
+    ) -> None:
         self._spec = spec
         self._latest_us = latest_us
-        self._paths, self.absent = find_logs(spec)
+        self._paths, self.absent = find_logs(spec, silent)
         self.names = tuple(self._paths)
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
@@ -165,7 +170,7 @@ class StoredLogs:
         if found is None:
             return path
         try:
-            with scratch(path) as stream:
+            with reading(name), scratch(path) as stream:
                 self._store.fetch(found, stream)
         except ObjectChangedError as error:
             if self._store.tag_of(found.key) is None:
@@ -281,6 +286,8 @@ def _translated(part: str) -> str:
     return "".join(found)
 
 
-def logs_of(spec: MotorSpec, latest_us: int | None = None) -> LogSource:
+def logs_of(
+    spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
+) -> LogSource:
     """A motor's logs, wherever its config says they are."""
-    return (StoredLogs if spec.log_url else FolderLogs)(spec, latest_us)
+    return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -7,7 +7,8 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -22,6 +23,7 @@ from pipeline.ingest import LogSource, RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.wall_clock import LATEST_US
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
+from pipeline.worker_process import asking, reading
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
 # a wrong time format.
@@ -37,8 +39,15 @@ GLOB_CHARACTERS = frozenset("*?[")
 NO_REACH: Mapping[str, int] = MappingProxyType({})
 
 
-def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
+def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
     """The log files of a motor that there are, and those that are named but absent.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    silent
+        Files and patterns that did not answer: they are not looked at.
 
     Returns
     -------
@@ -48,13 +57,19 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
     found: set[Path] = set()
     absent: list[str] = []
     for pattern in spec.file.logs.files:
-        # A file may be called `a[1].csv`: what exists under its very name is no glob.
-        if (spec.log_root / pattern).exists():
-            found.add(spec.log_root / pattern)
-        elif GLOB_CHARACTERS & set(pattern):
-            found |= {path for path in spec.log_root.glob(pattern) if not path.is_dir()}
-        else:
-            absent.append(pattern)
+        named, is_glob = spec.log_root / pattern, bool(GLOB_CHARACTERS & set(pattern))
+        if pattern in silent:
+            found |= set() if is_glob else {named}
+            continue
+        with asking(pattern):
+            # A file may be called `a[1].csv`: what exists under its very name is no glob.
+            if named.exists():
+                found.add(named)
+            elif is_glob:
+                paths = spec.log_root.glob(pattern)
+                found |= {path for path in paths if not _is_folder(path, spec.log_root, silent)}
+            else:
+                absent.append(pattern)
     names: dict[str, Path] = {}
     for path in sorted(found):
         name = legible(path.relative_to(spec.log_root).as_posix())
@@ -62,6 +77,24 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
             name += "'"
         names[name] = path
     return names, absent
+
+
+def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
+    """Whether a path leads to a folder; one that did not answer is taken for a file."""
+    if not path.is_symlink():
+        return path.is_dir()
+    name = legible(path.relative_to(root).as_posix())
+    # A link may lead to a mount that hangs.
+    with asking(name):
+        return name not in silent and path.is_dir()
+
+
+def require_answer(name: str, path: Path) -> None:
+    """Open a log that is about to be read, if it is one: where it hangs, this is told of it."""
+    with asking(name), suppress(OSError):  # which its reader tells
+        if path.is_file():
+            with path.open("rb", buffering=0) as log:
+                log.read(1)
 
 
 def without_match(spec: MotorSpec) -> tuple[str, ...]:
@@ -123,12 +156,14 @@ def _inspected(
 ) -> FileRecord:
     """What a look into a file of another size or time tells."""
     try:
-        record = replace(record, sha256=content_hash(path))
+        with asking(record.path):
+            record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
         return replace(before, modified_ns=record.modified_ns, inode=record.inode)
-    return spanned(record, path, spec, latest_us)
+    with reading(record.path):
+        return spanned(record, path, spec, latest_us)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
@@ -374,6 +409,8 @@ def _placed(
         return record
     labels, basis = told
     placed = tellable.without_others(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
+    if placed.nights and placed.nights == record.nights:
+        return record
     # The night itself stands beside the message wherever that is shown.
     how = f"night told {basis}"
     if not placed.nights:
@@ -388,13 +425,15 @@ def _told(
     if record.nights:  # as a run before has told
         said = TOLD.search(record.message or "")
         return sorted(labels_of(record)), said[1] if said else "by what it held before"
-    if not record.modified_ns:
-        return None
+    if record.error_code == "log_not_readable" and not record.modified_ns:
+        return None  # it vanished
     if before is not None and before.nights:
         return sorted(labels_of(before)), "by what it held before"
     named = _date_in(record.path)
     if named is not None:
         return [named + lag], "by its name"
+    if not record.modified_ns:
+        return None
     # A file may be of a time that no date can say.
     written_us = min(record.modified_ns // 1000, LATEST_US)
     return [night_of(written_us, spec.settings.nights)], "by when it was written"

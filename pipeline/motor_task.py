@@ -121,6 +121,7 @@ def run_part(task: PartTask) -> PartOutcome:
             motor_id,
             task.name,
             given_up=task.motor.given_up,
+            silent=task.motor.silent,
             seconds=dict(nights.seconds),
             peak_memory_mib=_peak_memory_mib(),
         )
@@ -220,7 +221,9 @@ class _Nights:
         if task.retry:
             self.before = _without_failures(self.before)
         with self._timed("read_s"):
-            self.logs = LogShelf(self.spec, self.before.files, task.latest_us, task.looked_at)
+            self.logs = LogShelf(
+                self.spec, self.before.files, task.latest_us, task.silent, task.looked_at
+            )
         self.withdrawn = self._no_longer_told()
         self.before = Ledger(
             self.logs.before,
@@ -522,6 +525,11 @@ class _Nights:
         ]
         errors += [
             ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
+        ]
+        errors += [
+            (loss.code, loss.how)
+            for name, loss in self.task.silent.items()
+            if name not in self.logs.files
         ]
         if errors:
             status = FAILED

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import polars as pl
@@ -30,7 +30,7 @@ class Tonight:
     """
 
     night: dt.date
-    further: Mapping[str, dt.date]
+    further: Mapping[str, dt.date] = field(default_factory=dict)
 
     def of(self, motor_id: str) -> dt.date:
         """The last night of a motor of which something is said."""

@@ -21,6 +21,7 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.logs import (
     LONGEST_LOG_DAYS,
+    Tellable,
     covered,
     find_logs,
     inspect_log,
@@ -38,6 +39,7 @@ UNITS = {
 }
 EVENING = dt.datetime(2026, 1, 1, 22, tzinfo=dt.UTC)
 LABEL = dt.date(2026, 1, 2)
+LATEST = dt.date(2026, 6, 1)
 MINUTE = dt.timedelta(minutes=1)
 YEAR = dt.timedelta(days=365)
 
@@ -274,10 +276,15 @@ class TestPlaceFailed:
         return FileRecord(name, 10, us(modified) * 1000, "x", status="failed", message="torn")
 
     def placed(
-        self, spec: MotorSpec, *records: FileRecord, before: Sequence[FileRecord] = ()
+        self,
+        spec: MotorSpec,
+        *records: FileRecord,
+        before: Sequence[FileRecord] = (),
+        latest: dt.date = LATEST,
     ) -> dict[str, FileRecord]:
         by_name = {record.path: record for record in records}
-        return place_failed(by_name, {record.path: record for record in before}, spec)
+        known = {record.path: record for record in before}
+        return place_failed(by_name, known, spec, Tellable.of((*records, *before), latest))
 
     def readable(self, name: str, *nights: str) -> FileRecord:
         return FileRecord(name, 10, 1, "y", nights=nights)
@@ -336,8 +343,9 @@ class TestPlaceFailed:
         (tmp_path / "folder").mkdir()
         (tmp_path / "link").symlink_to(tmp_path / "gone")
         for name in ("folder", "link"):
-            (label,) = labels_of(self.placed(spec, looked_at(tmp_path / name, spec))[name])
             today = night_of(us(dt.datetime.now(dt.UTC)), Nights())
+            placed = self.placed(spec, looked_at(tmp_path / name, spec), latest=today + DAY)
+            (label,) = labels_of(placed[name])
             assert abs(label - today) <= DAY
 
 
