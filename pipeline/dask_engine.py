@@ -15,7 +15,7 @@ import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -71,6 +71,8 @@ class DaskEngine:
         function: Callable[[Task], Result],
         tasks: Sequence[Task],
         lost: Callable[[Task, Loss], Result],
+        *,
+        first: bool = False,
     ) -> Iterator[Result]:
         """Results as the tasks finish, in any order; what they staged lies in their folders.
 
@@ -83,6 +85,8 @@ class DaskEngine:
             brought there; those that it names as its ``parts`` travel with it.
         lost
             The result of a task that was lost.
+        first
+            As of `Crew.run_tasks`.
 
         Raises
         ------
@@ -91,7 +95,8 @@ class DaskEngine:
         StoreError
             If what a task staged cannot be written.
         """
-        flight = _Flight(self, function, dict(enumerate(tasks)))
+        engine = replace(self, execution=self.execution.hasty) if first else self
+        flight = _Flight(engine, function, dict(enumerate(tasks)), once=first)
         try:
             for number, outcome in flight.outcomes():
                 task = tasks[number]
@@ -127,6 +132,7 @@ class _Flight:
     engine: DaskEngine
     function: Callable[[Any], Any]
     tasks: Mapping[int, Any]
+    once: bool = False
     run: str = field(default_factory=lambda: uuid4().hex)
     waiting: deque[int] = field(default_factory=deque)
     suspects: deque[int] = field(default_factory=deque)
@@ -314,7 +320,7 @@ class _Flight:
 
     def _again(self, number: int, loss: Loss) -> Loss | None:
         """Try a task once more, alone: it may have died of its neighbour."""
-        if number in self.alone:
+        if self.once or loss.log or number in self.alone:
             return loss
         self.suspects.append(number)
         log.warning("a task is lost and will be tried again, alone: %s", loss.how)

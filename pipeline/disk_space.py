@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import nullcontext
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
-from pipeline.config import MotorSpec
+from pipeline.config import Execution, MotorSpec
 from pipeline.errors import StoreError
 from pipeline.ledger import read_ledger
 from pipeline.log_source import logs_of
 from pipeline.schema import FITS
 from pipeline.store import table_folder
+from pipeline.workers import Crew
 
 MIB = 1024**2
 # A motor's night with the shipped types: 40 KiB of tables, six times that while it is staged.
@@ -23,7 +26,9 @@ STAGING_FACTOR = 6
 NIGHTS_LOOKED_AT = 14
 
 
-def require_space(output: Path, specs: Sequence[MotorSpec], minimum_free_mib: float) -> None:
+def require_space(
+    output: Path, specs: Sequence[MotorSpec], execution: Execution, crew: Crew | None = None
+) -> None:
     """Refuse a run for which there is too little room; nothing is written.
 
     Parameters
@@ -32,14 +37,18 @@ def require_space(output: Path, specs: Sequence[MotorSpec], minimum_free_mib: fl
         Output folder; it need not be there yet.
     specs
         The run's motors.
-    minimum_free_mib
-        What is to be free beyond the tables of the new logs; 0: nothing is checked.
+    execution
+        Its ``minimum_free_mib`` is to be free beyond the tables of the new logs; 0: nothing is
+        checked.
+    crew
+        Workers that look at the logs, as one may be on a mount that hangs; None: others.
 
     Raises
     ------
     StoreError
         ``disk_space``.
     """
+    minimum_free_mib = execution.minimum_free_mib
     if not minimum_free_mib:
         return
     free = shutil.disk_usage(_there(output)).free
@@ -47,7 +56,9 @@ def require_space(output: Path, specs: Sequence[MotorSpec], minimum_free_mib: fl
     # Most nights there is room for all: only then is it worth to look at the logs.
     if free > 100 * needed:
         return
-    nights = sum(new_files(output, spec) for spec in specs)
+    count = partial(new_files, output)
+    with Crew() if crew is None else nullcontext(crew) as workers:
+        nights = sum(workers.run_tasks(count, specs, lambda *_: 0, execution, first=True))
     needed += nights * bytes_a_night(output)
     if free < needed:
         raise StoreError(

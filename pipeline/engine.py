@@ -17,13 +17,18 @@ Result = TypeVar("Result")
 
 
 class RunTasks(Protocol):
-    """Runs tasks: their results as they finish, in any order."""
+    """Runs tasks: their results as they finish, in any order.
+
+    The first time, each is tried once, and one of which nothing is heard is not waited for.
+    """
 
     def __call__(
         self,
         function: Callable[[Task], Result],
         tasks: Sequence[Task],
         lost: Callable[[Task, Loss], Result],
+        *,
+        first: bool = False,
     ) -> Iterator[Result]: ...
 
 
@@ -68,8 +73,10 @@ def open_engine(
             function: Callable[[Task], Result],
             tasks: Sequence[Task],
             lost: Callable[[Task, Loss], Result],
+            *,
+            first: bool = False,
         ) -> Iterator[Result]:
-            return crew.run_tasks(function, tasks, lost, execution)
+            return crew.run_tasks(function, tasks, lost, execution, first=first)
 
         yield here
 
@@ -80,6 +87,8 @@ def results_of(
     tasks: Sequence[Task],
     lost: Callable[[Task, Loss], Result],
     without: Callable[[Task, Loss], Task | None],
+    *,
+    first: bool = False,
 ) -> Iterator[Result]:
     """Results of tasks; one that was lost in a known part of its work is done without that part.
 
@@ -93,12 +102,17 @@ def results_of(
         The result of a task that was lost as a whole.
     without
         A task without the part that it was lost in; None where that is not known, or too much.
+    first
+        Whether a task that was lost is left as it is.
 
     Raises
     ------
     EngineError
         If nothing of it could be done.
     """
+    if first:
+        yield from run_tasks(function, tasks, lost, first=True)
+        return
     rest: list[Task] = []
 
     def lose(task: Task, loss: Loss) -> Result | None:

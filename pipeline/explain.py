@@ -10,8 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.explain_residuals import explain_residuals
@@ -86,8 +84,8 @@ def _rows(output: Path, table: Table, motor_id: str, night: dt.date) -> list[Row
     path = night_file(output, table, night)
     if not path.exists():
         return []
-    rows: list[Row] = read_table(path, table).filter(pl.col("motor_id") == motor_id).to_dicts()
-    return rows
+    rows = read_table(path, table).filter(motor_id=motor_id, night=night)
+    return rows.to_dicts()
 
 
 def _of(fit: Row, rows: list[Row]) -> list[Row]:

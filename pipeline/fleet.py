@@ -22,6 +22,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.decisions import read_decisions
 from pipeline.disk_space import require_space
@@ -36,13 +37,13 @@ from pipeline.logs import legible
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import plan_motor, run_motor
 from pipeline.night_statistics import hash_of
+from pipeline.nights import night_of
 from pipeline.object_store import ObjectStore
 from pipeline.publishing import Publisher
 from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
-    FITS,
     MOTOR_OUTCOMES,
     NIGHT_TABLES,
     RUNS,
@@ -56,12 +57,12 @@ from pipeline.settings_hashes import config_hash as hash_of_config
 from pipeline.settings_hashes import settings_of, why_anew
 from pipeline.spread import run_motors
 from pipeline.status import last_good_run
-from pipeline.store import last_night
 from pipeline.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
+from pipeline.tonight import Tonight, tonight_of
 from pipeline.trends.record import (
     forget_records,
     note_touched,
@@ -121,6 +122,8 @@ class RunRequest:
     with_starts
         Whether nights that are, or were, fitted anew without their log get the starts of their
         search.
+    clock
+        The time of the run, by which logs lie in the future.
     """
 
     fleet: Fleet
@@ -130,6 +133,7 @@ class RunRequest:
     force: bool = False
     retry: bool = False
     with_starts: bool = False
+    clock: dt.datetime = field(default_factory=now)
 
     @property
     def specs(self) -> tuple[MotorSpec, ...]:
@@ -185,6 +189,9 @@ def run_fleet(
 ) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
+    A motor whose task hangs or dies is done by a second run, when the first has published what the
+    others have made and told of their alarms.
+
     Parameters
     ----------
     request
@@ -208,13 +215,47 @@ def run_fleet(
     EngineError
         If there is nothing that tasks could run on.
     """
+    # One motor holds up no other.
+    result = _run_once(request, progress, crew, first=len(request.specs) > 1)
+    late = [outcome for outcome in result.outcomes if outcome.is_set_aside]
+    if not late or result.interrupted:
+        return result
+    again = replace(request, motors=tuple(outcome.motor_id for outcome in late))
+    try:
+        return _joined(result, _run_once(again, progress, None, first=False))
+    except (LockedError, EngineError) as error:
+        log.warning("%s; the next run does what is left", error)
+    for outcome in late:
+        progress(outcome)
+    return result
+
+
+def _joined(first: RunResult, second: RunResult) -> RunResult:
+    """What came of a run and of the one that did what it had set aside."""
+    outcomes = {outcome.motor_id: outcome for outcome in (*first.outcomes, *second.outcomes)}
+    seconds = Counter(first.seconds_by_stage)
+    seconds.update(second.seconds_by_stage)
+    return replace(
+        first,
+        outcomes=tuple(outcomes[motor_id] for motor_id in sorted(outcomes)),
+        n_nights=first.n_nights + second.n_nights,
+        interrupted=second.interrupted,
+        seconds=first.seconds + second.seconds,
+        alarms=(*first.alarms, *second.alarms),
+        seconds_by_stage=dict(seconds),
+    )
+
+
+def _run_once(
+    request: RunRequest, progress: Progress, crew: Crew | None, *, first: bool
+) -> RunResult:
+    """Do a run; the first of two sets motors aside that hang or die."""
     fleet, output = request.fleet, request.fleet.output
     receivers = receivers_of(fleet.settings.alarms)
     if fleet.log_url:
         _require_logs(fleet.log_url)
-    minimum_free_mib = fleet.execution.minimum_free_mib
     if not fleet.object_store:
-        require_space(output, request.specs, minimum_free_mib)
+        require_space(output, request.specs, fleet.execution, crew)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -224,13 +265,13 @@ def run_fleet(
         with working_copy(fleet.object_store, output), staging_folder(output) as staging:
             if fleet.object_store:
                 # A working copy knows its logs only once it is up to date.
-                require_space(output, request.specs, minimum_free_mib)
+                require_space(output, request.specs, fleet.execution, crew)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             stores = (fleet.log_url,) if fleet.log_url else ()
             open_outbox(output, [one.name for one in receivers], fleet.name)
             with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
-                result = _run(request, staging, progress, heartbeat, run_tasks)
+                result = _run(request, staging, progress, heartbeat, run_tasks, first=first)
             _take_up(fleet)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
@@ -332,6 +373,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         retry=request.retry,
         with_starts=request.with_starts,
         nights_a_part=nights_a_part(request.fleet.execution, len(request.specs)),
+        latest_us=latest_us(request.clock),
     )
 
 
@@ -349,6 +391,8 @@ def _run(
     progress: Progress,
     heartbeat: Heartbeat,
     run_tasks: RunTasks,
+    *,
+    first: bool,
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
@@ -356,10 +400,11 @@ def _run(
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _motors(run_tasks, tasks):
+        for outcome in _motors(run_tasks, tasks, first=first):
             outcomes[outcome.motor_id] = outcome
-            heartbeat.motor_done()
-            progress(outcome)
+            if not outcome.is_set_aside:
+                heartbeat.motor_done()
+                progress(outcome)
     except KeyboardInterrupt:
         interrupted = True
     ends = [time.perf_counter()]
@@ -399,11 +444,13 @@ def _run(
     return replace(result, interrupted=interrupted)
 
 
-def _motors(run_tasks: RunTasks, tasks: Sequence[MotorTask]) -> Iterator[MotorOutcome]:
+def _motors(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool
+) -> Iterator[MotorOutcome]:
     """Outcomes of the motors; those for which there was no engine any more have failed."""
     left = {task.spec.motor_id: task for task in tasks}
     try:
-        for outcome in run_motors(run_tasks, run_motor, tasks):
+        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
             del left[outcome.motor_id]
             yield outcome
     except EngineError as error:
@@ -469,17 +516,19 @@ def _publish(
     publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
 ) -> int:
     """Publish what the motors' tasks have staged, then what was remembered of it."""
-    fresh = [outcome for outcome in outcomes if outcome.nights]
-    for outcome in fresh:
-        note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
-    publisher.nights(NIGHT_TABLES, [outcome.motor_id for outcome in fresh], forget_night)
+    for outcome in outcomes:
+        if outcome.nights:
+            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+    # Of a motor without a new night there may be the row of a log that is of none.
+    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
+    publisher.nights(NIGHT_TABLES, staged, forget_night)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
         write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
         if outcome.finished:
             spec = specs[outcome.motor_id]
             write_settings(publisher.output, outcome.motor_id, settings_of(spec))
-    return sum(len(outcome.nights) for outcome in fresh)
+    return sum(len(outcome.nights) for outcome in outcomes)
 
 
 def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
@@ -506,7 +555,10 @@ def _publish_trends(
     said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
     publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
     changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
-    tonight = last_night(fleet.output, FITS)
+    try:
+        tonight = fleets_tonight(fleet, request.clock)
+    except StoreError as error:
+        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
     if tonight is None:
         return {}, [], False
     tasks = trend_tasks(
@@ -529,6 +581,12 @@ def _publish_trends(
     with interrupts_held() as came:
         alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
     return failures, alarms, bool(came)
+
+
+def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
+    """Tonight, as `tonight_of`, by the clock of a run."""
+    latest = night_of(latest_us(clock), fleet.settings.nights)
+    return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
 
 
 def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:

@@ -17,7 +17,10 @@ from typing import Any
 
 from pipeline.landing import put, read
 from pipeline.sealed import seal, unseal
+from pipeline.worker_process import still_alive
 
+# Of a file that is read for its hash, at a time.
+PIECE_BYTES = 1 << 20
 # Where files of which no night is known are kept.
 NO_MONTH = "unknown"
 
@@ -251,5 +254,9 @@ def content_hash(path: Path) -> str:
     OSError
         If the file cannot be read.
     """
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    digest, piece = hashlib.sha256(), bytearray(PIECE_BYTES)
+    with path.open("rb", buffering=0) as stream:
+        while size := stream.readinto(piece):
+            digest.update(memoryview(piece)[:size])
+            still_alive()
+    return digest.hexdigest()

@@ -6,6 +6,7 @@ import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 from pipeline.config import MotorSpec
@@ -14,16 +15,21 @@ from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import FileRecord
 from pipeline.log_source import logs_of
 from pipeline.logs import (
+    Tellable,
     covered,
     failed,
     growing,
+    is_newly_told,
     labels_of,
     place_failed,
     reaches_us,
+    require_answer,
+    source_of,
 )
 from pipeline.night_rows import utc
 from pipeline.nights import Night, night_of, nights_between
 from pipeline.settings_hashes import reading_hash
+from pipeline.worker_process import Loss, reading
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
@@ -50,6 +56,10 @@ class LogShelf:
         The motor.
     before
         What was known of its files.
+    latest_us
+        Samples after this time are refused [µs since 1970].
+    silent
+        Those that did not answer: none is opened.
     looked_at
         What another task of this run has seen of them; none is then looked at again.
 
@@ -57,71 +67,96 @@ class LogShelf:
     ----------
     files
         What is known of each file by now, by path relative to the log root.
+    before
+        What was known of them, without nights that are no longer told.
     absent
         Those that are named in the config and absent.
     unmatched
         Tells of the globs that match none.
     read
         Paths of those whose content was read.
+    tellable
+        Nights that the name or time of an unreadable one may tell.
     """
 
     def __init__(
         self,
         spec: MotorSpec,
         before: Mapping[str, FileRecord],
+        latest_us: int,
+        silent: Mapping[str, Loss],
         looked_at: Mapping[str, FileRecord] | None = None,
     ) -> None:
         self._spec = spec
-        self._before = before
+        self.before: Mapping[str, FileRecord] = before
         self._read_with = reading_hash(spec)
-        self._source = logs_of(spec)
+        self._latest_us = latest_us
+        self._silent = silent
+        self._source = logs_of(spec, latest_us, silent)
         self.absent = self._source.absent
         self.unmatched = self._source.unmatched
-        if looked_at is None:
-            looked_at = place_failed(
-                {
-                    name: replace(
-                        self._source.look_at(name, self._known(name)),
-                        read_with=self._read_with,
-                    )
-                    for name in self._source.names
-                },
-                before,
-                spec,
-            )
-        self.files = dict(looked_at)
+        found = self._look() if looked_at is None else looked_at
+        latest = night_of(latest_us, spec.settings.nights)
+        self.tellable = Tellable.of((*found.values(), *before.values()), latest)
+        self.before = {name: self.tellable.without_others(one) for name, one in before.items()}
+        self.files = place_failed(found, self.before, spec, self.tellable)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
 
+    def _look(self) -> dict[str, FileRecord]:
+        """What is known of each file by its ends."""
+        return {
+            name: replace(self._look_at(name), read_with=self._read_with)
+            for name in self._source.names
+        }
+
+    def _look_at(self, name: str) -> FileRecord:
+        known = self._known(name)
+        if name not in self._silent:
+            return self._source.look_at(name, known)
+        # As far as anybody can tell, it is as it was.
+        return (
+            known
+            if known and known.status == "ok"
+            else self._unanswered(FileRecord(name, 0, 0, None))
+        )
+
+    def _unanswered(self, record: FileRecord) -> FileRecord:
+        """The record of a file that is to be tried again by the next run."""
+        loss = self._silent[record.path]
+        error = LogError(loss.code, Path(record.path), loss.how)
+        return failed(replace(record, sha256=None), error)
+
     def _known(self, name: str) -> FileRecord | None:
         """What was known of a file, if it was understood as it is now."""
-        record = self._before.get(name)
+        record = self.before.get(name)
         return record if record and record.read_with == self._read_with else None
 
     def news_of(self, name: str) -> str | None:
         """What is new of a file that no run has finished with, in words; None: nothing."""
-        before, known, now = self._before.get(name), self._known(name), self.files[name]
+        before, known, now = self.before.get(name), self._known(name), self.files[name]
         if before is None:
             return f"new file {name}"
         if known is None:
             return f"{name} is to be read with other settings"
         # What could not be read has no hash: it may be legible by now.
-        changed = now.sha256 is None or known.sha256 != now.sha256
-        return f"changed file {name}" if changed else None
+        if now.sha256 is None or known.sha256 != now.sha256:
+            return f"changed file {name}"
+        return f"the night of {name} is told now" if is_newly_told(known, now) else None
 
     def touched(self, name: str) -> set[dt.date]:
         """Nights in which a file has samples, or had them before it was changed."""
         record = self.files[name]
-        return labels_of(record) | labels_of(self._before.get(name, record))
+        return labels_of(record) | labels_of(self.before.get(name, record))
 
     def reached(self, name: str) -> set[dt.date]:
         """Nights into which a file's last samples may hold, or might before it was changed."""
         if not self._reach_us:
             return set()
         record, nights = self.files[name], self._spec.settings.nights
-        ends = {one.last_us for one in (record, self._before.get(name, record))}
+        ends = {one.last_us for one in (record, self.before.get(name, record))}
         found: set[dt.date] = set()
         for last_us in ends:
             if last_us is not None:
@@ -173,9 +208,15 @@ class LogShelf:
         record = self.files[name]
         if record.status != "ok":
             return None
+        if name in self._silent:
+            self.files[name] = self._unanswered(record)
+            return None
         content: RawLog | None = None
         try:
-            content = read_log(self._source.path(name), self._spec.file.log_source())
+            source, path = source_of(self._spec, self._latest_us), self._source.path(name)
+            require_answer(name, path)
+            with reading(name):
+                content = read_log(path, source)
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None
@@ -262,12 +303,12 @@ class LogShelf:
         return [record.message or "" for record in records if record.status == "growing"]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Rows of `input_files`: each file once, under its first night."""
+        """Rows of `input_files`: each file once, with its first night, or none if it is of none."""
         return [
             {
                 "motor_id": self._spec.motor_id,
                 "path": name,
-                "night": min(labels_of(record)),
+                "night": min(labels_of(record), default=None),
                 "format": self._spec.file.logs.format,
                 "size_bytes": record.size,
                 "sha256": record.sha256,
@@ -279,5 +320,5 @@ class LogShelf:
                 "message": record.message,
             }
             for name, record in sorted(self.files.items())
-            if record.nights and record.status != "growing"
+            if record.status != "growing"
         ]

@@ -10,7 +10,7 @@ import re
 import tempfile
 import weakref
 from collections import OrderedDict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
@@ -32,6 +32,7 @@ from pipeline.logs import (
     without_match,
 )
 from pipeline.object_store import ObjectChangedError, ObjectStore, StoredObject
+from pipeline.worker_process import reading
 
 # Copies that a task keeps at a time: those that it has in memory, and one more.
 COPIES = 3
@@ -78,18 +79,23 @@ class FolderLogs:
 
     Parameters
     ----------
-    spec
-        The motor.
+    spec, latest_us
+        The motor, and its logs' latest time, as `inspect_log` takes them.
+    silent
+        Files and patterns that are not looked at, as of `find_logs`.
     """
 
-    def __init__(self, spec: MotorSpec) -> None:
+    def __init__(
+        self, spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
+    ) -> None:
         self._spec = spec
-        self._paths, self.absent = find_logs(spec)
+        self._latest_us = latest_us
+        self._paths, self.absent = find_logs(spec, silent)
         self.names = tuple(self._paths)
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
         """As `LogSource`."""
-        return inspect_log(name, self._paths[name], before, self._spec)
+        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us)
 
     def path(self, name: str) -> Path:
         """As `LogSource`; of one that is gone, where it was."""
@@ -117,8 +123,8 @@ class StoredLogs:
 
     Parameters
     ----------
-    spec
-        The motor.
+    spec, latest_us
+        As of `FolderLogs`.
 
     Raises
     ------
@@ -126,8 +132,9 @@ class StoredLogs:
         If they cannot be listed.
     """
 
-    def __init__(self, spec: MotorSpec) -> None:
+    def __init__(self, spec: MotorSpec, latest_us: int | None = None) -> None:
         self._spec = spec
+        self._latest_us = latest_us
         self._store = ObjectStore.at(spec.log_url)
         self._found, self.absent, self._unmatched = _matching(self._store, spec.file.logs.files)
         self.names = tuple(sorted(self._found))
@@ -145,7 +152,7 @@ class StoredLogs:
         except LogError as error:
             became = failed if error.code == "log_missing" else growing
             return became(_record(name, found), error)
-        record = inspect_log(name, path, None, self._spec)
+        record = inspect_log(name, path, None, self._spec, self._latest_us)
         record = replace(record, modified_ns=_modified_ns(found), inode=_number(found.tag))
         if before is not None and before.sha256 == record.sha256 and record.sha256:
             return replace(before, modified_ns=record.modified_ns, inode=record.inode)
@@ -163,7 +170,7 @@ class StoredLogs:
         if found is None:
             return path
         try:
-            with scratch(path) as stream:
+            with reading(name), scratch(path) as stream:
                 self._store.fetch(found, stream)
         except ObjectChangedError as error:
             if self._store.tag_of(found.key) is None:
@@ -279,6 +286,8 @@ def _translated(part: str) -> str:
     return "".join(found)
 
 
-def logs_of(spec: MotorSpec) -> LogSource:
+def logs_of(
+    spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
+) -> LogSource:
     """A motor's logs, wherever its config says they are."""
-    return StoredLogs(spec) if spec.log_url else FolderLogs(spec)
+    return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -7,8 +7,9 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -18,22 +19,35 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError, one_line
-from pipeline.ingest import RawChannel, RawLog, read_log, time_span
+from pipeline.ingest import LogSource, RawChannel, RawLog, read_log, time_span
+from pipeline.ingest.wall_clock import LATEST_US
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
+from pipeline.worker_process import asking, reading
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
+# A night that only a file's name or time tells lies this near to those of the motor's other logs.
+FARTHEST_NIGHT = 31 * DAY
+# How a message ends that says by what a file's night is told.
+TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
 NO_REACH: Mapping[str, int] = MappingProxyType({})
 
 
-def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
+def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
     """The log files of a motor that there are, and those that are named but absent.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    silent
+        Files and patterns that did not answer: they are not looked at.
 
     Returns
     -------
@@ -43,13 +57,19 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
     found: set[Path] = set()
     absent: list[str] = []
     for pattern in spec.file.logs.files:
-        # A file may be called `a[1].csv`: what exists under its very name is no glob.
-        if (spec.log_root / pattern).exists():
-            found.add(spec.log_root / pattern)
-        elif GLOB_CHARACTERS & set(pattern):
-            found |= {path for path in spec.log_root.glob(pattern) if not path.is_dir()}
-        else:
-            absent.append(pattern)
+        named, is_glob = spec.log_root / pattern, bool(GLOB_CHARACTERS & set(pattern))
+        if pattern in silent:
+            found |= set() if is_glob else {named}
+            continue
+        with asking(pattern):
+            # A file may be called `a[1].csv`: what exists under its very name is no glob.
+            if named.exists():
+                found.add(named)
+            elif is_glob:
+                paths = spec.log_root.glob(pattern)
+                found |= {path for path in paths if not _is_folder(path, spec.log_root, silent)}
+            else:
+                absent.append(pattern)
     names: dict[str, Path] = {}
     for path in sorted(found):
         name = legible(path.relative_to(spec.log_root).as_posix())
@@ -57,6 +77,24 @@ def find_logs(spec: MotorSpec) -> tuple[dict[str, Path], list[str]]:
             name += "'"
         names[name] = path
     return names, absent
+
+
+def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
+    """Whether a path leads to a folder; one that did not answer is taken for a file."""
+    if not path.is_symlink():
+        return path.is_dir()
+    name = legible(path.relative_to(root).as_posix())
+    # A link may lead to a mount that hangs.
+    with asking(name):
+        return name not in silent and path.is_dir()
+
+
+def require_answer(name: str, path: Path) -> None:
+    """Open a log that is about to be read, if it is one: where it hangs, this is told of it."""
+    with asking(name), suppress(OSError):  # which its reader tells
+        if path.is_file():
+            with path.open("rb", buffering=0) as log:
+                log.read(1)
 
 
 def without_match(spec: MotorSpec) -> tuple[str, ...]:
@@ -75,7 +113,9 @@ def legible(text: str) -> str:
     return one_line(text, LONGEST_PATH)
 
 
-def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpec) -> FileRecord:
+def inspect_log(
+    name: str, path: Path, before: FileRecord | None, spec: MotorSpec, latest_us: int | None = None
+) -> FileRecord:
     """What is known of a file: as before while its content is the same, else from a look at it.
 
     Parameters
@@ -86,6 +126,8 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
         What was known of it; None for a file not seen.
     spec
         The motor.
+    latest_us
+        Samples after this time are refused [µs since 1970]; None: those a day after now.
 
     Returns
     -------
@@ -100,22 +142,28 @@ def inspect_log(name: str, path: Path, before: FileRecord | None, spec: MotorSpe
     # What could not be read has no hash: its permissions may be others by now.
     if before and before.sha256 and same:
         return before if before.inode == record.inode else replace(before, inode=record.inode)
-    found = _inspected(record, path, before, spec)
+    found = _inspected(record, path, before, spec, latest_us)
     why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
     return found if why is None else growing(found, why)
 
 
 def _inspected(
-    record: FileRecord, path: Path, before: FileRecord | None, spec: MotorSpec
+    record: FileRecord,
+    path: Path,
+    before: FileRecord | None,
+    spec: MotorSpec,
+    latest_us: int | None,
 ) -> FileRecord:
     """What a look into a file of another size or time tells."""
     try:
-        record = replace(record, sha256=content_hash(path))
+        with asking(record.path):
+            record = replace(record, sha256=content_hash(path))
     except OSError as error:
         return failed(record, _not_readable(path, error))
     if before and before.sha256 == record.sha256:
         return replace(before, modified_ns=record.modified_ns, inode=record.inode)
-    return spanned(record, path, spec)
+    with reading(record.path):
+        return spanned(record, path, spec, latest_us)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
@@ -176,13 +224,16 @@ def _not_readable(path: Path, error: OSError) -> LogError:
     return LogError("log_not_readable", path, f"{error.strerror}; check that it may be read")
 
 
-def spanned(record: FileRecord, path: Path, spec: MotorSpec) -> FileRecord:
+def spanned(
+    record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
+) -> FileRecord:
     """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
+    source = source_of(spec, latest_us)
     try:
-        first, last = time_span(path, spec.file.log_source())
+        first, last = time_span(path, source)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
-            return covered(record, read_log(path, spec.file.log_source()), spec)
+            return covered(record, read_log(path, source), spec)
     except LogError as error:
         return failed(record, error)
     nights = spec.settings.nights
@@ -190,6 +241,11 @@ def spanned(record: FileRecord, path: Path, spec: MotorSpec) -> FileRecord:
     return replace(
         record, first_us=first, last_us=last, nights=tuple(map(dt.date.isoformat, labels))
     )
+
+
+def source_of(spec: MotorSpec, latest_us: int | None) -> LogSource:
+    """How a motor's logs are read, without samples after a time [µs since 1970]."""
+    return replace(spec.file.log_source(), latest_us=latest_us)
 
 
 def failed(record: FileRecord, error: LogError) -> FileRecord:
@@ -271,33 +327,116 @@ def labels_of(record: FileRecord) -> set[dt.date]:
     return set(map(dt.date.fromisoformat, record.nights))
 
 
+@dataclass(frozen=True, slots=True)
+class Tellable:
+    """Nights that a file's name or time may tell where the file itself cannot be read.
+
+    Attributes
+    ----------
+    first, last
+        Of the motor's readable logs; None without one.
+    latest
+        The night of a day from now.
+    """
+
+    first: dt.date | None
+    last: dt.date | None
+    latest: dt.date
+
+    @classmethod
+    def of(cls, files: Iterable[FileRecord], latest: dt.date) -> Tellable:
+        """What files of a motor, those that cannot be read among them, leave to be told."""
+        known = {label for one in files if one.status == "ok" for label in labels_of(one)}
+        return cls(min(known, default=None), max(known, default=None), latest)
+
+    def why_not(self, label: dt.date) -> str | None:
+        """Why a night is none that a name or time may tell; None: it is one."""
+        if label > self.latest:
+            return "more than a day ahead"
+        if self.first is None or self.last is None:
+            return None
+        if self.first - FARTHEST_NIGHT <= label <= self.last + FARTHEST_NIGHT:
+            return None
+        return f"more than {FARTHEST_NIGHT.days} days from those of the motor's other logs"
+
+    def without_others(self, record: FileRecord) -> FileRecord:
+        """The record of a file without nights that are none its name or time may tell."""
+        if not is_guess(record):
+            return record
+        kept = [label for label in sorted(labels_of(record)) if self.why_not(label) is None]
+        return replace(record, nights=tuple(map(dt.date.isoformat, kept)))
+
+
+def is_guess(record: FileRecord) -> bool:
+    """Whether nights of a file are told by its name or time alone, not by its samples."""
+    return record.status != "ok" and record.first_us is None
+
+
+def is_newly_told(before: FileRecord, now: FileRecord) -> bool:
+    """Whether the name or time of a file that is as it was tells a night that it did not before."""
+    return is_guess(now) and not labels_of(now) <= labels_of(before)
+
+
 def place_failed(
-    records: Mapping[str, FileRecord], before: Mapping[str, FileRecord], spec: MotorSpec
+    records: Mapping[str, FileRecord],
+    before: Mapping[str, FileRecord],
+    spec: MotorSpec,
+    tellable: Tellable,
 ) -> dict[str, FileRecord]:
     """Give each unreadable file the night that it would have been of.
 
     By what was known of it before, by the date in its name compared with those of its readable
     neighbours, or by when it was last written: in that order, and the message says which. One
-    that vanished in between stays without a night.
+    that vanished in between stays without a night, and so does one whose night is none that may
+    be told.
     """
-    readable = [record for record in records.values() if record.status == "ok" and record.nights]
-    lag = _lag_of_names(readable)
-    placed = dict(records)
-    for name, record in records.items():
-        if record.status == "ok" or record.nights or not record.modified_ns:
-            continue
-        named = _date_in(name)
-        if name in before and before[name].nights:
-            labels, basis = before[name].nights, "by what it held before"
-        elif named is not None:
-            labels, basis = ((named + lag).isoformat(),), "by its name"
-        else:
-            label = night_of(record.modified_ns // 1000, spec.settings.nights)
-            labels, basis = (label.isoformat(),), "by when it was written"
-        # The night itself stands beside the message wherever that is shown.
-        message = f"{record.message} (night told {basis})"
-        placed[name] = replace(record, nights=labels, message=message)
-    return placed
+    lag = _lag_of_names(one for one in records.values() if one.status == "ok" and one.nights)
+    return {
+        name: _placed(record, before.get(name), lag, spec, tellable) if is_guess(record) else record
+        for name, record in records.items()
+    }
+
+
+def _placed(
+    record: FileRecord,
+    before: FileRecord | None,
+    lag: dt.timedelta,
+    spec: MotorSpec,
+    tellable: Tellable,
+) -> FileRecord:
+    told = _told(record, before, lag, spec)
+    if told is None:
+        return record
+    labels, basis = told
+    placed = tellable.without_others(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
+    if placed.nights and placed.nights == record.nights:
+        return record
+    # The night itself stands beside the message wherever that is shown.
+    how = f"night told {basis}"
+    if not placed.nights:
+        how = f"told {basis}, its night would lie {tellable.why_not(labels[0])}: it is of none"
+    return replace(placed, message=f"{TOLD.sub('', record.message or '')} ({how})")
+
+
+def _told(
+    record: FileRecord, before: FileRecord | None, lag: dt.timedelta, spec: MotorSpec
+) -> tuple[list[dt.date], str] | None:
+    """Nights that a file seems to be of, and by what they are told; None where nothing tells."""
+    if record.nights:  # as a run before has told
+        said = TOLD.search(record.message or "")
+        return sorted(labels_of(record)), said[1] if said else "by what it held before"
+    if record.error_code == "log_not_readable" and not record.modified_ns:
+        return None  # it vanished
+    if before is not None and before.nights:
+        return sorted(labels_of(before)), "by what it held before"
+    named = _date_in(record.path)
+    if named is not None:
+        return [named + lag], "by its name"
+    if not record.modified_ns:
+        return None
+    # A file may be of a time that no date can say.
+    written_us = min(record.modified_ns // 1000, LATEST_US)
+    return [night_of(written_us, spec.settings.nights)], "by when it was written"
 
 
 def _date_in(name: str) -> dt.date | None:

@@ -12,7 +12,7 @@ import pickle
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from functools import lru_cache
 from itertools import pairwise
@@ -26,14 +26,16 @@ from threadpoolctl import threadpool_limits
 from pipeline.errors import StoreError
 from pipeline.landing import scratch
 from pipeline.ledger import (
+    FileRecord,
     Ledger,
     NightRecord,
     changed_months,
+    ledger_folder,
     read_ledger,
     read_settings,
 )
 from pipeline.log_shelf import LogShelf, Sight
-from pipeline.logs import labels_of, legible, reaches_us, slice_night
+from pipeline.logs import is_guess, labels_of, legible, reaches_us, slice_night
 from pipeline.messages import speak_as_told
 from pipeline.motor_night import (
     FAILED,
@@ -119,6 +121,7 @@ def run_part(task: PartTask) -> PartOutcome:
             motor_id,
             task.name,
             given_up=task.motor.given_up,
+            silent=task.motor.silent,
             seconds=dict(nights.seconds),
             peak_memory_mib=_peak_memory_mib(),
         )
@@ -189,6 +192,11 @@ def _still_published(ledger: Ledger, output: Path) -> Ledger:
     )
 
 
+def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None:
+    """Night under which a file's row stands: its first, or else the motor's first; None: none."""
+    return min(labels_of(record) or nights, default=None)
+
+
 def _without_failures(ledger: Ledger) -> Ledger:
     """A ledger that knows nothing of the logs and nights that failed."""
     nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
@@ -213,7 +221,18 @@ class _Nights:
         if task.retry:
             self.before = _without_failures(self.before)
         with self._timed("read_s"):
-            self.logs = LogShelf(self.spec, self.before.files, task.looked_at)
+            self.logs = LogShelf(
+                self.spec, self.before.files, task.latest_us, task.silent, task.looked_at
+            )
+        self.withdrawn = self._no_longer_told()
+        self.before = Ledger(
+            self.logs.before,
+            {
+                label: one
+                for label, one in self.before.nights.items()
+                if label not in self.withdrawn
+            },
+        )
         self.made = _read_parts(task)
         self.hashes = SettingsHashes(self.spec)
         self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
@@ -222,6 +241,19 @@ class _Nights:
         self.kept: set[dt.date] = set()
         self.reasons: dict[dt.date, str] = {}
         self.by_settings = self._outdated_by_settings()
+
+    def _no_longer_told(self) -> set[dt.date]:
+        """Published nights that only the name or time of an unreadable log told, and may not."""
+        files = self.remembered.files.values()
+        told = {label for one in files if is_guess(one) for label in labels_of(one)}
+        if not ledger_folder(self.task.output, self.spec.motor_id).exists():
+            # Without its ledger the tables alone say which nights failed.
+            columns = ("motor_id", "night", "status")
+            rows = read_rows(self.task.output, FITS, [self.spec.motor_id], columns)
+            told |= set(rows.filter(status=FAILED)["night"])
+        sure = {label for one in files if not is_guess(one) for label in labels_of(one)}
+        none = {label for label in told if self.logs.tellable.why_not(label) is not None}
+        return none - sure - self.logs.present()
 
     def split(self) -> SplitMotor | None:
         """The parts in which the motor's nights are to be made; None: here, in one."""
@@ -433,33 +465,40 @@ class _Nights:
                 # A night made anew in part keeps what only its samples tell.
                 if outcome.tables is None or table.name in outcome.tables:
                     by_table[table.name][label] = outcome.rows.get(table.name, [])
-        for row in self.logs.rows():
-            if row["night"] in by_table["input_files"]:
-                by_table["input_files"][row["night"]].append(row)
-        by_table["input_files"] |= self._places_left(by_table["input_files"])
+        for label in self.withdrawn:
+            for table in NIGHT_TABLES:
+                by_table[table.name][label] = []
+        by_table["input_files"] = self._file_rows(by_table["input_files"].keys())
         for table in NIGHT_TABLES:
             if nights := by_table[table.name]:
                 stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
 
-    def _places_left(self, staged: Mapping[dt.date, Sequence[Row]]) -> dict[dt.date, list[Row]]:
-        """Rows of `input_files` that stay where a file's row was before it had another first night.
+    def _file_rows(self, staged: Collection[dt.date]) -> dict[dt.date, list[Row]]:
+        """Rows of `input_files` of some nights, and of those which a file's row leaves or enters.
 
-        Of nights that are not done: those that are lose the row as they are.
+        Of a night that is not done, the other rows stay as they are.
         """
+        rows: defaultdict[dt.date, list[Row]] = defaultdict(list)
         moved: defaultdict[dt.date, set[str]] = defaultdict(set)
-        for label, rows in staged.items():
-            for row in rows:
-                before = self.remembered.files.get(row["path"])
-                left = min(labels_of(before), default=label) if before else label
-                if left not in staged:
-                    moved[left].add(row["path"])
-        return {
-            label: read_rows(self.task.output, INPUT_FILES, [self.spec.motor_id], nights=[label])
-            .drop("run_id")
-            .filter(~pl.col("path").is_in(list(names)))
-            .to_dicts()
-            for label, names in sorted(moved.items())
-        }
+        for row in self.logs.rows():
+            name = row["path"]
+            now, known = self.logs.files[name], self.remembered.files.get(name)
+            here = _place_of(now, self.records)
+            there = None if known is None else _place_of(known, self.remembered.nights)
+            is_new = row["night"] is None and now != known
+            if here is None or not (here in staged or is_new):
+                continue
+            rows[here].append(row)
+            for place in (here, there):
+                if place is not None and place not in staged and (is_new or place != here):
+                    moved[place].add(name)
+        for label, names in sorted(moved.items()):
+            published = read_rows(
+                self.task.output, INPUT_FILES, [self.spec.motor_id], nights=[label]
+            )
+            kept = published.drop("run_id").filter(~pl.col("path").is_in(list(names)))
+            rows[label] += kept.to_dicts()
+        return {label: rows[label] for label in sorted({*staged, *moved})}
 
     def _why_nothing(self, status: str) -> str | None:
         """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
@@ -479,11 +518,18 @@ class _Nights:
         ]
         errors += [
             (record.error_code, record.message)
-            for record in self.logs.files.values()
-            if record.status == "failed" and not record.nights
+            for name, record in self.logs.files.items()
+            if record.status == "failed"
+            and not record.nights
+            and self.logs.news_of(name) is not None
         ]
         errors += [
             ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
+        ]
+        errors += [
+            (loss.code, loss.how)
+            for name, loss in self.task.silent.items()
+            if name not in self.logs.files
         ]
         if errors:
             status = FAILED
@@ -492,6 +538,10 @@ class _Nights:
         else:
             status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
         code, message = errors[0] if errors else (None, self._why_nothing(status))
+        if self.withdrawn:
+            nights = ", ".join(map(str, sorted(self.withdrawn)))
+            gone = f"withdrawn, as no log has samples of them: {nights}"
+            message = "; ".join(one for one in (message, gone) if one)
         after = Ledger(
             {**self.before.files, **self.logs.finished(self.done)},
             self.records,
@@ -502,7 +552,8 @@ class _Nights:
             error_code=code,
             message=message,
             counts=counts,
-            nights=tuple(sorted(self.done)),
+            nights=tuple(sorted({*self.done, *self.withdrawn})),
+            withdrawn=tuple(sorted(self.withdrawn)),
             reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
             n_refitted=sum(is_refit(one) for one in self.done.values()),
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),

@@ -18,8 +18,8 @@ from pipeline.config import Retention
 from pipeline.errors import UsageError
 from pipeline.landing import remove
 from pipeline.manifest import Manifest, announce, read_manifest, update_manifest
-from pipeline.schema import FITS, TABLES
-from pipeline.store import last_night, table_folder
+from pipeline.schema import TABLES
+from pipeline.store import table_folder
 
 # What goes with each table, in words. Of the others figures, trends and alarms are made.
 LOSSES: Mapping[str, str] = {
@@ -95,7 +95,9 @@ def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -
     return {name: configured[name] if keep is None else keep for name in tables}
 
 
-def old_files(output: Path, kept: Mapping[str, int]) -> tuple[OldFiles, ...]:
+def old_files(
+    output: Path, kept: Mapping[str, int], tonight: dt.date | None
+) -> tuple[OldFiles, ...]:
     """Files of nights before the newest so many days, by table; nothing is removed.
 
     Parameters
@@ -103,16 +105,17 @@ def old_files(output: Path, kept: Mapping[str, int]) -> tuple[OldFiles, ...]:
     output
         Output folder.
     kept
-        Days to keep by table, counted back from the last night of the fleet.
+        Days to keep by table.
+    tonight
+        Night from which they count back, that itself included; None: nothing is old.
     """
-    last = last_night(output, FITS)
-    if last is None:
+    if tonight is None:
         return ()
     found = []
     for table in TABLES:
         if table.name not in kept:
             continue
-        first_kept = last - dt.timedelta(days=kept[table.name] - 1)
+        first_kept = tonight - dt.timedelta(days=kept[table.name] - 1)
         files = {
             dt.date.fromisoformat(path.stem): path.stat().st_size
             for path in table_folder(output, table).glob("month=*/*.parquet")

@@ -22,8 +22,9 @@ from pipeline.tasks import (
     PartTask,
     SplitMotor,
     lost,
-    part_without_lost_night,
-    without_lost_night,
+    part_without_lost_part,
+    set_aside,
+    without_lost_part,
 )
 from pipeline.worker_process import Loss
 
@@ -31,12 +32,12 @@ RunMotor = Callable[[MotorTask], MotorOutcome | SplitMotor]
 
 
 def run_motors(
-    run_tasks: RunTasks, function: RunMotor, tasks: Sequence[MotorTask]
+    run_tasks: RunTasks, function: RunMotor, tasks: Sequence[MotorTask], *, first: bool = False
 ) -> Iterator[MotorOutcome]:
     """Outcomes of the motors as they finish.
 
-    A night that workers are lost in is given up; a motor of which more are lost, or of which it is
-    not known in which night, has failed.
+    A night that workers are lost in is given up, and so is a log that does not answer; a motor of
+    which more are lost, or of which it is not known in what, has failed.
 
     Parameters
     ----------
@@ -46,6 +47,8 @@ def run_motors(
         Does a motor's task.
     tasks
         The motors; ``nights_a_part`` says which are split.
+    first
+        Whether a motor whose task is lost is set aside, to be tried again later.
 
     Raises
     ------
@@ -54,28 +57,38 @@ def run_motors(
     """
     by_id = {task.spec.motor_id: task for task in tasks}
     parts: list[PartTask] = []
-    for outcome in results_of(run_tasks, function, tasks, lost, without_lost_night):
+    lose = set_aside if first else lost
+    for outcome in results_of(run_tasks, function, tasks, lose, without_lost_part, first=first):
         if isinstance(outcome, SplitMotor):
             task = replace(by_id[outcome.motor_id], looked_at=outcome.looked_at)
             parts += [PartTask(task, nights, task.staging) for nights in outcome.parts]
         else:
             yield outcome
     if parts:
-        yield from _in_parts(run_tasks, function, parts)
+        yield from _in_parts(run_tasks, function, parts, first=first)
 
 
 def _in_parts(
-    run_tasks: RunTasks, function: RunMotor, parts: Sequence[PartTask]
+    run_tasks: RunTasks, function: RunMotor, parts: Sequence[PartTask], *, first: bool
 ) -> Iterator[MotorOutcome]:
     """Do the parts, then the tasks of the motors that they are of."""
+    lose = set_aside if first else lost
+
+    def lose_part(task: PartTask, loss: Loss) -> PartOutcome:
+        failure = lose(task.motor, loss)
+        return PartOutcome(task.motor.spec.motor_id, task.name, failure=failure)
+
     tasks = {part.motor.spec.motor_id: part.motor for part in parts}
     made: defaultdict[str, list[PartOutcome]] = defaultdict(list)
-    for part in results_of(run_tasks, run_part, parts, _lost_part, part_without_lost_night):
+    for part in results_of(
+        run_tasks, run_part, parts, lose_part, part_without_lost_part, first=first
+    ):
         made[part.motor_id].append(part)
     joined: list[MotorTask] = []
     for motor_id, task in tasks.items():
         done = sorted(made[motor_id], key=lambda part: part.name)
         given_up = {night: loss for part in done for night, loss in part.given_up.items()}
+        silent = {log: loss for part in done for log, loss in part.silent.items()}
         failure = next((part.failure for part in done if part.failure), None)
         if failure is None and len(given_up) > MOST_GIVEN_UP:
             failure = lost(task, _first_too_many(given_up))
@@ -83,14 +96,10 @@ def _in_parts(
             yield failure
         else:
             names = tuple(part.name for part in done)
-            joined.append(replace(task, parts=names, given_up=given_up))
-    for outcome in results_of(run_tasks, function, joined, lost, without_lost_night):
+            joined.append(replace(task, parts=names, given_up=given_up, silent=silent))
+    for outcome in results_of(run_tasks, function, joined, lose, without_lost_part, first=first):
         assert isinstance(outcome, MotorOutcome)
         yield _with_parts(outcome, made[outcome.motor_id])
-
-
-def _lost_part(task: PartTask, loss: Loss) -> PartOutcome:
-    return PartOutcome(task.motor.spec.motor_id, task.name, failure=lost(task.motor, loss))
 
 
 def _first_too_many(given_up: Mapping[dt.date, Loss]) -> Loss:

@@ -12,7 +12,7 @@ import hashlib
 import logging
 import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,13 +43,13 @@ def night_file(output: Path, table: Table, night: dt.date) -> Path:
     return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
 
 
-def last_night(output: Path, table: Table) -> dt.date | None:
-    """The last night that a table has a file of; None where it has none."""
-    for month in sorted(table_folder(output, table).glob("month=*"), reverse=True):
-        labels = [path.stem for path in month.glob("*.parquet")]
-        if labels:
-            return dt.date.fromisoformat(max(labels))
-    return None
+def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
+    """Nights that a table has a file of, the newest first; a file may have no rows."""
+    folder = table_folder(output, table)
+    for month in sorted((entry.name for entry in _entries(folder)), reverse=True):
+        for name in sorted((entry.name for entry in _entries(folder / month)), reverse=True):
+            with suppress(ValueError):  # a stranger's file
+                yield dt.date.fromisoformat(name.removesuffix(ENDING))
 
 
 def month_stamps(output: Path, table: Table) -> dict[str, int]:

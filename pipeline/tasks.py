@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from pathlib import Path
 
+from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.ledger import FileRecord, Ledger
 from pipeline.log_shelf import Sight
@@ -15,7 +16,8 @@ from pipeline.logs import legible
 from pipeline.motor_night import FAILED, NightOutcome
 from pipeline.worker_process import Loss
 
-# A motor of which more nights than this take their worker with them is given up as a whole.
+# A motor of which more nights than this take their worker with them, or more logs than this do not
+# answer, is given up as a whole.
 MOST_GIVEN_UP = 3
 
 
@@ -58,12 +60,16 @@ class MotorTask:
         search.
     given_up
         Nights that this run's workers were lost in, each time.
+    silent
+        Logs that did not answer, and patterns of logs whose folders did not; none is opened.
     nights_a_part
         A motor with more nights to read than this is split into parts of so many; 0: never.
     looked_at
         What an earlier task of this run has seen of its logs; None: nothing.
     parts
         Files below the staging folder with nights that other tasks have made.
+    latest_us
+        Samples after this time are refused [µs since 1970]: a day after the run's clock.
     """
 
     spec: MotorSpec
@@ -75,9 +81,11 @@ class MotorTask:
     retry: bool = False
     with_starts: bool = False
     given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
+    silent: Mapping[str, Loss] = field(default_factory=dict)
     nights_a_part: int = 0
     looked_at: Mapping[str, FileRecord] | None = None
     parts: tuple[str, ...] = ()
+    latest_us: int = field(default_factory=latest_us)
 
     def wants(self, label: dt.date) -> bool:
         """Whether a night lies within the asked-for range."""
@@ -100,6 +108,9 @@ class MotorOutcome:
         Nights by outcome.
     nights
         Labels of the nights whose rows are staged.
+    withdrawn
+        Those of them that are no nights, as only the name or time of an unreadable log told them:
+        their rows go.
     inputs
         Hashes of the contents that were read, in the order of the files.
     files
@@ -116,6 +127,8 @@ class MotorOutcome:
         Time by stage.
     peak_memory_mib
         Largest memory of the worker so far.
+    is_set_aside
+        Whether its task was lost once, and is tried again when the others are published.
     """
 
     motor_id: str
@@ -124,6 +137,7 @@ class MotorOutcome:
     message: str | None = None
     counts: Mapping[str, int] = field(default_factory=dict)
     nights: tuple[dt.date, ...] = ()
+    withdrawn: tuple[dt.date, ...] = ()
     inputs: tuple[str, ...] = ()
     files: Mapping[str, int] = field(default_factory=dict)
     growing: tuple[str, ...] = ()
@@ -132,6 +146,7 @@ class MotorOutcome:
     ledger: Mapping[str, Ledger] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
+    is_set_aside: bool = False
 
     @property
     def finished(self) -> bool:
@@ -190,8 +205,9 @@ class PartOutcome:
         Its file below the staging folder.
     failure
         What then comes of the motor; None: the part is made.
-    given_up
-        Nights that workers were lost in, each time; they are not made.
+    given_up, silent
+        Nights that workers were lost in, each time, which are not made, and logs that did not
+        answer.
     seconds
         Time by stage.
     peak_memory_mib
@@ -202,6 +218,7 @@ class PartOutcome:
     name: str
     failure: MotorOutcome | None = None
     given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
+    silent: Mapping[str, Loss] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
 
@@ -223,14 +240,27 @@ def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
     return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
 
 
-def without_lost_night(task: MotorTask, loss: Loss) -> MotorTask | None:
-    """The task that gives up the night in which it was lost; None where that is not to be had."""
-    if not loss.part or len(task.given_up) == MOST_GIVEN_UP:
+def set_aside(task: MotorTask, loss: Loss) -> MotorOutcome:
+    """The outcome of a motor whose task was lost, and is to be tried again later."""
+    how = f"{loss.how}; tried again when the other motors are published"
+    return replace(lost(task, replace(loss, how=how)), is_set_aside=True)
+
+
+def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
+    """The task that gives up what it was lost in, a log or a night; None where that is not known.
+
+    Nor where it has given up too much already.
+    """
+    if len(task.given_up) == MOST_GIVEN_UP or len(task.silent) == MOST_GIVEN_UP:
         return None
-    return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
+    if loss.log:
+        return replace(task, silent={**task.silent, loss.log: loss})
+    if loss.part:
+        return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
+    return None
 
 
-def part_without_lost_night(task: PartTask, loss: Loss) -> PartTask | None:
-    """As `without_lost_night`, of a part."""
-    motor = without_lost_night(task.motor, loss)
+def part_without_lost_part(task: PartTask, loss: Loss) -> PartTask | None:
+    """As `without_lost_part`, of a part of a motor."""
+    motor = without_lost_part(task.motor, loss)
     return None if motor is None else replace(task, motor=motor)

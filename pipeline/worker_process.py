@@ -13,7 +13,8 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -50,18 +51,37 @@ class Loss:
         What happened, in words.
     part
         The part of its work that it was lost in; empty where it named none.
+    log
+        The log that it was waiting for or reading when its time was up; empty without one.
     """
 
     code: str
     how: str
     part: str = ""
+    log: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class SignOfLife:
-    """A task goes on, and with which part of its work."""
+    """A task goes on, and with which part of its work.
 
-    part: str
+    Attributes
+    ----------
+    part
+        Of its work.
+    log
+        The log that it waits for or reads; empty without one.
+    is_asked
+        Whether that is to answer at once: it is being opened.
+    """
+
+    part: str = ""
+    log: str = ""
+    is_asked: bool = False
+
+
+# What was said last.
+_said = SignOfLife()
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +103,43 @@ class Assignment:
 
 def sign_of_life(part: str) -> None:
     """Say that a task begins with a part of its work, which has the whole time limit again."""
+    _say(SignOfLife(part))
+
+
+def still_alive() -> None:
+    """Say once more what was said last."""
+    _say(_said)
+
+
+@contextmanager
+def asking(log: str) -> Iterator[None]:
+    """Say that a log is being opened, which may be on a mount that hangs."""
+    with _at(log, is_asked=True):
+        yield
+
+
+@contextmanager
+def reading(log: str) -> Iterator[None]:
+    """Say that a log which has answered is being read."""
+    with _at(log, is_asked=False):
+        yield
+
+
+@contextmanager
+def _at(log: str, *, is_asked: bool) -> Iterator[None]:
+    before = _said
+    _say(SignOfLife(before.part, log, is_asked))
+    try:
+        yield
+    finally:
+        _say(before)
+
+
+def _say(sign: SignOfLife) -> None:
+    global _said
+    _said = sign
     if _run is not None:
-        _run.send(SignOfLife(part))
+        _run.send(sign)
 
 
 def attempt(function: Callable[[Task], Result], task: Task) -> Done[Result] | Loss:

@@ -102,6 +102,8 @@ class Crew:
         tasks: Sequence[Task],
         lost: Callable[[Task, Loss], Result],
         execution: Execution,
+        *,
+        first: bool = False,
     ) -> Iterator[Result]:
         """Results as the tasks finish, in any order.
 
@@ -116,9 +118,16 @@ class Crew:
         execution
             How many workers, and their limits. With backend ``sequential`` the tasks are done here
             and once; one that hangs or dies takes the run with it.
+        first
+            Whether tasks are tried only once, and one of which nothing is heard is not waited for.
         """
-        is_here = execution.backend == "sequential"
-        tried = _here(function, tasks) if is_here else self._tried_twice(function, tasks, execution)
+        if execution.backend == "sequential":
+            tried = _here(function, tasks)
+        elif first:
+            n_workers, hasty = execution.workers, execution.hasty
+            tried = self._side_by_side(function, tasks, n_workers, hasty)
+        else:
+            tried = self._tried_twice(function, tasks, execution)
         for task, outcome in tried:
             yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
 
@@ -127,7 +136,8 @@ class Crew:
     ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
         again: list[Task] = []
         for task, outcome in self._side_by_side(function, tasks, execution.workers, execution):
-            if isinstance(outcome, Done):
+            # A log that does not answer is not asked twice.
+            if isinstance(outcome, Done) or outcome.log:
                 yield task, outcome
             else:
                 log.warning("a task is lost and will be tried again, alone: %s", outcome.how)
@@ -223,6 +233,7 @@ class Worker:
             env=ENVIRONMENT,
             daemon=True,
         )
+        self.is_killed = False
         with _deaf_to_interrupts():
             self.process.start()
         # Once it is the only one to hold them, they close with it.
@@ -231,10 +242,10 @@ class Worker:
 
     def begin(self, function: Callable[[Any], Any], task: object, execution: Execution) -> None:
         """Give it a task, and its limits."""
-        if self.process.exitcode is not None:
+        if self.is_killed or self.process.exitcode is not None:
             self._start()
         self.execution = execution
-        self.part, self.last_words, self.is_late = "", b"", False
+        self.sign, self.last_words, self.is_late = SignOfLife(), b"", False
         self.due = time.monotonic() + START_S
         with suppress(ConnectionError):  # dead already: heard of in a moment
             given = Assignment(function, task, execution.memory_limit_mib)
@@ -254,10 +265,15 @@ class Worker:
         except (EOFError, OSError):
             return self._loss()
         if isinstance(message, SignOfLife):
-            self.part = message.part
-            self.due = time.monotonic() + self.execution.timeout_s
+            self.sign = message
+            self.due = time.monotonic() + self._limit_s
             return None
         return message
+
+    @property
+    def _limit_s(self) -> float:
+        """Longest silence after the last sign of life."""
+        return self.execution.answer_s if self.sign.is_asked else self.execution.timeout_s
 
     def _loss(self) -> Loss:
         """What the worker has died of."""
@@ -268,14 +284,18 @@ class Worker:
         no_memory = NO_MEMORY.search(words)
         how = f"its worker process ended with {_died(self.process.exitcode)}"
         how += f": {no_memory.group().strip()}" if no_memory else ""
+        if self.is_late and self.sign.log:
+            verb = "answer" if self.sign.is_asked else "come to its end"
+            how = f"{self.sign.log} did not {verb} within {self._limit_s:g} s"
+            return Loss("log_no_answer", how, self.sign.part, self.sign.log)
         if self.is_late:
-            how = f"not done within {self.execution.timeout_s:g} s"
-        how += f", at {self.part}" if self.part else ""
+            how = f"not done within {self._limit_s:g} s"
+        how += f", at {self.sign.part}" if self.sign.part else ""
         if frame := FRAME.search(words):
             file, line, function = frame.groups()
             how += f", in {function} ({PurePath(file).name}, line {line})"
         code = "task_timeout" if self.is_late else "task_memory" if no_memory else "worker_died"
-        return Loss(code, how, self.part)
+        return Loss(code, how, self.sign.part)
 
     def _pass_on_stderr(self) -> None:
         with suppress(BlockingIOError):
@@ -285,10 +305,14 @@ class Worker:
         sys.stderr.flush()
 
     def kill(self) -> None:
-        """End the process, whatever it does, and wait for its end."""
+        """End the process, whatever it does, and wait for its end.
+
+        Not for ever: in a call to a disk that hangs not even SIGKILL ends one.
+        """
         if self.process.exitcode is None:
             os.kill(self.process.pid, signal.SIGKILL)
-            self.process.join()
+            self.process.join(GRACE_S)
+        self.is_killed = True
 
 
 @contextmanager

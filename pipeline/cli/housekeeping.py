@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from pipeline.cli.arguments import AsJson, ConfigFile, Output, load, say
+from pipeline.clock import now
 
 
 def prune(
@@ -32,14 +33,15 @@ def prune(
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
-    from pipeline.fleet import locked
+    from pipeline.fleet import fleets_tonight, locked
     from pipeline.retention import nights_kept, old_files
     from pipeline.retention import prune as remove
     from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
-    old = old_files(fleet.output, kept)
+    tonight = fleets_tonight(fleet, now())
+    old = old_files(fleet.output, kept, None if tonight is None else tonight.night)
     if yes and old:
         with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
             remove(fleet.output, old)

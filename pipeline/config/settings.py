@@ -465,6 +465,15 @@ class Execution(Section):
         description="Longest time for one night of a motor, or for the trends of a group of "
         "motors; then the worker is ended [s]",
     )
+    answer_s: float = Field(
+        60.0,
+        gt=0.0,
+        le=604_800.0,
+        allow_inf_nan=False,
+        description="A log that gives nothing for this long when it is opened is left "
+        "(`log_no_answer`), and a motor of which nothing is heard for this long is done after the "
+        "others are published [s]",
+    )
     memory_limit_mib: int = Field(
         4096,
         ge=512,
@@ -478,6 +487,11 @@ class Execution(Section):
         description="Disk space that a run leaves free beyond its own tables, or else does not "
         "begin [MiB]; 0: not looked at",
     )
+
+    @property
+    def hasty(self) -> Execution:
+        """The same, for tasks of which others wait for the end."""
+        return self.model_copy(update={"timeout_s": min(self.timeout_s, self.answer_s)})
 
 
 class Retention(Section):

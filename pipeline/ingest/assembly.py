@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.clock import latest_us
 from pipeline.errors import LogError
 from pipeline.ingest.contract import (
     ChannelSource,
@@ -24,8 +24,6 @@ from pipeline.ingest.time_stamps import TimeStamps, example_of
 from pipeline.units import convert_to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
-
-_DAY_US = 86_400_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,11 +143,17 @@ def time_name(source: LogSource, example: str | None = None) -> str:
     return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
 
 
-def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[str, int]]:
+def judged(
+    path: Path, source: LogSource, stamps: TimeStamps, name: str
+) -> tuple[TimeStamps, dict[str, int]]:
     """Stamps without those in the future, and how many rows have no good time, by reason.
 
     Parameters
     ----------
+    path, source
+        The log; the source says what the future is.
+    stamps
+        As they are written.
     name
         What the stamps are called and how they were read.
 
@@ -158,23 +162,23 @@ def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[
     LogError
         ``log_time``: more than half of the rows have no good time.
     """
-    (past,), refused = judged_together(path, [stamps], name)
+    (past,), refused = judged_together(path, source, [stamps], name)
     return past, refused
 
 
 def judged_together(
-    path: Path, parts: Sequence[TimeStamps], name: str
+    path: Path, source: LogSource, parts: Sequence[TimeStamps], name: str
 ) -> tuple[list[TimeStamps], dict[str, int]]:
     """Stamps of a log that come in parts, judged as one; otherwise as `judged`."""
-    latest_us = time.time_ns() // 1000 + _DAY_US
+    latest = latest_us() if source.latest_us is None else source.latest_us
     rows = sum(part.readable.size for part in parts)
-    ahead = sum(int(np.count_nonzero(_future(part, latest_us))) for part in parts)
+    ahead = sum(int(np.count_nonzero(_future(part, latest))) for part in parts)
     skipped = sum(part.skipped for part in parts)
     unreadable = rows - sum(int(np.count_nonzero(part.readable)) for part in parts)
     _require_time(path, rows, {"ahead": ahead, "skipped": skipped, "unreadable": unreadable}, name)
     past = list(parts)
     if ahead:
-        past = [replace(p, readable=p.readable & ~_future(p, latest_us)) for p in parts]
+        past = [replace(p, readable=p.readable & ~_future(p, latest)) for p in parts]
     return past, {
         "rows without a readable time": unreadable - skipped,
         "rows at a local time that the zone's clock change leaves out": skipped,
@@ -182,8 +186,8 @@ def judged_together(
     }
 
 
-def _future(stamps: TimeStamps, latest_us: int) -> NDArray[np.bool_]:
-    return stamps.readable & (stamps.time_us > latest_us)
+def _future(stamps: TimeStamps, latest: int) -> NDArray[np.bool_]:
+    return stamps.readable & (stamps.time_us > latest)
 
 
 def _require_time(path: Path, rows: int, counts: Mapping[str, int], name: str) -> None:

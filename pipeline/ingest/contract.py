@@ -135,6 +135,8 @@ class LogSource:
         nanoseconds, or a number or text in `time_format`. Empty: none.
     salvage
         Whether a truncated or damaged file gives what stands before the damage (MCAP).
+    latest_us
+        Samples after this time lie in the future [µs since 1970]; None: a day from now.
     """
 
     format: LogFormat
@@ -155,6 +157,7 @@ class LogSource:
     missing_tokens: tuple[str, ...] = MISSING_TOKENS
     stamp: str = ""
     salvage: bool = False
+    latest_us: int | None = None
 
     def __post_init__(self) -> None:
         if self.format not in get_args(LogFormat):

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 
 import numpy as np
 import pyarrow as pa
 
+from pipeline.clock import latest_us
 from pipeline.ingest.time_stamps import (
     EPOCH_UNITS,
     EXCEL_DAYS,
@@ -44,7 +44,6 @@ _DATE_ONLY = re.compile(_DATE)
 _CLOCK_ONLY = re.compile(rf"(?:{_CLOCK})(?:{_ZONE})?")
 
 _MONTH_US = 20 * 86_400_000_000
-_DAY = timedelta(days=1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,11 +142,11 @@ def number_format(numbers: Sequence[float]) -> str | None:
     ('epoch_ms', 'excel_days', None)
     """
     formats = [EXCEL_DAYS, *EPOCH_UNITS]
-    latest_us = time.time_ns() // 1000 + _DAY // timedelta(microseconds=1)
+    latest = latest_us()
     earliest_us = int(datetime(2001, 1, 1, tzinfo=UTC).timestamp()) * 1_000_000
     for form in formats:
         stamps = placed([written_as_numbers(np.array(numbers), form)], "UTC")
-        within = stamps.readable & (stamps.time_us > earliest_us) & (stamps.time_us < latest_us)
+        within = stamps.readable & (stamps.time_us > earliest_us) & (stamps.time_us < latest)
         if len(numbers) and within.all():
             return form
     return None
@@ -222,10 +221,10 @@ def _likeliest(stamps: Sequence[str], formats: Sequence[str], file_name: str) ->
     """Of formats that all fit, those in which the log is as logs are: no steps of months, nothing
     in the future, and on the date that the file is named after."""
     kept = list(dict.fromkeys(formats))
-    now_us = (time.time_ns() // 1000) + _DAY // timedelta(microseconds=1)
+    latest = latest_us()
     times = {form: _parsed(stamps, form).time_us for form in kept}
     leaps = {form: int((np.abs(np.diff(t)) > _MONTH_US).sum()) for form, t in times.items()}
-    ahead = {form: int((t > now_us).sum()) for form, t in times.items()}
+    ahead = {form: int((t > latest).sum()) for form, t in times.items()}
     named = _date_of(file_name)
     far = {form: named is not None and _days_off(t, named) > 1 for form, t in times.items()}
     for misfit in (ahead, leaps, far):

@@ -114,7 +114,7 @@ def read_mcap_log(path: Path, source: LogSource) -> RawLog:
     content = _content(path, source, wanted)
     _require_topics(path, wanted, content)
     placed_stamps = [_placed(parts, source.time_zone) for parts in content.parts.values()]
-    stamps, refused = judged_together(path, placed_stamps, _time_name(source))
+    stamps, refused = judged_together(path, source, placed_stamps, _time_name(source))
     del placed_stamps
     channels: dict[str, RawChannel] = {}
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
@@ -159,7 +159,7 @@ def mcap_time_span(path: Path, source: LogSource) -> tuple[int, int]:
         return summary_span
     pieces = read_messages(path, salvage=source.salvage)
     times = np.concatenate([_times(messages, source.time_source) for messages in pieces])
-    stamps, _ = judged(path, from_epoch(times, "epoch_ns"), _time_name(source))
+    stamps, _ = judged(path, source, from_epoch(times, "epoch_ns"), _time_name(source))
     return span(path, [stamps.time_us[stamps.readable]])
 
 
@@ -177,7 +177,7 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
     log_times = [statistics.first_log_time, statistics.last_log_time]
     stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
     try:
-        good, refused = judged(path, stamps, _time_name(source))
+        good, refused = judged(path, source, stamps, _time_name(source))
     except LogError:
         return None  # The messages themselves say how many of them have no good time.
     # A single stamp may be wrong that the messages themselves would show to be so.

@@ -285,4 +285,4 @@ class Table:
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
         stamps = placed([self._written.taken()], self.source.time_zone)
-        return judged(self.path, stamps, time_name(self.source, stamps.example))
+        return judged(self.path, self.source, stamps, time_name(self.source, stamps.example))

@@ -131,7 +131,8 @@ def _modes(rows: pl.DataFrame) -> ByMotor:
 
 
 def _files(rows: pl.DataFrame) -> ByMotor:
-    return _named(rows, FILE_COLUMNS)
+    # One that is of no night stands under another's.
+    return _named(rows.filter(pl.col("night").is_not_null()), FILE_COLUMNS)
 
 
 def _quality(rows: pl.DataFrame) -> ByMotor:

@@ -7,7 +7,6 @@ import polars as pl
 from pipeline.schema.columns import (
     MOTOR_ID,
     NAMES,
-    NIGHT,
     RUN_ID,
     TIMESTAMP,
     Column,
@@ -21,7 +20,13 @@ INPUT_FILES = Table(
     (
         MOTOR_ID,
         Column("path", pl.String, "", "Relative to the log root"),
-        NIGHT,
+        Column(
+            "night",
+            pl.Date,
+            "",
+            "First night of the file; null where one that cannot be read is of none: its row "
+            "stands among those of the motor's first night",
+        ),
         Column("format", pl.String, "", "csv, parquet or mcap"),
         Column("size_bytes", pl.Int64, "B", "Size"),
         Column("sha256", pl.String, "", "Hash of the content; null where it could not be read"),

@@ -70,7 +70,12 @@ def _of_indicator(
         elif raised is not None:
             row = raised
         elif told != state:
-            row = _closing(standing, name, place, told, state, last_raised)
+            what = "told before" if last_raised is None else f"raised on {last_raised}"
+            what = f"what was {what} is not in the figures as they are now"
+            row = _closing(standing, name, place, told, state, what)
+        if label == standing.history.nights[-1]:
+            later = [said for night, said in sorted(published.items()) if night > label]
+            row = _with_withdrawn(standing, name, place, state, row, later)
         if row is not None:
             rows.append(row)
             told = row["to_state"]
@@ -130,23 +135,29 @@ def _way_to_ok(before: str) -> str:
     return "baseline" if before == INSUFFICIENT else "recovered"
 
 
-def _closing(
-    standing: Standing,
-    name: str,
-    place: int,
-    told: str,
-    state: str,
-    last_raised: dt.date | None,
-) -> Row:
+def _with_withdrawn(
+    standing: Standing, name: str, place: int, state: str, row: Row | None, later: Sequence[Row]
+) -> Row | None:
+    """The row of the last night, where there is one, once what was told of later ones is gone."""
+    raised = [one for one in later if one["to_state"] in RAISED]
+    if not raised and (not later or later[-1]["to_state"] == state):
+        return row
+    what = f"the nights after {standing.label(place)} are withdrawn: no log has samples of them"
+    what += "".join(f"; {one['to_state']} on {one['night']}: {one['reason']}" for one in raised)
+    if row is not None:
+        return row | {"reason": f"{row['reason']}; {what}"}
+    return _closing(standing, name, place, later[-1]["to_state"], state, what)
+
+
+def _closing(standing: Standing, name: str, place: int, told: str, state: str, what: str) -> Row:
     """The row that says which state an indicator is in, where published rows say another."""
-    what = "what was told before" if last_raised is None else f"what was raised on {last_raised}"
     return {
         **standing.key(place),
         "time": standing.end_of(place),
         "indicator": name,
         "from_state": told,
         "to_state": state,
-        "reason": f"recomputed: {what} is not in the figures as they are now",
+        "reason": f"recomputed: {what}",
         "deviation_percent": None,
         "way": RECOMPUTED,
         "path": None,

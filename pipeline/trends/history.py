@@ -114,11 +114,18 @@ def histories_of(
     fits: pl.DataFrame,
     parameters: pl.DataFrame,
     operation: pl.DataFrame,
-    tonight: dt.date | None = None,
+    until: dt.date | None = None,
 ) -> dict[str, History]:
-    """Histories of some motors from rows of `fits`, `parameters` and `operation`."""
-    found = rows_by_night(specs, fits, parameters, operation)
-    return {motor_id: without_gaps(one, tonight) for motor_id, one in found.items()}
+    """Histories of some motors from rows of `fits`, `parameters` and `operation`.
+
+    As of `every_night`, up to each motor's last row where no night is given.
+    """
+    found = {}
+    for motor_id, one in rows_by_night(specs, fits, parameters, operation).items():
+        history = every_night(one, until or one.nights[-1])
+        if history is not None:
+            found[motor_id] = history
+    return found
 
 
 def rows_by_night(
@@ -149,24 +156,27 @@ def rows_by_night(
     return found
 
 
-def without_gaps(history: History, tonight: dt.date | None) -> History:
-    """A history with every night up to tonight, those without a row as well.
+def every_night(history: History, until: dt.date) -> History | None:
+    """A history with every night up to one, those without a row as well; None where it has none.
 
     A night that no log covers is a night: what a run said of it then is said of it later, too. Of a
     motor that has been silent for long nothing is said any more: a clock was wrong, or it is gone.
     """
-    last = max(history.nights[-1], tonight or history.nights[-1])
-    numbers = np.arange((last - history.nights[0]).days + 1)
+    known = history.records[history.records["night"] <= np.datetime64(until)]
+    if not len(known):
+        return None
+    first = history.nights[0]
+    numbers = np.arange((until - first).days + 1)
     silent = numbers - history.numbers[np.searchsorted(history.numbers, numbers, "right") - 1]
-    every = nights_between(history.nights[0], last)
+    every = nights_between(first, until)
     labels = [every[number] for number in np.flatnonzero(silent <= LONGEST_SILENCE)]
     if len(labels) == len(history):
         return history
     records = blank_records(history.layout, labels)
-    places = np.searchsorted(records["night"], history.records["night"])
-    records[places] = history.records
+    places = np.searchsorted(records["night"], known["night"])
+    records[places] = known
     nothing = NightWords(NO_LOG, NO_LOG, (NO_LOG,) * len(history.layout.coefficients))
     gaps = np.setdiff1d(np.arange(len(labels)), places)
     words = dict.fromkeys(gaps.tolist(), nothing)
-    words |= {int(places[place]): one for place, one in history.words.items()}
+    words |= {int(places[place]): one for place, one in history.words.items() if place < len(known)}
     return History(history.spec, history.layout, records, words)

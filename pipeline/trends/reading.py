@@ -18,7 +18,8 @@ from pipeline.decisions import Decision
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS
 from pipeline.store import read_rows
-from pipeline.trends.history import History, rows_by_night, without_gaps
+from pipeline.tonight import Tonight
+from pipeline.trends.history import History, every_night, rows_by_night
 from pipeline.trends.kept_nights import KeptMonth, TableFolders, key_of, read_months, write_month
 from pipeline.trends.night_records import (
     FIT_COLUMNS,
@@ -41,7 +42,7 @@ def read_nights(
     specs: Sequence[MotorSpec],
     decisions: Sequence[Decision],
     since: Mapping[str, dt.date],
-    tonight: dt.date,
+    tonight: Tonight,
 ) -> dict[str, MotorNights]:
     """The published nights of some motors.
 
@@ -57,7 +58,7 @@ def read_nights(
         By motor, the first night that is to be made anew; of a motor without one, none is.
     tonight
         Nights up to this one are part of the history though they have no row, so that a motor that
-        went silent can be stale.
+        went silent can be stale; later ones are not, though they have.
 
     Raises
     ------
@@ -67,7 +68,7 @@ def read_nights(
     folders = TableFolders(output)
     found = {}
     for spec in specs:
-        layout = Layout.of(spec, tonight)
+        layout = Layout.of(spec, tonight.night)
         key = key_of(spec, layout, decisions)
         first = since.get(spec.motor_id)
         found[spec.motor_id] = MotorNights(
@@ -93,7 +94,7 @@ def read_nights(
     rows = read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id")
     for spec in specs:
         one = found[spec.motor_id]
-        one.take_nights(spec, made.get(spec.motor_id), nights, tonight)
+        one.take_nights(spec, made.get(spec.motor_id), nights, tonight.of(spec.motor_id))
         one.take_alarms(rows.filter(pl.col("motor_id") == spec.motor_id).to_dicts(), alarms)
     return found
 
@@ -172,7 +173,7 @@ class MotorNights:
         return {night: files.get(night, "") for night in nights}
 
     def take_nights(
-        self, spec: MotorSpec, made: History | None, nights: Collection[str], tonight: dt.date
+        self, spec: MotorSpec, made: History | None, nights: Collection[str], until: dt.date
     ) -> None:
         """Put what was read, of all these nights, beside what is kept of the others."""
         kept = self._joined(one.records for one in self.months.values())
@@ -184,7 +185,7 @@ class MotorNights:
             places = np.searchsorted(self._records["night"], new["night"]).tolist()
             words = {} if made is None else {places[at]: one for at, one in made.words.items()}
             whole = History(spec, self.layout, self._records, words)
-            self.history = without_gaps(whole, tonight)
+            self.history = every_night(whole, until)
 
     def take_alarms(self, rows: Sequence[Row], nights: Collection[str]) -> None:
         """The same of the rows of `alarms`."""
@@ -250,12 +251,11 @@ class MotorNights:
         whole = self._records
         records = whole[whole["night"].astype("M8[M]") == np.datetime64(month)]
         until = None
-        if done is not None:
-            made = done[np.searchsorted(done["night"], records["night"])]
-        else:
-            made, ready = records.copy(), self.together
-            ready = ready[np.isin(ready["night"], records["night"])]
-            made[np.searchsorted(made["night"], ready["night"])] = ready
+        # Nights after tonight are not done yet.
+        made, ready = records.copy(), self.together if done is None else done
+        ready = ready[np.isin(ready["night"], records["night"])]
+        made[np.searchsorted(made["night"], ready["night"])] = ready
+        if done is None:
             until = min((one for one in _labels(records["night"]) if one >= self.until), default="")
         alarms = self.folders.files(ALARMS, month)
         return KeptMonth(

@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -24,9 +25,10 @@ from leakage.slope import benjamini_hochberg
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
 from pipeline.errors import StoreError
-from pipeline.schema import BLOCK_STATISTICS, TREND_TABLES
-from pipeline.store import read_rows, stage
+from pipeline.schema import BLOCK_STATISTICS, TREND_TABLES, TRENDS
+from pipeline.store import nights_back, read_rows, stage
 from pipeline.stored_blocks import BLOCK_COLUMNS
+from pipeline.tonight import Tonight
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.eras import Era, eras_of, indicators_of
@@ -64,7 +66,7 @@ class TrendTask:
     changed_from
         By motor that was asked for: its first night with new rows; None where it has none.
     tonight
-        Last night of the fleet.
+        Up to where each motor is judged.
     decisions
         What people said.
     given_up
@@ -75,7 +77,7 @@ class TrendTask:
     output: Path
     staging: Path
     changed_from: Mapping[str, dt.date | None]
-    tonight: dt.date
+    tonight: Tonight
     decisions: tuple[Decision, ...] = ()
     given_up: Mapping[str, Loss] = field(default_factory=dict)
 
@@ -107,7 +109,7 @@ def trend_tasks(
     output: Path,
     staging: Path,
     changed_from: Mapping[str, dt.date | None],
-    tonight: dt.date,
+    tonight: Tonight,
     decisions: tuple[Decision, ...],
     motors_a_task: int,
 ) -> list[TrendTask]:
@@ -246,7 +248,8 @@ def nights_to_do(
 
     New nights, and those from the first on that a late log has touched, of any motor of the
     circuit: what one does says what moves all. All of them where the settings or what people said
-    changed. A motor that was not asked for gets no new nights.
+    changed. A motor that was not asked for gets no new nights. Where nights are published that lie
+    after the motor's last, that one: it says that they are withdrawn.
     """
     found = {}
     for motor_id, first in first_nights(task, group, hashes):
@@ -271,7 +274,8 @@ def first_nights(
     earliest = [night for night in touched if night is not None]
     for motor_id, before in records.items():
         if before is not None and before.trend_hash == hashes[motor_id]:
-            yield motor_id, min([before.last_night + dt.timedelta(days=1), *earliest])
+            until, after = task.tonight.of(motor_id), before.last_night + dt.timedelta(days=1)
+            yield motor_id, min([until if before.last_night > until else after, *earliest])
         elif before is not None or motor_id in task.changed_from:
             yield motor_id, dt.date.min
 
@@ -383,6 +387,7 @@ def _stage_motor(
 ) -> tuple[int, list[Row]]:
     """Stage the rows of some nights of a motor; how many nights, and the new rows of `alarms`."""
     history, motor_id = part.history, part.history.spec.motor_id
+    gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
     standing = standing_of(part, peers)
     alarms = alarm_rows(standing, places, published)
@@ -392,13 +397,21 @@ def _stage_motor(
         "baselines": baseline_rows(standing, places),
         "change_points": change_point_rows(standing, places),
     }
-    labels = [history.nights[place] for place in places]
+    labels = [*(history.nights[place] for place in places), *gone]
     for table in TREND_TABLES:
         nights: dict[dt.date, list[Row]] = {label: [] for label in labels}
         for row in made[table.name]:
             nights[row["night"]].append(row)
         stage(task.staging / table.name / f"{motor_id}.arrow", table, nights)
     return len(places), new_alarms(alarms, published)
+
+
+def _withdrawn(output: Path, history: History, first: dt.date) -> list[dt.date]:
+    """Nights from one on in which a motor has published trends, and that are none of its nights."""
+    published = takewhile(lambda night: night >= first, nights_back(output, TRENDS))
+    others = set(published).difference(history.nights)
+    rows = read_rows(output, TRENDS, [history.spec.motor_id], ("night",), nights=others)
+    return sorted(set(rows["night"]))
 
 
 def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:

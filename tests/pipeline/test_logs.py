@@ -21,6 +21,7 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.logs import (
     LONGEST_LOG_DAYS,
+    Tellable,
     covered,
     find_logs,
     inspect_log,
@@ -38,6 +39,7 @@ UNITS = {
 }
 EVENING = dt.datetime(2026, 1, 1, 22, tzinfo=dt.UTC)
 LABEL = dt.date(2026, 1, 2)
+LATEST = dt.date(2026, 6, 1)
 MINUTE = dt.timedelta(minutes=1)
 YEAR = dt.timedelta(days=365)
 
@@ -274,10 +276,15 @@ class TestPlaceFailed:
         return FileRecord(name, 10, us(modified) * 1000, "x", status="failed", message="torn")
 
     def placed(
-        self, spec: MotorSpec, *records: FileRecord, before: Sequence[FileRecord] = ()
+        self,
+        spec: MotorSpec,
+        *records: FileRecord,
+        before: Sequence[FileRecord] = (),
+        latest: dt.date = LATEST,
     ) -> dict[str, FileRecord]:
         by_name = {record.path: record for record in records}
-        return place_failed(by_name, {record.path: record for record in before}, spec)
+        known = {record.path: record for record in before}
+        return place_failed(by_name, known, spec, Tellable.of((*records, *before), latest))
 
     def readable(self, name: str, *nights: str) -> FileRecord:
         return FileRecord(name, 10, 1, "y", nights=nights)
@@ -328,6 +335,68 @@ class TestPlaceFailed:
         ]
         assert list(self.placed(spec, *records).values()) == records
 
+    @pytest.mark.parametrize(
+        ("name", "modified", "why"),
+        [
+            ("x_2099-01-01.csv", EVENING, "more than a day ahead"),
+            ("x_2026-06-02.csv", EVENING, "more than a day ahead"),
+            ("x.csv", dt.datetime(2099, 1, 1, tzinfo=dt.UTC), "more than a day ahead"),
+            ("x_2026-02-10.csv", EVENING, "more than 31 days from those of the motor's other"),
+            ("x_2025-11-30.csv", EVENING, "more than 31 days from those of the motor's other"),
+            ("x.csv", dt.datetime(2026, 2, 9, 22, tzinfo=dt.UTC), "more than 31 days from"),
+        ],
+    )
+    def test_a_night_far_off_is_none(
+        self, spec: MotorSpec, name: str, modified: dt.datetime, why: str
+    ) -> None:
+        """The motor's readable logs are of 1 to 9 January."""
+        others = [self.readable(f"{day}.csv", f"2026-01-0{day}") for day in (1, 5, 9)]
+        record = self.placed(spec, *others, self.failed(name, modified))[name]
+        assert record.nights == ()
+        assert record.message
+        assert record.message.startswith("torn (told by ")
+        assert why in record.message
+        # The next run finds it as this one left it.
+        assert self.placed(spec, *others, record, before=[record])[name] == record
+
+    @pytest.mark.parametrize("label", ["2025-12-01", "2025-12-31", "2026-01-10", "2026-02-09"])
+    def test_a_night_near_the_others_is_one(self, spec: MotorSpec, label: str) -> None:
+        others = [self.readable(f"{day}.csv", f"2026-01-0{day}") for day in (1, 9)]
+        assert self.placed(spec, *others, self.failed(f"x_{label}.csv"))[
+            f"x_{label}.csv"
+        ].nights == (label,)
+
+    def test_logs_of_before_are_the_motors_too(self, spec: MotorSpec) -> None:
+        """The logger's folder may hold the newest log alone."""
+        gone = self.readable("old.csv", "2026-01-01")
+        for label, nights in (("2026-01-20", ("2026-01-20",)), ("2026-03-01", ())):
+            name = f"x_{label}.csv"
+            assert self.placed(spec, self.failed(name), before=[gone])[name].nights == nights
+
+    def test_what_a_run_before_told_is_judged_anew(self, spec: MotorSpec) -> None:
+        told = replace(
+            self.failed("x_2099-01-01.csv"),
+            nights=("2099-01-01",),
+            message="torn (night told by its name)",
+        )
+        record = self.placed(spec, told, before=[told])[told.path]
+        assert record.nights == ()
+        assert record.message == (
+            "torn (told by its name, its night would lie more than a day ahead: it is of none)"
+        )
+
+    def test_a_time_that_no_date_can_say(self, spec: MotorSpec) -> None:
+        record = replace(self.failed("x.csv"), modified_ns=2**63 - 1)
+        assert self.placed(spec, record)["x.csv"].nights == ()
+        year_60_000 = replace(record, modified_ns=10**9 * 86_400 * 365 * 58_000)
+        assert self.placed(spec, year_60_000)["x.csv"].nights == ()
+
+    def test_one_that_did_not_answer_is_told_by_its_name(self, spec: MotorSpec) -> None:
+        """Nobody knows when it was written."""
+        for name, nights in (("x_2026-01-04.csv", ("2026-01-04",)), ("x.csv", ())):
+            record = FileRecord(name, 0, 0, None, status="failed", error_code="log_no_answer")
+            assert self.placed(spec, record)[name].nights == nights
+
     def test_one_that_vanished_is_of_no_night(self, spec: MotorSpec, tmp_path: Path) -> None:
         record = looked_at(tmp_path / "vanished.csv", spec)
         assert self.placed(spec, record)["vanished.csv"].nights == ()
@@ -336,8 +405,9 @@ class TestPlaceFailed:
         (tmp_path / "folder").mkdir()
         (tmp_path / "link").symlink_to(tmp_path / "gone")
         for name in ("folder", "link"):
-            (label,) = labels_of(self.placed(spec, looked_at(tmp_path / name, spec))[name])
             today = night_of(us(dt.datetime.now(dt.UTC)), Nights())
+            placed = self.placed(spec, looked_at(tmp_path / name, spec), latest=today + DAY)
+            (label,) = labels_of(placed[name])
             assert abs(label - today) <= DAY
 
 

@@ -22,7 +22,7 @@ from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, plan_fleet
 from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import Ledger, NightRecord
-from pipeline.logs import find_logs, inspect_log, place_failed, slice_night
+from pipeline.logs import Tellable, find_logs, inspect_log, place_failed, slice_night
 from pipeline.motor_night import NightOutcome, fit_night
 from pipeline.motor_task import run_motor
 from pipeline.settings_hashes import config_hash
@@ -270,10 +270,10 @@ def test_a_file_placed_by_guess_makes_no_holes(workshop: Workshop) -> None:
     workshop.log(NIGHT)
     broken = workshop.logs / "latest.parquet"
     broken.write_bytes(b"PAR1 nonsense")
-    seconds = dt.datetime(2026, 8, 1, 3, tzinfo=dt.UTC).timestamp()
+    seconds = dt.datetime(2026, 3, 20, 3, tzinfo=dt.UTC).timestamp()
     os.utime(broken, (seconds, seconds))
     outcome = workshop.run()
-    assert outcome.nights == (NIGHT, dt.date(2026, 8, 1))
+    assert outcome.nights == (NIGHT, dt.date(2026, 3, 20))
     assert "by when it was written" in (outcome.message or "")
     workshop.log(NIGHT + DAY)
     assert workshop.run().nights == (NIGHT + DAY,)
@@ -576,7 +576,7 @@ def test_failed_files_are_placed_by_what_most_names_say(workshop: Workshop) -> N
     name = f"log-{NIGHT + 5 * DAY:%Y%m%d}.parquet"
     (workshop.logs / name).write_bytes(b"x")
     records[name] = inspect_log(name, workshop.logs / name, None, spec)
-    placed = place_failed(records, {}, spec)[name]
+    placed = place_failed(records, {}, spec, Tellable.of(records.values(), NIGHT + 9 * DAY))[name]
     assert placed.nights == ((NIGHT + 6 * DAY).isoformat(),)
 
 

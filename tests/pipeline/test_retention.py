@@ -58,7 +58,7 @@ def contents(workshop: Workshop) -> dict[str, bytes]:
 
 def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Workshop) -> None:
     before = contents(workshop)
-    prune(workshop.output, old_files(workshop.output, KEPT))
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
     after = contents(workshop)
     gone = {
         f"tables/{table}/month={night:%Y-%m}/{night}.parquet"
@@ -75,14 +75,14 @@ def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Worksho
 
 
 def test_a_pruned_night_is_not_made_anew(workshop: Workshop) -> None:
-    prune(workshop.output, old_files(workshop.output, KEPT))
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
     request = RunRequest(load_fleet(workshop.fleet))
     assert dict(plan_fleet(request)) == {"M1": {}}
     assert workshop.run().nights == ()
 
 
 def test_a_late_log_makes_a_pruned_night_whole_again(workshop: Workshop) -> None:
-    prune(workshop.output, old_files(workshop.output, KEPT))
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
     workshop.log(NIGHTS[0], seed=3)
     assert workshop.run().nights == NIGHTS[:2]
     assert nights_of(workshop, "predictions") == [NIGHTS[0], *NIGHTS[-2:]]
@@ -90,7 +90,7 @@ def test_a_late_log_makes_a_pruned_night_whole_again(workshop: Workshop) -> None
 
 
 def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
-    prune(workshop.output, old_files(workshop.output, dict.fromkeys(HEAVY, 1)))
+    prune(workshop.output, old_files(workshop.output, dict.fromkeys(HEAVY, 1), NIGHTS[-1]))
     for log in workshop.logs.iterdir():
         log.unlink()
     workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n", fleet=SEARCHED)
@@ -100,7 +100,7 @@ def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
 
 
 def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Workshop) -> None:
-    prune(workshop.output, old_files(workshop.output, {"block_statistics": 3}))
+    prune(workshop.output, old_files(workshop.output, {"block_statistics": 3}, NIGHTS[-1]))
     (workshop.logs / f"{NIGHTS[0]}.parquet").unlink()
     workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n", fleet=SEARCHED)
     assert workshop.run().n_refitted == 3
@@ -117,15 +117,15 @@ def test_a_crash_between_manifest_and_file_is_mended_by_pruning_again(
     with monkeypatch.context() as patch:
         patch.setattr("pipeline.retention.remove", crash)
         with pytest.raises(KeyboardInterrupt):
-            prune(workshop.output, old_files(workshop.output, KEPT))
+            prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
     assert list(verify_tables(workshop.output)) == []
-    prune(workshop.output, old_files(workshop.output, KEPT))
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
     assert list(verify_tables(workshop.output)) == []
     assert nights_of(workshop, "starts") == list(NIGHTS[-2:])
 
 
 def test_what_is_told_is_what_goes(workshop: Workshop) -> None:
-    (old,) = old_files(workshop.output, {"predictions": 4})
+    (old,) = old_files(workshop.output, {"predictions": 4}, NIGHTS[-1])
     assert old.nights == NIGHTS[:2]
     folder = workshop.output / "tables" / "predictions" / "month=2026-02"
     assert old.size_bytes == sum(
@@ -134,7 +134,7 @@ def test_what_is_told_is_what_goes(workshop: Workshop) -> None:
 
 
 def test_nothing_is_old_in_an_empty_output(tmp_path: Path) -> None:
-    assert old_files(tmp_path, KEPT) == ()
+    assert old_files(tmp_path, KEPT, None) == ()
 
 
 def test_figures_trends_and_decisions_cannot_be_pruned() -> None:
@@ -207,7 +207,7 @@ def test_pruning_waits_for_no_run(workshop: Workshop, command: Command) -> None:
 
 def test_trends_do_not_notice(workshop: Workshop) -> None:
     before, record = workshop.rows("trends"), read_record(workshop.output, "M1")
-    prune(workshop.output, old_files(workshop.output, KEPT))
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
     workshop.run()
     assert workshop.rows("trends").equals(before)
     assert read_record(workshop.output, "M1") == record

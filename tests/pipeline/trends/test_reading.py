@@ -22,6 +22,7 @@ from pipeline.retention import old_files, prune
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
 from pipeline.sealed import seal_bytes
 from pipeline.store import night_file, read_rows, write_table
+from pipeline.tonight import Tonight
 from pipeline.trends import kept_nights, reading, stage
 from pipeline.trends.kept_nights import key_of
 from pipeline.trends.night_records import Layout
@@ -186,7 +187,9 @@ def damaged(fleet: Fleet) -> None:
 
 def pruned(fleet: Fleet) -> None:
     """The blocks of the older nights: those too poor alone have no figures any more."""
-    prune(fleet.output, old_files(fleet.output, {"block_statistics": 8}))
+    prune(
+        fleet.output, old_files(fleet.output, {"block_statistics": 8}, night_of(fleet.before + 20))
+    )
     fleet.publish(21)
 
 
@@ -304,7 +307,7 @@ def two_months(tmp_path: Path) -> Fleet:
 def read(fleet: Fleet) -> list[str]:
     """Nights of the first motor as the next run sees them."""
     (spec, _) = load_fleet(fleet.config).motors
-    found = read_nights(fleet.output, [spec], (), {}, night_of(fleet.before + 8))["M1"]
+    found = read_nights(fleet.output, [spec], (), {}, Tonight(night_of(fleet.before + 8)))["M1"]
     found.keep("M1", None)
     assert found.history is not None
     return [str(night) for night in found.history.nights]

@@ -16,6 +16,7 @@ from pipeline.decisions import Decision, record_decision
 from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
 from pipeline.store import read_rows
+from pipeline.tonight import Tonight
 from pipeline.trends.record import Record, note_touched, read_record, trend_hash, write_record
 from pipeline.trends.stage import (
     TrendTask,
@@ -133,7 +134,7 @@ SPECS = [named(motor(), name, circuit) for name, circuit in (("A", "t"), ("B", "
 
 
 def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> TrendTask:
-    return TrendTask(tuple(SPECS[:2]), output, output, changed, night_of(39), said)
+    return TrendTask(tuple(SPECS[:2]), output, output, changed, Tonight(night_of(39)), said)
 
 
 def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
@@ -210,7 +211,13 @@ def test_tasks_hold_whole_circuits(tmp_path: Path) -> None:
 
     def motors(*changed: str) -> list[list[str]]:
         made = trend_tasks(
-            SPECS, tmp_path, tmp_path, dict.fromkeys(changed), night_of(0), (), motors_a_task=1
+            SPECS,
+            tmp_path,
+            tmp_path,
+            dict.fromkeys(changed),
+            Tonight(night_of(0)),
+            (),
+            motors_a_task=1,
         )
         return [[spec.motor_id for spec in one.specs] for one in made]
 
@@ -303,7 +310,7 @@ def test_a_broken_motor_takes_no_other_down(
     (tmp_path / "staging").mkdir()
     asked = {"A": night_of(0), "B": night_of(0)}
     found = stage.run_trends(
-        TrendTask(tuple(SPECS[:2]), tmp_path, tmp_path / "staging", asked, night_of(4))
+        TrendTask(tuple(SPECS[:2]), tmp_path, tmp_path / "staging", asked, Tonight(night_of(4)))
     )
     assert found.failures == {"A": Loss("internal", "ZeroDivisionError: in one motor")}
     assert found.nights == {"B": 5}

@@ -1,0 +1,20 @@
+"""The run's clock, by which samples and nights lie too far ahead to be any."""
+
+from __future__ import annotations
+
+import datetime as dt
+
+MICROSECOND = dt.timedelta(microseconds=1)
+EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+# A logger's clock may be in another zone than it says, but not further ahead.
+FARTHEST_AHEAD = dt.timedelta(days=1)
+
+
+def now() -> dt.datetime:
+    """The time of this machine."""
+    return dt.datetime.now(dt.UTC)
+
+
+def latest_us(clock: dt.datetime | None = None) -> int:
+    """Latest time that a log may hold by a clock, this machine's by default [µs since 1970]."""
+    return ((clock or now()) + FARTHEST_AHEAD - EPOCH) // MICROSECOND
