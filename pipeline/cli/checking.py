@@ -116,11 +116,13 @@ def _channel_line(channel: ChannelCheck) -> str:
     parts = [f"{channel.channel}:"]
     parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
     unit = canonical_unit(channel.channel).replace("degC", "°C")
-    median = f"median {channel.median:.4g} {unit},"
-    parts.append("no value," if channel.median is None else median)
-    parts.append(f"{100 * channel.share_missing:.2g} % missing,")
-    parts.append(f"{100 * channel.share_refused:.2g} % refused")
-    rules = ", ".join(f"{name} {100 * share:.2g} %" for name, share in channel.refused_by.items())
+    if channel.median is None:
+        parts.append("no value is kept,")
+    else:
+        parts.append(f"median {channel.median:.4g} {unit},")
+    parts.append(f"{100 * channel.share_missing:.3g} % missing,")
+    parts.append(f"{100 * channel.share_refused:.3g} % refused")
+    rules = ", ".join(f"{name} {100 * share:.3g} %" for name, share in channel.refused_by.items())
     parts.append(f"({rules})" if rules else "")
     line = " ".join(part for part in parts if part)
     looks = f", looks {channel.looks}" if channel.looks else ""
