@@ -13,6 +13,7 @@ from pipeline.cli.arguments import (
     EXIT_MOTORS_FAILED,
     EXIT_OK,
     AsJson,
+    absolute_folder,
     load,
     loaded,
     say,
@@ -37,7 +38,10 @@ def check(
         bool, typer.Option("--tables", help="Compare every table file with its manifest instead.")
     ] = False,
     output: Annotated[
-        Path | None, typer.Option(help="Output folder of the tables, instead of the config's.")
+        Path | None,
+        typer.Option(
+            callback=absolute_folder, help="Output folder of the tables, instead of the config's."
+        ),
     ] = None,
 ) -> None:
     """Check the config of a fleet and look at the ends of each log; nothing is fitted.
@@ -75,7 +79,7 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool) ->
 
     if config is None:
         raise UsageError("config", "name the fleet file whose tables are to be checked")
-    folder = output.resolve() if output is not None else loaded(config).output
+    folder = output or loaded(config).output
     faults = 0
     for fault in verify_tables(folder):
         faults += 1

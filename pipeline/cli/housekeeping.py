@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.cli.arguments import AsJson, ConfigFile, Output, load, say
+from pipeline.cli.arguments import AsJson, ConfigFile, Output, absolute_folder, load, say
 
 
 def prune(
@@ -110,7 +110,10 @@ def migrate(
 def pull(
     config: ConfigFile,
     output: Annotated[
-        Path | None, typer.Option(help="Folder of the copy, instead of the config's output.")
+        Path | None,
+        typer.Option(
+            callback=absolute_folder, help="Folder of the copy, instead of the config's output."
+        ),
     ] = None,
 ) -> None:
     """Bring the output folder up to date with the object store that it is published to.
@@ -121,7 +124,7 @@ def pull(
 
     fleet = load(config, None, None, logs=False)
     if output is not None:
-        fleet = replace(fleet, output=output.resolve())
+        fleet = replace(fleet, output=output)
     if not fleet.object_store:
         say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
         return

@@ -22,6 +22,7 @@ import pipeline.cli
 import pipeline.fleet
 import pipeline.publishing
 from pipeline.cli import app, main
+from pipeline.config.loading import OWN_FOLDERS
 from pipeline.errors import StoreError
 from pipeline.store import NightFile, prepare_night
 from tests.conftest import OwnFleet
@@ -132,6 +133,7 @@ def test_2_for_a_broken_config_before_anything_is_read(
         (["--jobs", "0"], "--jobs"),
         (["--jobs", "two"], "--jobs"),
         (["--fast"], "--fast"),
+        (["--output", "x" * 300], "expected a folder: File name too long"),
         (["another.toml"], "another.toml"),
     ],
 )
@@ -158,6 +160,17 @@ def test_2_where_the_root_of_the_logs_is_not_there(call: Call, fleet: Path) -> N
         code, _, err = call(command, fleet)
         assert code == 2
         assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err
+
+
+def test_2_where_the_output_would_lie_among_the_logs(call: Call, fleet: Path) -> None:
+    code, out, err = call("fit-fleet", fleet, "--output", fleet.parent.parent / "logs")
+    assert (code, out) == (2, "")
+    assert err.startswith("motor-leakage: folder: --output: got ")
+    assert "expected another folder than that of the logs" in err
+
+
+def test_the_output_of_a_run_has_no_folders_but_those_that_are_known(fitted_output: Path) -> None:
+    assert {path.name for path in fitted_output.iterdir() if path.is_dir()} <= set(OWN_FOLDERS)
 
 
 def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
