@@ -19,6 +19,7 @@ from pipeline.cli.arguments import (
     say,
 )
 from pipeline.errors import UsageError
+from pipeline.messages import error_line
 
 if TYPE_CHECKING:
     from pipeline.channel_check import ChannelCheck
@@ -50,7 +51,8 @@ def check(
 
     Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
 
-    Exit code 0: no fault; 1: a log cannot be read; 2: a fault in the config.
+    Exit code 0: no fault; 1: a log cannot be read, or there is none at all; 2: a fault in the
+    config.
     """
     from pipeline.check import check_fleet
 
@@ -70,7 +72,13 @@ def check(
             typer.echo(json.dumps(asdict(one)))
     else:
         _print_checks(checks)
-    raise typer.Exit(EXIT_MOTORS_FAILED if any(one.faults for one in checks) else EXIT_OK)
+    there_are_logs = any(one.n_files for one in checks)
+    if not there_are_logs:
+        where = fleet.log_url or fleet.log_root
+        message = f"no log of any motor is below {where}; correct folders.logs, or logs.files"
+        say(error_line("no_logs", message, EXIT_MOTORS_FAILED, as_json=as_json), err=True)
+    faulty = not there_are_logs or any(one.faults for one in checks)
+    raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 
 
 def _check_tables(config: Path | None, output: Path | None, *, as_json: bool) -> int:

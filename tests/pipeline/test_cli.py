@@ -180,7 +180,6 @@ def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
     code, out, err = call("fit-fleet", fleet)
     assert (code, err) == (0, "")
     assert out.count("no_new_data (nothing to do): no file matches CB400-0") == 2
-    assert call("check", fleet)[0] == 0
 
 
 def test_3_while_another_run_holds_the_output(call: Call, fleet: Path) -> None:
@@ -368,6 +367,27 @@ def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
     assert any(line.startswith(PARQUET) and "1 faults" in line for line in out.splitlines())
     assert err.startswith(f"{PARQUET}: log_")
     assert broken.name in err
+
+
+def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet) -> None:
+    """A wrong folder or pattern must not pass for a sound fleet."""
+    fleet = own_fleet(CSV, PARQUET)
+    logs = fleet.parent.parent / "logs"
+    for path in (logs / PARQUET).iterdir():
+        path.unlink()
+    code, out, err = call("check", fleet)
+    assert (code, err) == (0, "")
+    assert f"no file matches {PARQUET}/*.parquet below {logs}" in out
+    for path in (logs / CSV).iterdir():
+        path.unlink()
+    code, _, err = call("check", fleet)
+    assert code == 1
+    assert err == (
+        f"motor-leakage: no_logs: no log of any motor is below {logs}; correct folders.logs, or "
+        "logs.files\n"
+    )
+    code, _, err = call("check", fleet, "--json")
+    assert (code, json.loads(err)["code"]) == (1, "no_logs")
 
 
 # One night
