@@ -35,9 +35,11 @@ def prune(
     from pipeline.fleet import locked
     from pipeline.retention import nights_kept, old_files
     from pipeline.retention import prune as remove
+    from pipeline.store import existing_tables
     from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
+    existing_tables(fleet.output)
     kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
     old = old_files(fleet.output, kept)
     if yes and old:
@@ -88,9 +90,12 @@ def migrate(
     from pipeline.migration import migrate as rewrite
     from pipeline.migration import old_table_files
     from pipeline.schema import SCHEMA_VERSION
+    from pipeline.store import existing_tables
     from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
+    if dry_run or not fleet.object_store:
+        existing_tables(fleet.output)
     if dry_run:
         found = Counter(one.version for one in old_table_files(fleet.output))
     else:

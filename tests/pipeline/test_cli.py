@@ -390,6 +390,21 @@ def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet
     assert (code, json.loads(err)["code"]) == (1, "no_logs")
 
 
+@pytest.mark.parametrize(
+    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1"), ("migrate",)]
+)
+def test_2_where_there_are_no_tables(
+    call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """A wrong folder must not pass for sound tables, and none is made."""
+    elsewhere = tmp_path / "elsewhere"
+    name, *options = command
+    code, out, err = call(name, own_fleet(CSV), *options, "--output", elsewhere)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"motor-leakage: no_tables: there are no tables in {elsewhere}")
+    assert not elsewhere.exists()
+
+
 # One night
 
 
