@@ -19,7 +19,7 @@ import polars as pl
 from pipeline.errors import StoreError, UsageError
 from pipeline.landing import put, remove_leftovers
 from pipeline.schema import TABLES, TIMESTAMP, Table
-from pipeline.store import read_table, table_folder
+from pipeline.store import existing_tables, read_table, table_folder
 
 BYTE_ORDER_MARK = "\ufeff"
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
@@ -112,9 +112,7 @@ def export_csv(
         If a table is damaged (``store_read``), newer than the program (``store_newer``), or a
         file cannot be written (``store_write``).
     """
-    tables = output / "tables"
-    if not tables.is_dir():
-        raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")
+    tables = existing_tables(output)
     if folder.resolve().is_relative_to(tables.resolve()):
         raise UsageError("csv_folder", f"{folder} lies within the tables; name another folder")
     remove_leftovers([folder], below=False)

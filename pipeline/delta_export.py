@@ -16,7 +16,7 @@ import pyarrow as pa
 from pipeline.errors import StoreError, UsageError
 from pipeline.object_store import ObjectStore, is_url
 from pipeline.schema import TABLES, Table
-from pipeline.store import read_table, table_folder
+from pipeline.store import existing_tables, read_table, table_folder
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +62,7 @@ def export_delta(
         raise UsageError(
             "delta_missing", f"--delta needs the extra `delta` ({error}): motor-leakage[delta]"
         ) from error
-    root = output / "tables"
-    if not root.is_dir():
-        raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")
+    root = existing_tables(output)
     if is_url(place):
         ObjectStore.at(place)  # for its words on credentials
     elif Path(place).resolve().is_relative_to(root.resolve()):

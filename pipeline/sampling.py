@@ -104,6 +104,8 @@ class CountedFlow:
     counter_reset: Mask
 
 
+# A count may be infinite, and two of them further apart than float64 reaches.
+@np.errstate(over="ignore", invalid="ignore")
 def flow_from_counts(
     time_us: Times, count: Values, longest_gap_us: float, sampling: Sampling
 ) -> CountedFlow:

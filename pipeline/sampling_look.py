@@ -36,6 +36,8 @@ Kind = Literal[
 # Samples of the head of a log that are looked at, and fewest that tell anything.
 HEAD = 20_000
 FEWEST = 30
+# Larger figures are no readings, and their squares no numbers.
+LARGEST = 1e100
 # A step is a silence beyond so many of the shortest tenth of steps; a log is irregular where
 # silences are so frequent, and take up so much of the time.
 SILENCE_STEPS = 3.5
@@ -130,8 +132,8 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
 
 
 def _head(raw: RawChannel) -> tuple[Values, Values]:
-    """Times [s] and finite values of the first samples, in order of time, each time once."""
-    rows = np.flatnonzero(~raw.missing & np.isfinite(raw.value))[:HEAD]
+    """Times [s] and values of the first samples, in order of time, each time once."""
+    rows = np.flatnonzero(~raw.missing & (np.abs(raw.value) < LARGEST))[:HEAD]
     time_us, first = np.unique(raw.time_us[rows], return_index=True)
     time_s = (time_us - time_us[:1]) / 1e6
     return time_s, raw.value[rows][first]

@@ -20,7 +20,7 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.errors import StoreError
+from pipeline.errors import StoreError, UsageError
 from pipeline.landing import Prepared, move, prepare, put, read, scratch
 from pipeline.schema import SCHEMA_VERSION, Table, frame
 
@@ -31,6 +31,20 @@ VERSION_KEY = "motor_leakage_schema_version"
 PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
 MONTH_PREFIX, ENDING = "month=", ".parquet"
+
+
+def existing_tables(output: Path) -> Path:
+    """Folder of all tables.
+
+    Raises
+    ------
+    UsageError
+        ``no_tables``: there are none.
+    """
+    tables = output / "tables"
+    if not tables.is_dir():
+        raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")
+    return tables
 
 
 def table_folder(output: Path, table: Table) -> Path:

@@ -171,6 +171,8 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
     return readings
 
 
+# A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
+@np.errstate(over="ignore", invalid="ignore")
 def convert_to_canonical(channel: str, readings: NDArray[np.float64], unit: str) -> None:
     """As `to_canonical`, in the array itself.
 
@@ -190,6 +192,7 @@ def convert_to_canonical(channel: str, readings: NDArray[np.float64], unit: str)
         readings /= denominator
 
 
+@np.errstate(over="ignore", invalid="ignore")
 def from_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
     """Readings of a channel in a unit of a log: the inverse of `to_canonical`.
 

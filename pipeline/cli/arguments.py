@@ -19,13 +19,27 @@ if TYPE_CHECKING:
 EXIT_OK, EXIT_MOTORS_FAILED, EXIT_USAGE, EXIT_LOCKED, EXIT_NOTHING_PUBLISHED = 0, 1, 2, 3, 4
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
+
+def absolute_folder(given: Path | None) -> Path | None:
+    """The absolute path of a folder that an option names; one that cannot be is wrong usage."""
+    from pipeline.config import absolute
+
+    try:
+        return given and absolute(given)
+    except ValueError as error:
+        raise typer.BadParameter(f"expected a folder: {error}") from error
+
+
 ConfigFile = Annotated[
     Path, typer.Argument(metavar="CONFIG", help="The fleet file, such as configs/fleet.toml.")
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line, for programs.")]
 Output = Annotated[
     Path | None,
-    typer.Option(help="Output folder instead of the config's; it goes into no object store."),
+    typer.Option(
+        callback=absolute_folder,
+        help="Output folder instead of the config's; it goes into no object store.",
+    ),
 ]
 Motors = Annotated[
     str, typer.Option(help="Ids of the motors to do, with blanks between; all if empty.")
@@ -44,14 +58,16 @@ def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = Tr
 
     A run into another output folder is private: nothing is taken from or put into an object store.
     """
-    from pipeline.config import ConfigError, Fault
+    from pipeline.config import ConfigError, Fault, overlap
 
     fleet = loaded(config)
     if logs and not fleet.log_url and not fleet.log_root.is_dir():
         fault = Fault(config.name, "folders.logs", f"expected a folder at {fleet.log_root}")
         raise ConfigError([fault])
-    if output is not None and output.resolve() != fleet.output:
-        fleet = replace(fleet, output=output.resolve(), object_store="")
+    if output is not None and output != fleet.output:
+        fleet = replace(fleet, output=output, object_store="")
+        if (expected := overlap(fleet)) is not None:
+            raise UsageError("folder", f"--output: got {output}; {expected}")
     if jobs is not None:
         fleet = replace(fleet, execution=fleet.execution.model_copy(update={"workers": jobs}))
     return fleet

@@ -13,11 +13,13 @@ from pipeline.cli.arguments import (
     EXIT_MOTORS_FAILED,
     EXIT_OK,
     AsJson,
+    absolute_folder,
     load,
     loaded,
     say,
 )
 from pipeline.errors import UsageError
+from pipeline.messages import error_line
 
 if TYPE_CHECKING:
     from pipeline.channel_check import ChannelCheck
@@ -37,7 +39,10 @@ def check(
         bool, typer.Option("--tables", help="Compare every table file with its manifest instead.")
     ] = False,
     output: Annotated[
-        Path | None, typer.Option(help="Output folder of the tables, instead of the config's.")
+        Path | None,
+        typer.Option(
+            callback=absolute_folder, help="Output folder of the tables, instead of the config's."
+        ),
     ] = None,
 ) -> None:
     """Check the config of a fleet and look at the ends of each log; nothing is fitted.
@@ -46,7 +51,8 @@ def check(
 
     Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
 
-    Exit code 0: no fault; 1: a log cannot be read; 2: a fault in the config.
+    Exit code 0: no fault; 1: a log cannot be read, or there is none at all; 2: a fault in the
+    config.
     """
     from pipeline.check import check_fleet
 
@@ -66,23 +72,32 @@ def check(
             typer.echo(json.dumps(asdict(one)))
     else:
         _print_checks(checks)
-    raise typer.Exit(EXIT_MOTORS_FAILED if any(one.faults for one in checks) else EXIT_OK)
+    there_are_logs = any(one.n_files for one in checks)
+    if not there_are_logs:
+        where = fleet.log_url or fleet.log_root
+        message = f"no log of any motor is below {where}; correct folders.logs, or logs.files"
+        say(error_line("no_logs", message, EXIT_MOTORS_FAILED, as_json=as_json), err=True)
+    faulty = not there_are_logs or any(one.faults for one in checks)
+    raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 
 
 def _check_tables(config: Path | None, output: Path | None, *, as_json: bool) -> int:
     """Compare the table files with their manifests; returns the exit code."""
+    from pipeline.store import existing_tables
     from pipeline.verification import verify_tables
 
     if config is None:
         raise UsageError("config", "name the fleet file whose tables are to be checked")
-    folder = output.resolve() if output is not None else loaded(config).output
+    folder = output or loaded(config).output
     faults = 0
     for fault in verify_tables(folder):
         faults += 1
         line = {"event": "table_fault", **asdict(fault)}
         words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
         say(json.dumps(line) if as_json else words, err=True)
-    n_files = sum(1 for _ in (folder / "tables").glob("**/*.parquet"))
+    # Where manifests tell of tables that are gone, that is said already.
+    tables = folder / "tables" if faults else existing_tables(folder)
+    n_files = sum(1 for _ in tables.glob("**/*.parquet"))
     total = {"event": "tables", "n_files": n_files, "n_faults": faults}
     say(json.dumps(total) if as_json else f"{n_files} table files, {faults} faults")
     return EXIT_MOTORS_FAILED if faults else EXIT_OK
@@ -116,11 +131,13 @@ def _channel_line(channel: ChannelCheck) -> str:
     parts = [f"{channel.channel}:"]
     parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
     unit = canonical_unit(channel.channel).replace("degC", "°C")
-    median = f"median {channel.median:.4g} {unit},"
-    parts.append("no value," if channel.median is None else median)
-    parts.append(f"{100 * channel.share_missing:.2g} % missing,")
-    parts.append(f"{100 * channel.share_refused:.2g} % refused")
-    rules = ", ".join(f"{name} {100 * share:.2g} %" for name, share in channel.refused_by.items())
+    if channel.median is None:
+        parts.append("no value is kept,")
+    else:
+        parts.append(f"median {channel.median:.4g} {unit},")
+    parts.append(f"{100 * channel.share_missing:.3g} % missing,")
+    parts.append(f"{100 * channel.share_refused:.3g} % refused")
+    rules = ", ".join(f"{name} {100 * share:.3g} %" for name, share in channel.refused_by.items())
     parts.append(f"({rules})" if rules else "")
     line = " ".join(part for part in parts if part)
     looks = f", looks {channel.looks}" if channel.looks else ""

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from pipeline.cli.arguments import AsJson, ConfigFile, Output, load, say
+from pipeline.cli.arguments import AsJson, ConfigFile, Output, absolute_folder, load, say
 from pipeline.clock import now
 
 
@@ -36,9 +36,11 @@ def prune(
     from pipeline.fleet import fleets_tonight, locked
     from pipeline.retention import nights_kept, old_files
     from pipeline.retention import prune as remove
+    from pipeline.store import existing_tables
     from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
+    existing_tables(fleet.output)
     kept = nights_kept(fleet.retention, tables.replace(",", " ").split(), keep)
     tonight = fleets_tonight(fleet, now())
     old = old_files(fleet.output, kept, None if tonight is None else tonight.night)
@@ -90,9 +92,12 @@ def migrate(
     from pipeline.migration import migrate as rewrite
     from pipeline.migration import old_table_files
     from pipeline.schema import SCHEMA_VERSION
+    from pipeline.store import existing_tables
     from pipeline.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
+    if dry_run or not fleet.object_store:
+        existing_tables(fleet.output)
     if dry_run:
         found = Counter(one.version for one in old_table_files(fleet.output))
     else:
@@ -112,7 +117,10 @@ def migrate(
 def pull(
     config: ConfigFile,
     output: Annotated[
-        Path | None, typer.Option(help="Folder of the copy, instead of the config's output.")
+        Path | None,
+        typer.Option(
+            callback=absolute_folder, help="Folder of the copy, instead of the config's output."
+        ),
     ] = None,
 ) -> None:
     """Bring the output folder up to date with the object store that it is published to.
@@ -123,7 +131,7 @@ def pull(
 
     fleet = load(config, None, None, logs=False)
     if output is not None:
-        fleet = replace(fleet, output=output.resolve())
+        fleet = replace(fleet, output=output)
     if not fleet.object_store:
         say(f"{fleet.output} is published nowhere else: folders.object_store is not set")
         return

@@ -13,6 +13,7 @@ from pipeline.cli.arguments import (
     EXIT_OK,
     ConfigFile,
     Output,
+    absolute_folder,
     in_order,
     known_motors,
     load,
@@ -52,10 +53,16 @@ def report(
         typer.Argument(metavar="CONFIG", help="The fleet file; the tables alone will do."),
     ] = None,
     output: Annotated[
-        Path | None, typer.Option(help="Output folder with the tables, instead of the config's.")
+        Path | None,
+        typer.Option(
+            callback=absolute_folder, help="Output folder with the tables, instead of the config's."
+        ),
     ] = None,
     to: Annotated[
-        Path | None, typer.Option(help="Folder of the report, instead of report/ in the output.")
+        Path | None,
+        typer.Option(
+            callback=absolute_folder, help="Folder of the report, instead of report/ in the output."
+        ),
     ] = None,
     motors: Annotated[
         str, typer.Option(help="Ids of the motors to show, with blanks between; needs --to.")
@@ -84,7 +91,7 @@ def report(
     result = build_report(
         ReportRequest(
             output=tables,
-            folder=to.resolve() if to else tables / "report",
+            folder=to or tables / "report",
             fleet=fleet.name if fleet else "",
             known=_known_to_report(fleet) if fleet else {},
             motors=tuple(motors.split()),
@@ -139,7 +146,7 @@ def export(
     if (csv is None) == (delta is None):
         raise UsageError("export_format", "name what to write: --csv FOLDER or --delta PLACE")
     fleet = loaded(config)
-    root = fleet.output if output is None else output.resolve()
+    root = output or fleet.output
     if delta is not None:
         if motors or since or until or bom:
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")

@@ -1,7 +1,7 @@
 """Typed config: the only door for settings."""
 
 from pipeline.config.faults import ConfigError, Fault
-from pipeline.config.loading import Fleet, MotorSpec, load_fleet
+from pipeline.config.loading import Fleet, MotorSpec, absolute, load_fleet, overlap
 from pipeline.config.motors import Channel, Event, MotorFile
 from pipeline.config.settings import (
     Alarms,
@@ -40,5 +40,7 @@ __all__ = [
     "TransportDelay",
     "Trend",
     "Windows",
+    "absolute",
     "load_fleet",
+    "overlap",
 ]

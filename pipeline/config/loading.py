@@ -6,8 +6,10 @@ import datetime as dt
 import json
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from pathlib import Path
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
 from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
@@ -21,6 +23,9 @@ from pipeline.object_store import is_url
 
 Model = TypeVar("Model", bound=BaseModel)
 Document = Mapping[str, Any]
+
+# Folders of the output that a run writes or empties.
+OWN_FOLDERS = ("tables", "manifest", "ledger", "history", "staging", "report")
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,13 +129,12 @@ def load_fleet(path: Path) -> Fleet:
     folders = fleet.folders if fleet else _folders(document)
     # Settings with faults would be reported again for each motor that overrides any.
     shared = {key: document[key] for key in Settings.model_fields if fleet and key in document}
-    base = path.parent
-    types = _read_folder(base / folders.motor_types, MotorTypeFile, faults)
-    oils = _read_folder(base / folders.oils, OilFile, faults)
-    motors = _read_folder(base / folders.motors, MotorFile, faults)
+    places = dict(_places(path, folders, faults))
+    log_root = places.get("logs", path.parent)
+    types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
+    oils = _read_folder(places.get("oils"), OilFile, faults)
+    motors = _read_folder(places.get("motors"), MotorFile, faults)
     faults += _misnamed("motor_types", "motor_type", types.documents)
-    log_url = folders.logs if is_url(folders.logs) else ""
-    log_root = base.resolve() if log_url else (base / folders.logs).resolve()
     specs = [
         spec
         for name in sorted(motors.documents)
@@ -140,19 +144,91 @@ def load_fleet(path: Path) -> Fleet:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
         raise ConfigError(faults)
-    output = Path("out") if folders.output is None else base / folders.output
-    return Fleet(
+    log_url = folders.logs if is_url(folders.logs) else ""
+    found = Fleet(
         name=fleet.name,
         motors=tuple(replace(spec, log_url=log_url) for spec in specs),
         execution=fleet.execution,
         retention=fleet.retention,
         log_root=log_root,
-        output=output.resolve(),
+        output=places["output"],
         motor_types=types.parsed,
         oils=oils.parsed,
         settings=fleet,
         object_store=folders.object_store,
     )
+    if (expected := overlap(found)) is not None:
+        raise ConfigError([fault_at(path.name, ("folders", "output"), expected, folders.output)])
+    return found
+
+
+def overlap(fleet: Fleet) -> str | None:
+    """The folder that was expected, where output and logs lie so that one spoils the other.
+
+    A run would read its own tables as logs, or write into the logs, or remove them.
+    """
+    logs, output = fleet.log_root, fleet.output
+    if fleet.log_url:
+        return None
+    if output == logs:
+        return f"expected another folder than that of the logs, {logs}"
+    if output in logs.parents and logs.relative_to(output).parts[0] in OWN_FOLDERS:
+        return f"expected a folder without the logs, {logs}, among those that a run writes"
+    if logs in output.parents:
+        inside = output.relative_to(logs).parts
+        for spec in fleet.motors:
+            for pattern in spec.file.logs.files:
+                if _reaches(pattern, inside):
+                    return (
+                        f"expected a folder in which no log is looked for: {pattern} of "
+                        f"{spec.motor_id} reaches into it"
+                    )
+    return None
+
+
+def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
+    """Whether a path or glob of files may match one below a folder, both below the log root."""
+    parts = PurePosixPath(pattern).parts[:-1]
+    for part, name in zip(parts, folder, strict=False):
+        if part == "**":
+            return True
+        if not fnmatchcase(name, part):
+            return False
+    return len(parts) >= len(folder)
+
+
+def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple[str, Path]]:
+    """The folders of a fleet file by key, without those that cannot be."""
+    for key in ("motors", "motor_types", "oils", "logs", "output"):
+        given = getattr(folders, key)
+        place = Path("out") if given is None else path.parent / given
+        if key == "logs" and is_url(given):
+            place = path.parent
+        try:
+            yield key, absolute(place)
+        except ValueError as error:
+            faults.append(
+                fault_at(path.name, ("folders", key), f"expected a folder: {error}", given)
+            )
+
+
+def absolute(folder: Path) -> Path:
+    """The absolute path of a folder, which need not be there.
+
+    Raises
+    ------
+    ValueError
+        No folder can be there: the name is too long, say, or holds a null character.
+    """
+    try:
+        folder = folder.resolve()
+        with suppress(FileNotFoundError, NotADirectoryError):
+            folder.stat()
+    except OSError as error:
+        raise ValueError(error.strerror) from error
+    except RuntimeError as error:  # of links in a circle
+        raise ValueError(str(error)) from error
+    return folder
 
 
 def _folders(document: Document) -> Folders:
@@ -276,8 +352,10 @@ def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
                 yield Fault(file, "", f"with {spec.file.oil_on(night)}: {error}")
 
 
-def _read_folder(folder: Path, model: type[Model], faults: list[Fault]) -> Folder[Model]:
-    """All TOML files of a folder."""
+def _read_folder(folder: Path | None, model: type[Model], faults: list[Fault]) -> Folder[Model]:
+    """All TOML files of a folder; none where it cannot be, which is told already."""
+    if folder is None:
+        return Folder({}, {})
     if not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
         return Folder({}, {})

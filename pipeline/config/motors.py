@@ -35,6 +35,8 @@ ChannelName = Literal[
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
 COUNTED = "leakage_flow"
+# Bytes of a pattern of logs; S3 takes no longer names, and most systems 255 bytes a part.
+LONGEST_PATTERN, LONGEST_NAME = 1024, 255
 FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
     "pressure_difference": (-450.0, 450.0),
     "high_port_pressure": (-1.0, 450.0),
@@ -323,6 +325,9 @@ def _fault_of_pattern(pattern: str) -> str | None:
         return "expected a path below the log root, without '..'"
     if not pattern.isprintable() or not parts[-1].strip(". "):
         return "expected the name of a file, or a glob"
+    longest = max(len(part.encode()) for part in parts)
+    if longest > LONGEST_NAME or len(pattern.encode()) > LONGEST_PATTERN:
+        return f"expected names of at most {LONGEST_NAME} bytes, {LONGEST_PATTERN} together"
     if parts[-1] == "**" or any("**" in part and part != "**" for part in parts):
         return "expected ** only as a folder of its own, with a file's name or glob behind it"
     return None

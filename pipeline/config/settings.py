@@ -45,8 +45,10 @@ class Folders(Section):
         description="Root of the logs, a folder or a URL such as s3://bucket/logs; the paths in "
         "`input_files` are relative to it",
     )
-    output: str | None = Field(
-        None, description="Output folder; without it `out/` where the command was started"
+    output: RelativeFolder | None = Field(
+        None,
+        description="Output folder, where no log is looked for; without it `out/` where the "
+        "command was started",
     )
     object_store: str = Field(
         "",

@@ -12,8 +12,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pipeline.errors import LogError
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog, reading
 from pipeline.ingest.csv_log import csv_time_span, read_csv_log
 from pipeline.ingest.mcap_log import mcap_time_span, read_mcap_log
 from pipeline.ingest.parquet_log import parquet_time_span, read_parquet_log
@@ -55,13 +54,8 @@ def read_log(path: Path, source: LogSource) -> RawLog:
     LogError
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
-    _require_file(path)
-    try:
+    with reading(path):
         return _READERS[source.format].read(path, source)
-    except OSError as error:
-        raise _not_readable(path, error) from error
-    except MemoryError as error:
-        raise _too_large(path) from error
 
 
 def time_span(path: Path, source: LogSource) -> tuple[int, int]:
@@ -85,31 +79,5 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
     LogError
         As `read_log`; ``log_empty`` where the log holds no samples.
     """
-    _require_file(path)
-    try:
+    with reading(path):
         return _READERS[source.format].span(path, source)
-    except OSError as error:
-        raise _not_readable(path, error) from error
-    except MemoryError as error:
-        raise _too_large(path) from error
-
-
-def _require_file(path: Path) -> None:
-    try:
-        if not path.exists():
-            raise LogError("log_missing", path, "there is no such file")
-        if not path.is_file():
-            raise LogError("log_not_readable", path, "this is no file")
-        if not path.stat().st_size:
-            raise LogError("log_empty", path, "the file has no bytes")
-    except (OSError, ValueError) as error:
-        raise _not_readable(path, error) from error
-
-
-def _too_large(path: Path) -> LogError:
-    return LogError("log_too_large", path, "it takes more memory than there is: split the log")
-
-
-def _not_readable(path: Path, error: Exception) -> LogError:
-    reason = error.strerror if isinstance(error, OSError) else str(error)
-    return LogError("log_not_readable", path, f"the file cannot be read: {reason}")

@@ -25,21 +25,24 @@ Codes of the `LogError` that readers raise:
 from __future__ import annotations
 
 import codecs
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
 from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import UsageError
+from pipeline.errors import LogError, UsageError
 from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.time_stamps import require_time_format
 from pipeline.units import conversion
 
 LogFormat = Literal["csv", "parquet", "mcap"]
 LogLayout = Literal["wide", "long", "file_per_channel"]
+
 
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
 """Cells of a CSV that mean "no sample". ``NaN`` does not: it is a reading that is not finite."""
@@ -314,3 +317,28 @@ def _require_dialect(source: LogSource) -> None:
         ZoneInfo(source.time_zone)
     except (OSError, ValueError, KeyError) as error:
         raise UsageError("log_source", f"time zone {source.time_zone!r} is not known") from error
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """A file that is read: what is none, and what fails in it, is a `LogError`.
+
+    Raises
+    ------
+    LogError
+        ``log_missing``, ``log_not_readable``, ``log_empty``, ``log_too_large``.
+    """
+    try:
+        if not path.exists():
+            raise LogError("log_missing", path, "there is no such file")
+        if not path.is_file():
+            raise LogError("log_not_readable", path, "this is no file")
+        if not path.stat().st_size:
+            raise LogError("log_empty", path, "the file has no bytes")
+        yield
+    except OSError as error:
+        reason = error.strerror or error
+        raise LogError("log_not_readable", path, f"the file cannot be read: {reason}") from error
+    except MemoryError as error:
+        message = "it takes more memory than there is: split the log"
+        raise LogError("log_too_large", path, message) from error

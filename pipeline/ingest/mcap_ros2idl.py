@@ -25,6 +25,7 @@ from pipeline.ingest.mcap_ros2_types import (
 )
 
 _HEADING = re.compile(r"^(?:={3,}|IDL:.*)[ \t\r]*$", re.MULTILINE)
+_SERVICE = re.compile(r"^SRV:", re.MULTILINE)
 _NAME = r"[A-Za-z_]\w*"
 # What is opened and never closed goes to the end, so that no place of a text is looked at twice.
 _TOKEN = re.compile(
@@ -107,7 +108,10 @@ def ros2idl_definitions(schema: Schema) -> Definitions:
     NotImplementedError
         It has a type that is not read.
     """
-    parser = _Parser(_HEADING.sub("", schema.data.decode()))
+    text = schema.data.decode()
+    if _SERVICE.search(text):
+        raise NotImplementedError("the definition of a service beside IDL, which is not read")
+    parser = _Parser(_HEADING.sub("", text))
     parser.definitions(())
     found = parser.found
     messages = {

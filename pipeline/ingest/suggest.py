@@ -12,7 +12,7 @@ from glob import escape
 from pathlib import Path
 
 from pipeline.errors import LogError
-from pipeline.ingest.contract import MISSING_TOKENS
+from pipeline.ingest.contract import MISSING_TOKENS, reading
 from pipeline.ingest.guess_cells import Marks, as_number, marks_of, strange_tokens
 from pipeline.ingest.guess_channels import likely_units
 from pipeline.ingest.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
@@ -56,9 +56,7 @@ def suggest(path: Path) -> str:
     LogError
         The file cannot be read, or its lines are no table.
     """
-    if not path.exists():
-        raise LogError("log_missing", path, "there is no such file")
-    try:
+    with reading(path):
         with path.open("rb") as file:
             magic = file.read(8)
         if magic.startswith(b"PAR1"):
@@ -68,10 +66,6 @@ def suggest(path: Path) -> str:
         else:
             lines = _csv_lines(path, csv_head(path))
         return "\n".join(lines) + "\n"
-    except OSError as error:
-        raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error
-    except MemoryError as error:
-        raise LogError("log_too_large", path, "it takes more memory than there is") from error
 
 
 def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:

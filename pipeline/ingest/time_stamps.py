@@ -219,7 +219,8 @@ def _written_as_numbers(
     if time_format in EPOCH_UNITS:
         stamps = from_epoch(numbers, time_format)
         return WrittenStamps(stamps.time_us, _kinds(stamps.readable, WITH_ZONE))
-    since_1970_ms = np.asarray(numbers, dtype=np.float64) * _DAY_MS + _EXCEL_ZERO_MS
+    with np.errstate(over="ignore"):
+        since_1970_ms = np.asarray(numbers, dtype=np.float64) * _DAY_MS + _EXCEL_ZERO_MS
     fits = np.abs(since_1970_ms) < LATEST_US / 1000
     local_ms = np.rint(np.where(fits, since_1970_ms, 0.0)).astype(np.int64)
     return WrittenStamps(local_ms * 1000, _kinds(fits, _LOCAL))
@@ -247,7 +248,9 @@ def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | No
         readable = stamps.readable[begin : begin + part.kind.size]
         rows = np.flatnonzero(~readable & (part.kind != _NONE))[:1]
         if rows.size:
-            return str(EPOCH + timedelta(microseconds=int(part.time_us[rows[0]])))
+            # Beyond the years of `datetime`, too.
+            stamp = np.datetime64(int(part.time_us[rows[0]]) // 1_000_000, "s")
+            return str(stamp).replace("T", " ")
         begin += part.kind.size
     return None
 
@@ -291,8 +294,9 @@ def from_epoch(
     """
     thousandth = time_format == "epoch_ns"
     per_unit = EPOCH_UNITS[time_format]
-    # A float64 compares well enough to say that the product fits int64.
-    rough = np.asarray(numbers, dtype=np.float64) * per_unit / (1000 if thousandth else 1)
+    # A float64 compares well enough to say that the product fits int64; one beyond it is infinite.
+    with np.errstate(over="ignore"):
+        rough = np.asarray(numbers, dtype=np.float64) * per_unit / (1000 if thousandth else 1)
     readable = (rough >= EARLIEST_US) & (rough < LATEST_US)
     kept = np.where(readable, numbers, 0)
     if kept.dtype.kind == "f":

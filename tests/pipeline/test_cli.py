@@ -22,6 +22,7 @@ import pipeline.cli
 import pipeline.fleet
 import pipeline.publishing
 from pipeline.cli import app, main
+from pipeline.config.loading import OWN_FOLDERS
 from pipeline.errors import StoreError
 from pipeline.store import NightFile, prepare_night
 from tests.conftest import OwnFleet
@@ -132,6 +133,7 @@ def test_2_for_a_broken_config_before_anything_is_read(
         (["--jobs", "0"], "--jobs"),
         (["--jobs", "two"], "--jobs"),
         (["--fast"], "--fast"),
+        (["--output", "x" * 300], "expected a folder: File name too long"),
         (["another.toml"], "another.toml"),
     ],
 )
@@ -160,6 +162,17 @@ def test_2_where_the_root_of_the_logs_is_not_there(call: Call, fleet: Path) -> N
         assert f"fleet.toml: folders.logs: expected a folder at {logs}" in err
 
 
+def test_2_where_the_output_would_lie_among_the_logs(call: Call, fleet: Path) -> None:
+    code, out, err = call("fit-fleet", fleet, "--output", fleet.parent.parent / "logs")
+    assert (code, out) == (2, "")
+    assert err.startswith("motor-leakage: folder: --output: got ")
+    assert "expected another folder than that of the logs" in err
+
+
+def test_the_output_of_a_run_has_no_folders_but_those_that_are_known(fitted_output: Path) -> None:
+    assert {path.name for path in fitted_output.iterdir() if path.is_dir()} <= set(OWN_FOLDERS)
+
+
 def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
     fleet = own_fleet(CSV, PARQUET)
     for path in (fleet.parent.parent / "demo" / "logs").rglob("*.*"):
@@ -167,7 +180,6 @@ def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
     code, out, err = call("fit-fleet", fleet)
     assert (code, err) == (0, "")
     assert out.count("no_new_data (nothing to do): no file matches CB400-0") == 2
-    assert call("check", fleet)[0] == 0
 
 
 def test_3_while_another_run_holds_the_output(call: Call, fleet: Path) -> None:
@@ -373,6 +385,42 @@ def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
     assert any(line.startswith(PARQUET) and "1 faults" in line for line in out.splitlines())
     assert err.startswith(f"{PARQUET}: log_")
     assert broken.name in err
+
+
+def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet) -> None:
+    """A wrong folder or pattern must not pass for a sound fleet."""
+    fleet = own_fleet(CSV, PARQUET)
+    logs = fleet.parent.parent / "logs"
+    for path in (logs / PARQUET).iterdir():
+        path.unlink()
+    code, out, err = call("check", fleet)
+    assert (code, err) == (0, "")
+    assert f"no file matches {PARQUET}/*.parquet below {logs}" in out
+    for path in (logs / CSV).iterdir():
+        path.unlink()
+    code, _, err = call("check", fleet)
+    assert code == 1
+    assert err == (
+        f"motor-leakage: no_logs: no log of any motor is below {logs}; correct folders.logs, or "
+        "logs.files\n"
+    )
+    code, _, err = call("check", fleet, "--json")
+    assert (code, json.loads(err)["code"]) == (1, "no_logs")
+
+
+@pytest.mark.parametrize(
+    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1"), ("migrate",)]
+)
+def test_2_where_there_are_no_tables(
+    call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]
+) -> None:
+    """A wrong folder must not pass for sound tables, and none is made."""
+    elsewhere = tmp_path / "elsewhere"
+    name, *options = command
+    code, out, err = call(name, own_fleet(CSV), *options, "--output", elsewhere)
+    assert (code, out) == (2, "")
+    assert err.startswith(f"motor-leakage: no_tables: there are no tables in {elsewhere}")
+    assert not elsewhere.exists()
 
 
 # One night

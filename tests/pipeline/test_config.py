@@ -376,6 +376,7 @@ def test_a_file_with_a_name_that_is_no_id(configs: Path, file: str) -> None:
         *("/etc/passwd", "\\\\\\\\server\\\\x", "../x.csv", "a/../../b.csv", "a\\\\..\\\\b.csv"),
         *("..", ".", "", "a/", "a/.", "a\\u0000.csv", "a\\n.csv"),
         *("**", "a/**", "a/**b.csv", "a/b**/c.csv"),
+        *("é" * 128, "x" * 256 + "/*.csv", "folder/" * 147),
     ],
 )
 def test_logs_that_leave_the_log_root_or_are_no_files(configs: Path, pattern: str) -> None:
@@ -597,6 +598,77 @@ def test_folders_are_those_of_the_fleet_file(configs: Path) -> None:
     fleet = load(configs)
     assert len(fleet.motors) == 6
     assert fleet.output == configs.parent / "o"
+
+
+NO_FOLDERS = {
+    "a null character": "a\\u0000b",
+    "a long name": "x" * 300,
+    "links in a circle": "../circle/x",
+    "nothing": "",
+}
+
+
+@pytest.mark.parametrize("name", NO_FOLDERS.values(), ids=NO_FOLDERS.keys())
+@pytest.mark.parametrize("key", ["motors", "logs", "output"])
+def test_folders_that_cannot_be(configs: Path, key: str, name: str) -> None:
+    (configs.parent / "circle").symlink_to("circle")
+    text = (configs / "fleet.toml").read_text("utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith(f"{key} = ")]
+    at = next(number for number, line in enumerate(lines) if line.startswith("[folders]"))
+    lines.insert(at + 1, f'{key} = "{name}"')
+    (configs / "fleet.toml").write_text("\n".join(lines), "utf-8")
+    (fault,) = (one for one in faults(configs) if one.file == "fleet.toml")
+    assert fault.key == f"folders.{key}"
+    assert fault.message.startswith(f'got "{name}"; expected ')
+
+
+@pytest.mark.parametrize(
+    ("logs", "output", "words"),
+    [
+        ("../logs", "../logs", "expected another folder than that of the logs"),
+        ("../logs", "../x/../logs/.", "expected another folder than that of the logs"),
+        ("..", "../CB400-01/", "CB400-01/*.csv of CB400-01 reaches into it"),
+        ("../out/staging", "../out", "expected a folder without the logs"),
+        ("../out/tables/fits", "../out", "expected a folder without the logs"),
+    ],
+)
+def test_output_and_logs_that_spoil_each_other(
+    configs: Path, logs: str, output: str, words: str
+) -> None:
+    change(configs, "fleet.toml", '"../logs"', f'"{logs}"')
+    change(configs, "fleet.toml", '"../out"', f'"{output}"')
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == ("fleet.toml", "folders.output")
+    assert fault.message.startswith(f'got "{output}"; expected ')
+    assert words in fault.message
+
+
+@pytest.mark.parametrize(
+    ("pattern", "output", "is_spoilt"),
+    [
+        ("**/*.csv", "../out", True),
+        ("o?t/**/*.csv", "../out", True),
+        ("*/*.csv", "../out", True),
+        ("*/*.csv", "../out/deep", False),
+        ("logs/**/*.csv", "../out", False),
+        ("*.csv", "../out", False),
+    ],
+)
+def test_an_output_below_the_logs_is_one_where_no_log_is_looked_for(
+    configs: Path, pattern: str, output: str, is_spoilt: bool
+) -> None:
+    change(configs, "fleet.toml", '"../logs"', '".."')
+    change(configs, "fleet.toml", '"../out"', f'"{output}"')
+    change(configs, MOTOR, "CB400-01/*.csv", pattern)
+    if is_spoilt:
+        assert f"{pattern} of CB400-01 reaches into it" in only_fault(configs).message
+    else:
+        assert load(configs).output == (configs / output).resolve()
+
+
+def test_logs_beside_the_tables_spoil_nothing(configs: Path) -> None:
+    change(configs, "fleet.toml", '"../logs"', '"../out/logs"')
+    assert load(configs).log_root == configs.parent / "out" / "logs"
 
 
 def test_what_is_no_toml_file_is_left_alone(configs: Path) -> None:

@@ -24,6 +24,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 import pipeline.ingest.mcap_log
 from pipeline.errors import LogError
+from pipeline.ingest.mcap_topics import read_topics
 
 from .mcap_files import (
     Value,
@@ -145,6 +146,86 @@ def test_messages_of_any_layout_are_read_as_by_the_official_reader(
     for field, found in all_values(path, FIELDS).items():
         assert found == officially(path, field)
         assert any(value is not None for value in found)
+
+
+# Events of services
+
+SERVICE = "motor_msgs/srv/Measure"
+MEASURE = """\
+uint8 CHANNEL_A=0
+uint8[] channels
+---
+Port[] ports  # as they are
+float64 total
+"""
+PORT = """\
+================================================================================
+MSG: motor_msgs/Port
+float64 pressure
+"""
+# As rosbag2 records them, and in whole, as other tools want them (ros2/rosbag2, issue 2365).
+AS_RECORDED = f"{'=' * 80}\nSRV: {SERVICE}\n{MEASURE}\n{PORT}"
+AS_A_MESSAGE = f"""\
+service_msgs/ServiceEventInfo info
+motor_msgs/Measure_Request[<=1] request
+motor_msgs/Measure_Response[<=1] response
+================================================================================
+MSG: motor_msgs/Measure_Request
+{MEASURE.partition("---")[0]}
+================================================================================
+MSG: motor_msgs/Measure_Response
+{MEASURE.partition("---")[2]}
+================================================================================
+MSG: service_msgs/ServiceEventInfo
+uint8 REQUEST_SENT = 0
+uint8 event_type
+builtin_interfaces/Time stamp
+char[16] client_gid
+int64 sequence_number
+{PORT}"""
+
+
+def service_event(i: int) -> dict[str, Any]:
+    """Requests and responses in turn; a response has any number of ports."""
+    info = {
+        "event_type": i % 4,
+        "stamp": {"sec": 1740808800 + i, "nanosec": 9},
+        "client_gid": [-1] * 16,
+        "sequence_number": i,
+    }
+    ports = [{"pressure": 100.0 + i + port} for port in range(i % 3)]
+    asked, answered = [{"channels": bytes(i % 5)}], [{"ports": ports, "total": 1.5 * i}]
+    return {
+        "info": info,
+        "request": [] if i % 2 else asked,
+        "response": answered if i % 2 else [],
+    }
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [AS_RECORDED, AS_A_MESSAGE, f"{MEASURE}\n{PORT}"],
+    ids=["recorded", "message", "without heading"],
+)
+def test_events_of_a_service_are_read(tmp_path: Path, definition: str) -> None:
+    name, events = f"{SERVICE}_Event", [service_event(i) for i in range(40)]
+    # The format's own writer knows no names of services' messages.
+    encode = serialize_dynamic(NAME, AS_A_MESSAGE.replace("Measure_", "Measure"))[NAME]
+    data = mcap_of([encode(one) for one in events], (name, "ros2msg", definition.encode()), "cdr")
+    assert values(tmp_path, data, "info.sequence_number") == list(range(40))
+    totals = [1.5 * i if i % 2 else None for i in range(40)]
+    assert values(tmp_path, data, "response[0].total") == totals
+    pressures = [100.0 + i if i % 2 and i % 3 else None for i in range(40)]
+    assert values(tmp_path, data, "response[0].ports[0].pressure") == pressures
+    (topic,) = read_topics(tmp_path / "log.mcap")
+    assert not topic.fault
+
+
+def test_events_of_a_service_that_is_not_read_are_no_damage(tmp_path: Path) -> None:
+    """Messages of IDL within a service: rosbag2 mixes both languages."""
+    mixed = f"{AS_RECORDED}\n{'=' * 80}\nIDL: motor_msgs/Port\nmodule motor_msgs {{}};"
+    data = mcap_of([bytes(8)], (f"{SERVICE}_Event", "ros2idl", mixed.encode()), "cdr")
+    assert code(tmp_path, data, "info.sequence_number") == "log_encoding"
 
 
 # Any definition, in both languages, and any content

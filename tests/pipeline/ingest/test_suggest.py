@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import gzip
+import os
 import re
 import tomllib
 from collections.abc import Mapping, Sequence
@@ -400,10 +401,20 @@ def test_what_is_no_log(tmp_path: Path, data: bytes) -> None:
     path.write_bytes(data)
     with pytest.raises(LogError):
         suggest(path)
-    with pytest.raises(LogError):
-        suggest(tmp_path / "absent")
-    with pytest.raises(LogError):
-        suggest(tmp_path)
+
+
+def test_what_is_no_file(tmp_path: Path) -> None:
+    """A pipe would hold up who opens it."""
+    os.mkfifo(tmp_path / "pipe")
+    for name, code in (
+        ("absent", "log_missing"),
+        ("", "log_not_readable"),
+        ("pipe", "log_not_readable"),
+        ("x" * 300, "log_not_readable"),
+    ):
+        with pytest.raises(LogError) as raised:
+            suggest(tmp_path / name)
+        assert raised.value.code == code
 
 
 def test_the_command_prints_it(tmp_path: Path) -> None:

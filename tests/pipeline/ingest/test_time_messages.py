@@ -13,6 +13,8 @@ from pipeline.errors import LogError
 from pipeline.ingest import ChannelSource, LogSource, read_log
 from pipeline.ingest.time_stamps import EPOCH_UNITS, example_of, from_text
 
+# With and without a zone, so that each cell is parsed by itself.
+YEAR_0 = ["0001-01-01T00:00:00+14:00", "0001-01-01T00:00:00"]
 SPEED = (ChannelSource("speed", "n", "rpm"),)
 
 
@@ -44,6 +46,8 @@ def log(folder: Path, *stamps: str) -> Path:
         (["1740808800"], "epoch_ns", "1740808800", "1740808800000000000"),
         (["x"], "excel_days", "x", "45717.25"),
         (["1970-01-01T00:00:07Z"], "iso8601", "1970-01-01 00:00:07", "2025-03-01T06:00:00Z"),
+        (YEAR_0, "iso8601", "0000-12-31 10:00:00", "2025-03-01T06:00:00Z"),
+        (["9" * 400], "epoch_s", "9" * 40, "1740808800"),
     ],
 )
 def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
@@ -52,6 +56,16 @@ def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
     source = LogSource("csv", SPEED, separator=";", time_format=time_format)
     message = told(log(tmp_path, *stamps), source)
     assert f"'time' in format {time_format} (such as {written}; here is {cell!r})" in message
+
+
+@pytest.mark.parametrize("cell", ["9" * 400, "1" + "0" * 305, "-1e305", "1e400", "1e-400"])
+@pytest.mark.parametrize("time_format", [*EPOCH_UNITS, "excel_days"])
+def test_a_number_beyond_any_time_is_counted(tmp_path: Path, time_format: str, cell: str) -> None:
+    good = example_of(time_format)
+    source = LogSource("csv", SPEED, separator=";", time_format=time_format)
+    found = read_log(log(tmp_path, good, cell, good), source)
+    assert found.notes == ("1 rows without a readable time",)
+    assert found.channels["speed"].time_us.tolist() == [1740808800_000000] * 2
 
 
 def test_where_cells_are_blank_there_is_none_to_show(tmp_path: Path) -> None:
