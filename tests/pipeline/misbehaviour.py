@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.worker_process import sign_of_life
+from pipeline.worker_process import asking, reading, sign_of_life
 
 GIB = 1 << 30
 
@@ -49,6 +49,13 @@ def hang_in_python() -> None:
     sign_of_life("the third night")
     while True:
         time.sleep(0.01)
+
+
+def hang_at_a_log(asked: bool) -> None:
+    """Hangs in the call that opens a log, or while it is read."""
+    sign_of_life("a night")
+    with asking("a.csv") if asked else reading("a.csv"):
+        time.sleep(1000)
 
 
 def hang_in_c() -> None:

@@ -4,15 +4,24 @@ from __future__ import annotations
 
 import datetime as dt
 import shutil
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import pytest
 
-from pipeline.config import load_fleet
-from pipeline.disk_space import MIB, NIGHT_BYTES, STAGING_FACTOR, bytes_a_night, new_files
+from pipeline.config import MotorSpec, load_fleet
+from pipeline.disk_space import (
+    MIB,
+    NIGHT_BYTES,
+    STAGING_FACTOR,
+    bytes_a_night,
+    new_files,
+    require_space,
+)
 from pipeline.errors import StoreError
 from pipeline.fleet import RunRequest, run_fleet
+from pipeline.workers import Crew
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 NIGHT = dt.date(2026, 3, 2)
@@ -72,6 +81,23 @@ def test_0_asks_for_nothing(workshop: Workshop, monkeypatch: pytest.MonkeyPatch)
     leave(monkeypatch, 1)
     run(workshop)
     assert list(workshop.statuses().values()) == ["ok", "ok"]
+
+
+def test_logs_are_looked_at_by_workers(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One may be on a mount that hangs, which would hang the run itself."""
+
+    class Workers:
+        def run_tasks(
+            self, _: object, specs: Sequence[MotorSpec], *__: object, first: bool
+        ) -> Iterator[int]:
+            assert first
+            assert [spec.motor_id for spec in specs] == ["M1"]
+            return iter([7])
+
+    fleet = load_fleet(workshop.fleet)
+    leave(monkeypatch, 100 * MIB)
+    with pytest.raises(StoreError, match="7 new log files"):
+        require_space(workshop.output, fleet.motors, fleet.execution, cast("Crew", Workers()))
 
 
 def test_a_night_takes_what_the_largest_of_the_newest_took(workshop: Workshop) -> None:

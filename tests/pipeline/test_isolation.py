@@ -31,6 +31,7 @@ from tests.pipeline.misbehaviour import (
     count_beside_or_die,
     die_once,
     do,
+    hang_at_a_log,
     own_pid,
     own_pid_slowly,
     slow_by_parts,
@@ -119,6 +120,36 @@ def test_each_part_has_the_whole_time() -> None:
         raise AssertionError(loss)
 
     assert list(run_tasks(slow_by_parts, [2], lost, execution())) == [2]
+
+
+@pytest.mark.parametrize(
+    ("asked", "how"),
+    [
+        (True, "a.csv did not answer within 0.5 s"),
+        (False, "a.csv did not come to its end within 1"),
+    ],
+)
+def test_a_log_that_a_task_waits_for_is_named(asked: bool, how: str) -> None:
+    """And not asked a second time."""
+    found: list[Loss] = []
+    limits = execution(timeout_s=1.0).model_copy(update={"answer_s": 0.5})
+    list(run_tasks(hang_at_a_log, [asked], lambda _, loss: found.append(loss), limits))
+    assert found == [Loss("log_no_answer", found[0].how, "a night", "a.csv")]
+    assert found[0].how.startswith(how)
+
+
+def test_the_first_time_nobody_is_waited_for() -> None:
+    losses: list[Loss] = []
+    limits = execution(timeout_s=60.0).model_copy(update={"answer_s": 0.5})
+    with Crew() as crew:
+        tasks = ["hang_in_python", "kill", "good"]
+        done = crew.run_tasks(do, tasks, lambda _, loss: losses.append(loss), limits, first=True)
+        assert [one for one in done if one is not None] == ["good done"]
+    assert sorted(loss.code for loss in losses) == ["task_timeout", "worker_died"]
+    assert (
+        "not done within 0.5 s, at the third night"
+        in {loss.code: loss.how for loss in losses}["task_timeout"]
+    )
 
 
 def test_a_task_that_is_lost_once_is_done_the_second_time(tmp_path: Path) -> None:
