@@ -59,6 +59,7 @@ from pipeline.spread import run_motors
 from pipeline.status import last_good_run
 from pipeline.store import last_night
 from pipeline.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.trends.circuits import decisions_of
 from pipeline.trends.record import (
     forget_records,
     note_touched,
@@ -68,7 +69,6 @@ from pipeline.trends.record import (
 )
 from pipeline.trends.stage import (
     TrendOutcome,
-    decisions_of,
     lost_trends,
     run_trends,
     trend_tasks,

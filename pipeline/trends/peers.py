@@ -83,18 +83,37 @@ class Contribution:
     segments: tuple[Segment, ...]
 
     @property
-    def told(self) -> Array:
-        """The changes that were known in their own night, shape (n,)."""
-        known: Array = np.where(self.known_at <= np.arange(len(self.change)), self.change, np.nan)
-        return known
+    def known(self) -> Mask:
+        """Nights in which their baseline was known."""
+        return self.known_at <= np.arange(len(self.change))
 
-    def seen_before(self, place: int, earlier: Contribution) -> Contribution:
-        """The same where others saw another one in the nights before a place."""
+    @property
+    def standing(self) -> Array:
+        """What stood in each night, said in it or held; nan where nothing did."""
+        return np.where(self.known, self.spoken, self.held)
+
+    def last_said(self, history: History, place: int) -> float:
+        """What it says shortly before a night; nan where it says nothing then, as it wears, say."""
+        recent = slice(max(place - history.spec.settings.alarms.stale_after_nights, 0), place)
+        said = self.standing[recent]
+        figures = np.flatnonzero(np.isfinite(np.where(self.known, self.change, self.held)[recent]))
+        if not len(figures) or np.isnan(said[figures[-1]]):
+            return np.nan
+        return float(np.median(said[np.isfinite(said)][-NIGHTS_OF_NOW:]))
+
+    def seen_before(self, history: History, place: int, earlier: Contribution) -> Contribution:
+        """The same where others saw another one in the nights before a place.
+
+        What they heard last is held from there on while the baseline is not known.
+        """
         then = np.arange(len(self.change)) < place
+        waits = np.cumsum(self.known & ~then) == 0
+        last = np.where(history.fitted, earlier.last_said(history, place), np.nan)
+        held = np.where(waits, last, self.held)
         return replace(
             self,
             spoken=np.where(then, earlier.spoken, self.spoken),
-            held=np.where(then, earlier.held, self.held),
+            held=np.where(then, earlier.held, held),
             known_at=np.where(then, earlier.known_at, self.known_at),
         )
 
@@ -182,29 +201,30 @@ def moved_apart(
     }
 
 
-def contribution(own: LogChange, wears: Mask, has_fit: Mask) -> Contribution:
-    """What a motor says of its oil by an indicator; shape (n,) each.
+def contribution(history: History, own: LogChange, wears: Mask) -> Contribution:
+    """What a motor says of its oil by an indicator.
 
     Parameters
     ----------
+    history
+        The motor's nights.
     own
         How far the indicator had moved from each baseline.
     wears
-        Nights on which it says nothing of the oil, as the motor wears.
-    has_fit
-        Nights with a fit.
+        Nights on which it says nothing of the oil, as the motor wears, shape (n,).
     """
-    known = own.known_at <= np.arange(len(own.change))
-    change, held = own.change.copy(), np.full(len(own.change), np.nan)
+    change = own.change.copy()
+    spoken, held = np.where(wears, np.nan, change), np.full(len(change), np.nan)
+    found = Contribution(change, spoken, held, own.known_at, own.segments)
+    waits = history.fitted & ~found.known
     for part in own.segments[1:]:
-        before = np.where(known & ~wears, change, np.nan)[: part.first]
-        said = before[np.isfinite(before)][-NIGHTS_OF_NOW:]
-        if len(said):
-            last = float(np.median(said))
+        last = found.last_said(history, part.first)
+        if np.isfinite(last):
             here = slice(part.first, part.end)
             change[here] += last
-            held[here] = np.where(has_fit[here] & ~known[here], last, np.nan)
-    return Contribution(change, np.where(wears, np.nan, change), held, own.known_at, own.segments)
+            spoken[here] += last
+            held[here] = np.where(waits[here], last, np.nan)
+    return found
 
 
 def peers_of_circuit(
@@ -292,7 +312,7 @@ class _Circuit:
             else:
                 others[before], n_others[before] = np.nan, 0
         # What was known in its own night; earlier nights only serve the baseline.
-        own_told = np.where(compared, own.told, np.nan)
+        own_told = np.where(compared & own.known, own.change, np.nan)
         return Peers(others, own_told - others, n_others, comparable)
 
     def _as_known_in(self, night: int) -> _Others:

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
@@ -92,7 +91,9 @@ def read_nights(
         ),
     )
     told = defaultdict(list)
-    for row in read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id").to_dicts():
+    for row in (
+        read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id").to_dicts()
+    ):
         told[row["motor_id"]].append(row)
     for spec in specs:
         one = found[spec.motor_id]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,8 @@ from pipeline.store import read_rows, stage
 from pipeline.stored_blocks import BLOCK_COLUMNS
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
-from pipeline.trends.beginnings import beginnings, earlier_views
+from pipeline.trends.beginnings import earlier_views
+from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
@@ -44,7 +45,7 @@ from pipeline.trends.peers import (
 )
 from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.reading import MotorNights, read_nights
-from pipeline.trends.record import Record, read_record, trend_hash
+from pipeline.trends.record import Record
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
 from pipeline.trends.sudden import sudden_changes
@@ -135,80 +136,6 @@ def trend_tasks(
     ]
 
 
-def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
-    """Motors by oil circuit; one without a circuit is a group of its own."""
-    circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
-    for spec in specs:
-        circuits[spec.file.oil_circuit or f"\0{spec.motor_id}"].append(spec)
-    return [group for _, group in sorted(circuits.items())]
-
-
-@dataclass(frozen=True, slots=True)
-class Circuit:
-    """Motors of one oil circuit, and what is known of them before their nights are read.
-
-    Attributes
-    ----------
-    specs
-        The motors.
-    decisions
-        By motor, what people said of it.
-    records
-        By motor, what is remembered of its trends.
-    hashes
-        By motor, of all that shapes its trends beyond the tables.
-    """
-
-    specs: tuple[MotorSpec, ...]
-    decisions: Mapping[str, tuple[Decision, ...]]
-    records: Mapping[str, Record | None]
-    hashes: Mapping[str, str]
-
-    @classmethod
-    def of(
-        cls,
-        output: Path,
-        specs: Sequence[MotorSpec],
-        decisions: Mapping[str, tuple[Decision, ...]],
-    ) -> Circuit:
-        return cls(
-            tuple(specs),
-            decisions,
-            {one.motor_id: read_record(output, one.motor_id) for one in specs},
-            {one.motor_id: trend_hash(one, decisions[one.motor_id]) for one in specs},
-        )
-
-    def first_nights(self, changed_from: Mapping[str, dt.date | None]) -> dict[str, dt.date]:
-        """The first night of each motor whose trends may have to be made.
-
-        A late log of one motor touches all: what one does says what moves all. What a motor's own
-        settings, events and resets have made anew touches no other.
-        """
-        found, touched, settled = {}, [], {}
-        for motor_id, record in self.records.items():
-            if record is None:
-                if motor_id in changed_from:
-                    found[motor_id] = dt.date.min
-            elif record.trend_hash != self.hashes[motor_id]:
-                found[motor_id] = dt.date.min
-            else:
-                settled[motor_id] = record.last_night + dt.timedelta(days=1)
-                touched += [changed_from.get(motor_id), record.redo_from]
-        late = [night for night in touched if night is not None]
-        return found | {motor_id: min([night, *late]) for motor_id, night in settled.items()}
-
-    def beginnings(self) -> dict[str, dict[str, dt.date]]:
-        """By motor, from when on the others see its events and resets."""
-        known = [record for record in self.records.values() if record is not None]
-        last_told = max((record.last_night for record in known), default=None)
-        found = {}
-        for spec in self.specs:
-            record, said = self.records[spec.motor_id], self.decisions[spec.motor_id]
-            before = None if record is None else record.beginnings
-            found[spec.motor_id] = beginnings(spec, said, before, last_told)
-        return found
-
-
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with threadpool_limits(1):
@@ -260,18 +187,18 @@ def _run_circuit(
         for spec in circuit.specs
         if (history := nights[spec.motor_id].history) is not None
     }
-    spans = nights_to_do(task, circuit, histories)
-    seen_from = circuit.beginnings()
+    spans = circuit.nights_to_do(task.changed_from, histories)
+    seen_from, alone = circuit.beginnings(), len(circuit.specs) == 1
     parts: dict[str, Part] = {}
     for motor_id, history in histories.items() if spans else ():
         if motor_id not in done.failures:
             said, known = circuit.decisions[motor_id], nights[motor_id].known
-            make = partial(_part, task.output, history, said, known, seen_from[motor_id])
-            part = done.guarded(motor_id, make)
+            seen = {} if alone else seen_from[motor_id]
+            part = done.guarded(motor_id, partial(_part, task.output, history, said, known, seen))
             if part is not None:
                 parts[motor_id] = part
                 done.merged[motor_id] = part.history.records
-    peers = circuit_peers(parts) if len(circuit.specs) > 1 else {}
+    peers = {} if alone else circuit_peers(parts)
     for motor_id, span in spans.items():
         part = parts.get(motor_id)
         if part is None:
@@ -305,27 +232,6 @@ def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
     return replace(task, given_up={**task.given_up, loss.part: loss})
 
 
-def nights_to_do(
-    task: TrendTask, circuit: Circuit, histories: Mapping[str, History]
-) -> dict[str, tuple[dt.date, dt.date]]:
-    """First and last night of each motor whose trends are to be made.
-
-    New nights, and those from the first on that a late log has touched; all of them where the
-    motor's settings or what people said of it changed. A motor that was not asked for gets no new
-    nights.
-    """
-    found = {}
-    for motor_id, first in circuit.first_nights(task.changed_from).items():
-        if motor_id not in histories:
-            continue
-        last, before = histories[motor_id].nights[-1], circuit.records[motor_id]
-        if motor_id not in task.changed_from and before is not None:
-            last = min(last, before.last_night)
-        if first <= last:
-            found[motor_id] = (first, last)
-    return found
-
-
 def _part(
     output: Path,
     history: History,
@@ -344,17 +250,6 @@ def _part(
         earlier = Part.of(with_poor_nights(then, said_then, read_blocks), said_then)
         part = part.seen_before(night, earlier)
     return part
-
-
-def decisions_of(
-    specs: Iterable[MotorSpec], decisions: Iterable[Decision]
-) -> dict[str, tuple[Decision, ...]]:
-    """What people said of some motors, by motor."""
-    found: dict[str, list[Decision]] = {one.motor_id: [] for one in specs}
-    for one in decisions:
-        if one.motor_id in found:
-            found[one.motor_id].append(one)
-    return {motor_id: tuple(said) for motor_id, said in found.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -396,9 +291,11 @@ class Part:
             history.spec.settings.alarms.common_cause_percent,
         )
         # One path that wears is enough: the motor's leakage says nothing of the oil then.
-        wears = np.any([apart[name] for name in paths] or [np.zeros(len(history))], axis=0)
+        wears = np.zeros(len(history), dtype=np.bool_)
+        for name in paths:
+            wears |= apart[name]
         said = {
-            name: contribution(one, apart[name] if name in paths else wears, history.fitted)
+            name: contribution(history, one, apart[name] if name in paths else wears)
             for name, one in changes.items()
         }
         return cls(history, decisions, eras, indicators, apart, said)
@@ -407,7 +304,7 @@ class Part:
         """The same where the other motors of its circuit saw another one before a night."""
         place = int(np.searchsorted(self.history.records["night"], np.datetime64(night)))
         said = {
-            name: one.seen_before(place, earlier.contributions[name])
+            name: one.seen_before(self.history, place, earlier.contributions[name])
             for name, one in self.contributions.items()
         }
         return replace(self, contributions=said)
