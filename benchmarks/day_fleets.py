@@ -9,8 +9,11 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from datetime import date
+from datetime import date, timedelta
 from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from pipeline.demo import writing
 from pipeline.demo.fleet import Plan
@@ -36,8 +39,13 @@ def log_of(day: Path, name: str) -> Path:
     return log
 
 
-def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = False) -> Path:
-    """Make a fleet of n motors with a day's log in a format and a tank each; returns its config."""
+def make_fleet(
+    day: Path, folder: Path, name: str, n: int, *, linked: bool = False, tank: str = ""
+) -> Path:
+    """Make a fleet of n motors with a day's log in a format; returns its config.
+
+    All on one tank, or, without a name for it, on one each.
+    """
     shutil.rmtree(folder, ignore_errors=True)
     shutil.copytree(day / "configs", folder / "configs")
     motors = folder / "configs" / "motors"
@@ -47,9 +55,8 @@ def make_fleet(day: Path, folder: Path, name: str, n: int, *, linked: bool = Fal
     log = log_of(day, name)
     for number in range(1, n + 1):
         motor_id = f"M{number:04}"
-        own = re.sub(
-            "(oil_circuit = ).*", rf'\1"tank of {motor_id}"', text.replace(MOTORS[name], motor_id)
-        )
+        circuit = tank or f"tank of {motor_id}"
+        own = re.sub("(oil_circuit = ).*", rf'\1"{circuit}"', text.replace(MOTORS[name], motor_id))
         (motors / f"{motor_id}.toml").write_text(own, "utf-8")
         target = folder / "demo" / "logs" / motor_id / log.name
         target.parent.mkdir(parents=True)
@@ -62,3 +69,10 @@ def logs_of(config: Path) -> list[Path]:
     return sorted(
         path for path in (config.parent.parent / "demo" / "logs").rglob("*") if path.is_file()
     )
+
+
+def later(table: pa.Table, days: int) -> pa.Table:
+    """The same log some days later."""
+    shift = pa.scalar(timedelta(days=days), pa.duration("us"))
+    place = table.schema.get_field_index("timestamp")
+    return table.set_column(place, table.schema.field(place), pc.add(table.column(place), shift))

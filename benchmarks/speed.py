@@ -23,15 +23,21 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from benchmarks.day_fleets import DAY_MINUTES, MOTORS, log_of, logs_of, make_fleet, write_day
+from benchmarks.day_fleets import (
+    DAY_MINUTES,
+    MOTORS,
+    later,
+    log_of,
+    logs_of,
+    make_fleet,
+    write_day,
+)
 from benchmarks.results_file import RESULTS, Part, write_parts
 from benchmarks.whole_runs import (
     Cost,
@@ -270,7 +276,7 @@ def growth(asked: Asked) -> Part:
     config = make_fleet(day, asked.folder / "fleet", "parquet", 1)
     (log,) = logs_of(config)
     for number in range(1, DAYS):
-        pq.write_table(_later(whole, number), log.with_name(f"{number}.parquet"))
+        pq.write_table(later(whole, number), log.with_name(f"{number}.parquet"))
     cost = first_night(config, 1)
     taken.append((DAYS * whole.num_rows, cost.processor_s))
     what = f"{DAYS * whole.num_rows:,} samples of {DAYS} days, {worker_peak_mib(config):.0f} MiB"
@@ -298,13 +304,6 @@ def growth(asked: Asked) -> Part:
 def _thinned(table: pa.Table, n: int) -> pa.Table:
     rows = np.linspace(0, table.num_rows - 1, min(n, table.num_rows)).astype(np.int64)
     return table.take(pa.array(rows))
-
-
-def _later(table: pa.Table, days: int) -> pa.Table:
-    """The same log some days later."""
-    shift = pa.scalar(timedelta(days=days), pa.duration("us"))
-    place = table.schema.get_field_index("timestamp")
-    return table.set_column(place, table.schema.field(place), pc.add(table.column(place), shift))
 
 
 def _slope(taken: Sequence[tuple[int, float]]) -> str:

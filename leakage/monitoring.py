@@ -193,9 +193,10 @@ def monitor(
     Monitoring
         States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
         value; otherwise what the own and the corrected values both say, the milder of the two; what
-        both have told stays a warning for as long as the own values tell it. The own ones decide
-        alone where the corrected have no baseline or are stale. An absolute limit holds whatever
-        the others do, with or without a baseline.
+        both have told stays for as long as the own values tell it. The own ones decide alone where
+        the corrected have no baseline or are stale, and until the others are back from a longer
+        silence for as many nights as a level needs. An absolute limit holds whatever the others do,
+        with or without a baseline.
 
     Raises
     ------
@@ -221,6 +222,7 @@ def monitor(
         common = np.exp(others_log_change)
         corrected = track(nights, values / common, replace(chosen, limits=Limits()))
         circuit = track(nights, common, replace(chosen, limits=Limits()))
+        comparable &= _are_back(nights, others_log_change, corrected, chosen)
     states = _states(own, corrected, circuit, chosen.stale_nights, comparable)
     return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
 
@@ -434,7 +436,9 @@ def _states(
         both = np.where(usable, np.minimum(severity, corrected.severity), severity)
         # What both have told stays told while the own values tell it: that another motor rises
         # later does not undo it.
-        both = np.maximum(both, _latched(usable & (both > 0), severity > 0))
+        for told in (1, 2):
+            stays = _latched(usable & (both >= told), severity >= told)
+            both = np.maximum(both, np.where(stays, told, 0))
         common = (both == 0) & (severity > 0) & (circuit.severity > 0)
         severity = both
     severity = np.maximum(severity, own.limit_severity)
@@ -444,6 +448,20 @@ def _states(
     states[~own.has_baseline & (own.limit_severity == 0)] = "insufficient"
     found: list[State] = states.tolist()
     return found
+
+
+def _are_back(
+    nights: Nights, others: Array, corrected: Track, settings: MonitorSettings
+) -> NDArray[np.bool_]:
+    """Nights with as many good ones since the others' last silence as a level needs to go on.
+
+    The levels of the corrected values would else count nights from before it.
+    """
+    silent = nights_since_good(nights, np.isfinite(others)) > settings.stale_nights
+    good = np.cumsum(corrected.since_good == 0)
+    before = np.maximum.accumulate(np.where(silent, good, 0))
+    back: NDArray[np.bool_] = good - before >= settings.levels.on_nights
+    return back
 
 
 def _latched(begins: NDArray[np.bool_], lasts: NDArray[np.bool_]) -> NDArray[np.bool_]:

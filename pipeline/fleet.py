@@ -63,6 +63,7 @@ from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.tonight import Tonight, tonight_of
+from pipeline.trends.circuits import decisions_of
 from pipeline.trends.record import (
     forget_records,
     note_touched,
@@ -72,7 +73,6 @@ from pipeline.trends.record import (
 )
 from pipeline.trends.stage import (
     TrendOutcome,
-    circuits_of,
     lost_trends,
     run_trends,
     trend_tasks,
@@ -341,25 +341,18 @@ def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
 
     Those of nights that are new or made anew follow in any case.
     """
-    fleet = request.fleet
-    decisions = read_decisions(fleet.output)
-    asked_for = {spec.motor_id for spec in request.specs}
-    for circuit in circuits_of(fleet.motors):
-        for spec in circuit:
-            record = read_record(fleet.output, spec.motor_id)
-            if spec.motor_id not in asked_for or record is None:
-                continue
-            if record.trend_hash != trend_hash(circuit, spec, decisions):
-                yield spec.motor_id, _why_trends(fleet.output, circuit)
-
-
-def _why_trends(output: Path, circuit: Sequence[MotorSpec]) -> str:
-    reasons = []
-    for spec in circuit:
-        before, now = read_settings(output, spec.motor_id), settings_of(spec)
-        if before != now:
-            reasons.append(f"{spec.motor_id}: {why_anew(before, now, trends=True)}")
-    return "; ".join(reasons) or "a baseline was reset, its circuit changed, or a new version"
+    output, specs = request.fleet.output, request.specs
+    decisions = decisions_of(specs, read_decisions(output))
+    for spec in specs:
+        record = read_record(output, spec.motor_id)
+        if record is not None and record.trend_hash != trend_hash(spec, decisions[spec.motor_id]):
+            before, now = read_settings(output, spec.motor_id), settings_of(spec)
+            yield (
+                spec.motor_id,
+                "a baseline was reset, or a new version"
+                if before == now
+                else why_anew(before, now, trends=True),
+            )
 
 
 def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:

@@ -122,7 +122,7 @@ def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> st
             "libraries": (np.__version__, scipy.__version__, pl.__version__),
             "records": layout.digest,
             "config": config_hash(spec),
-            "resets": resets_of(decisions, {spec.motor_id}),
+            "resets": resets_of(decisions),
         }
     )
 

@@ -3,25 +3,32 @@
 What a motor's baseline is, is known from its thirtieth good night on. What another motor did is
 taken into account from the night on which it was known, and for the nights before that as far as it
 was known when the two could first be compared: a night's state must not hang on later nights.
+
+A motor whose baseline begins anew says nothing of the oil until it has a baseline again. What it
+said last stands meanwhile where no other motor says anything, and is carried into its new baseline:
+that one motor begins anew moves no other.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage.baseline import BaselineSettings, fit_baseline
-from leakage.medians import row_medians
-from leakage.peers import recent_median
+from leakage.peers import NIGHTS_OF_NOW, medians_of_others, recent_median
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.segments import Segment
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 Places = NDArray[np.int64]
+# Medians over the other motors, and how many they are: nights by motors.
+_Others: TypeAlias = tuple[Array, Places]
 
 # Of a night whose figure was never put against a baseline.
 NEVER = np.iinfo(np.int64).max
@@ -54,17 +61,75 @@ class LogChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Contribution:
+    """What an indicator of a motor says of the oil of its circuit; shape (n,) each.
+
+    Attributes
+    ----------
+    change
+        Log change, each baseline's from where the one before had ended; nan where there is none.
+    spoken
+        The same, as others take it: nan where the motor wears.
+    held
+        What was said last, in nights with a fit while a new baseline is not known yet; else nan.
+    known_at, segments
+        As of the log change.
+    """
+
+    change: Array
+    spoken: Array
+    held: Array
+    known_at: Places
+    segments: tuple[Segment, ...]
+
+    @property
+    def known(self) -> Mask:
+        """Nights in which their baseline was known."""
+        return self.known_at <= np.arange(len(self.change))
+
+    @property
+    def standing(self) -> Array:
+        """What stood in each night, said in it or held; nan where nothing did."""
+        return np.where(self.known, self.spoken, self.held)
+
+    def last_said(self, history: History, place: int) -> float:
+        """What it says shortly before a night; nan where it says nothing then, as it wears, say."""
+        recent = slice(max(place - history.spec.settings.alarms.stale_after_nights, 0), place)
+        said = self.standing[recent]
+        figures = np.flatnonzero(np.isfinite(np.where(self.known, self.change, self.held)[recent]))
+        if not len(figures) or np.isnan(said[figures[-1]]):
+            return np.nan
+        return float(np.median(said[np.isfinite(said)][-NIGHTS_OF_NOW:]))
+
+    def seen_before(self, history: History, place: int, earlier: Contribution) -> Contribution:
+        """The same where others saw another one in the nights before a place.
+
+        What they heard last is held from there on while the baseline is not known.
+        """
+        then = np.arange(len(self.change)) < place
+        waits = np.cumsum(self.known & ~then) == 0
+        last = np.where(history.fitted, earlier.last_said(history, place), np.nan)
+        held = np.where(waits, last, self.held)
+        return replace(
+            self,
+            spoken=np.where(then, earlier.spoken, self.spoken),
+            held=np.where(then, earlier.held, held),
+            known_at=np.where(then, earlier.known_at, self.known_at),
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class Peers:
     """What the other motors of a motor's circuit did; shape (n,) each, nights of the motor.
 
     Attributes
     ----------
     others
-        Median of their log changes; nan where none is known, or nothing could be compared.
+        Median of what they say; nan where none says anything, or nothing could be compared.
     deviation
         The motor's own log change less that, where both were known in the night.
     n_others
-        How many were known.
+        How many say something.
     comparable
         By first place of each segment of the motor, the place from which on there was anything to
         compare with.
@@ -136,10 +201,34 @@ def moved_apart(
     }
 
 
+def contribution(history: History, own: LogChange, wears: Mask) -> Contribution:
+    """What a motor says of its oil by an indicator.
+
+    Parameters
+    ----------
+    history
+        The motor's nights.
+    own
+        How far the indicator had moved from each baseline.
+    wears
+        Nights on which it says nothing of the oil, as the motor wears, shape (n,).
+    """
+    change = own.change.copy()
+    spoken, held = np.where(wears, np.nan, change), np.full(len(change), np.nan)
+    found = Contribution(change, spoken, held, own.known_at, own.segments)
+    waits = history.fitted & ~found.known
+    for part in own.segments[1:]:
+        last = found.last_said(history, part.first)
+        if np.isfinite(last):
+            here = slice(part.first, part.end)
+            change[here] += last
+            spoken[here] += last
+            held[here] = np.where(waits[here], last, np.nan)
+    return found
+
+
 def peers_of_circuit(
-    histories: Mapping[str, History],
-    changes: Mapping[str, LogChange],
-    apart: Mapping[str, NDArray[np.bool_]],
+    histories: Mapping[str, History], contributions: Mapping[str, Contribution]
 ) -> dict[str, Peers]:
     """Each motor of a circuit against the others, for one indicator.
 
@@ -147,61 +236,88 @@ def peers_of_circuit(
     ----------
     histories
         The motors.
-    changes
-        Log changes of those that have the indicator.
-    apart
-        Nights on which a motor's indicator says nothing of the oil, as the motor wears.
+    contributions
+        Of those that have the indicator.
 
     Returns
     -------
     dict of str to Peers
         Empty for a circuit of one.
     """
-    motors = sorted(changes)
+    motors = sorted(contributions)
     if len(motors) < 2:
         return {}
     labels = np.unique(np.concatenate([histories[motor].records["night"] for motor in motors]))
-    rows = {motor: np.searchsorted(labels, histories[motor].records["night"]) for motor in motors}
-    values = np.full((len(labels), len(motors)), np.nan)
-    known_at = np.full((len(labels), len(motors)), NEVER, dtype=np.int64)
+    shape = (len(labels), len(motors))
+    spoken, held = np.full(shape, np.nan), np.full(shape, np.nan)
+    known_at = np.full(shape, NEVER, dtype=np.int64)
+    rows = []
     for column, motor in enumerate(motors):
-        one, own = changes[motor], rows[motor]
-        values[own, column] = np.where(apart[motor], np.nan, one.change)
+        one, own = contributions[motor], np.searchsorted(labels, histories[motor].records["night"])
+        rows.append(own)
+        spoken[own, column], held[own, column] = one.spoken, one.held
         there = one.known_at < NEVER
         known_at[own[there], column] = own[one.known_at[there]]
+    circuit = _Circuit(spoken, held, known_at)
     return {
-        motor: _against(
-            changes[motor],
-            rows[motor],
-            np.delete(values, column, 1),
-            np.delete(known_at, column, 1),
-        )
+        motor: circuit.against(column, contributions[motor], rows[column])
         for column, motor in enumerate(motors)
     }
 
 
-def _against(own: LogChange, rows: Places, values: Array, known_at: Places) -> Peers:
-    """A motor against the others; their figures by night of the circuit, one column a motor."""
-    values, known_at = values[rows], known_at[rows]
-    here = rows[:, None]
-    # Whose baseline is known in a night at all, whether or not it has a figure then.
-    ready: NDArray[np.bool_] = np.any(known_at <= here, axis=1)
-    cut = rows.copy()
-    comparable = {}
-    for part in own.segments:
-        inside = np.arange(part.first, part.end)
-        possible = inside[(own.known_at[inside] <= inside) & ready[inside]]
-        first = int(possible[0]) if len(possible) else NEVER
-        comparable[part.first] = first
-        if first < NEVER:
-            cut[part.first : first] = rows[first]
-        else:
-            cut[inside] = -1
-    counted = np.where(known_at <= cut[:, None], values, np.nan)
-    n_others = np.isfinite(counted).sum(axis=1)
-    others = np.full(len(rows), np.nan)
-    some = n_others > 0
-    others[some] = row_medians(counted[some])
-    # What was known in its own night; earlier nights only serve the baseline.
-    own_told = np.where(cut == rows, own.told, np.nan)
-    return Peers(others, own_told - others, n_others, comparable)
+@dataclass(slots=True)
+class _Circuit:
+    """What the motors of a circuit say by one indicator: nights of the circuit by motors.
+
+    All that is compared is computed for all motors at once, so that a large circuit costs no more
+    a motor than a small one.
+    """
+
+    spoken: Array
+    held: Array
+    known_at: Places
+    _nights: _Others = field(init=False)
+    _ready: Mask = field(init=False)
+    _then: dict[int, _Others] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        known = self.known_at <= np.arange(len(self.spoken))[:, None]
+        others, n_others = medians_of_others(np.where(known, self.spoken, np.nan))
+        standing, n_standing = medians_of_others(self.held)
+        silent = n_others == 0
+        self._nights = (
+            np.where(silent, standing, others),
+            np.where(silent, n_standing, n_others),
+        )
+        # Whose baseline is known in a night at all, whether or not it has a figure then.
+        self._ready = known.sum(axis=1, keepdims=True) > known
+
+    def against(self, column: int, own: Contribution, rows: Places) -> Peers:
+        """A motor against the others; its nights are these rows."""
+        others, n_others = (one[rows, column] for one in self._nights)
+        compared = np.ones(len(rows), dtype=np.bool_)
+        comparable = {}
+        for part in own.segments:
+            inside = np.arange(part.first, part.end)
+            ready = self._ready[rows[inside], column]
+            possible = inside[(own.known_at[inside] <= inside) & ready]
+            first = int(possible[0]) if len(possible) else NEVER
+            comparable[part.first] = first
+            before = inside[inside < first]
+            compared[before] = False
+            if first < NEVER:
+                medians, numbers = self._as_known_in(int(rows[first]))
+                others[before] = medians[rows[before], column]
+                n_others[before] = numbers[rows[before], column]
+            else:
+                others[before], n_others[before] = np.nan, 0
+        # What was known in its own night; earlier nights only serve the baseline.
+        own_told = np.where(compared & own.known, own.change, np.nan)
+        return Peers(others, own_told - others, n_others, comparable)
+
+    def _as_known_in(self, night: int) -> _Others:
+        """What the others say of the nights before one, as far as it is known in that one."""
+        if night not in self._then:
+            known = self.known_at[:night] <= night
+            self._then[night] = medians_of_others(np.where(known, self.spoken[:night], np.nan))
+        return self._then[night]

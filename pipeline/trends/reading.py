@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
+from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
@@ -40,7 +40,7 @@ NEVER = "9999-12-31"
 def read_nights(
     output: Path,
     specs: Sequence[MotorSpec],
-    decisions: Sequence[Decision],
+    decisions: Mapping[str, Sequence[Decision]],
     since: Mapping[str, dt.date],
     tonight: Tonight,
 ) -> dict[str, MotorNights]:
@@ -53,7 +53,7 @@ def read_nights(
     specs
         Which motors.
     decisions
-        What people said of them.
+        By motor, what people said of it.
     since
         By motor, the first night that is to be made anew; of a motor without one, none is.
     tonight
@@ -69,7 +69,7 @@ def read_nights(
     found = {}
     for spec in specs:
         layout = Layout.of(spec, tonight.night)
-        key = key_of(spec, layout, decisions)
+        key = key_of(spec, layout, decisions[spec.motor_id])
         first = since.get(spec.motor_id)
         found[spec.motor_id] = MotorNights(
             key,
@@ -91,11 +91,15 @@ def read_nights(
             )
         ),
     )
-    rows = read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id")
+    told = defaultdict(list)
+    for row in (
+        read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id").to_dicts()
+    ):
+        told[row["motor_id"]].append(row)
     for spec in specs:
         one = found[spec.motor_id]
         one.take_nights(spec, made.get(spec.motor_id), nights, tonight.of(spec.motor_id))
-        one.take_alarms(rows.filter(pl.col("motor_id") == spec.motor_id).to_dicts(), alarms)
+        one.take_alarms(told[spec.motor_id], alarms)
     return found
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
-from pipeline.landing import put, read, remove
+from pipeline.landing import put, read
 from pipeline.night_statistics import hash_of
 from pipeline.sealed import seal, unseal
 from pipeline.settings_hashes import config_hash
@@ -30,34 +31,38 @@ class Record:
         The last night.
     redo_from
         First night whose trends are out of date, as its rows were made anew; None: none is.
+    beginnings
+        By event and reset, the first night from which the other motors of its oil circuit see the
+        baseline that it begins; None: a record of an older version, which does not say.
     """
 
     trend_hash: str
     last_night: dt.date
     redo_from: dt.date | None = None
+    beginnings: Mapping[str, dt.date] | None = None
 
 
-def trend_hash(circuit: Sequence[MotorSpec], spec: MotorSpec, decisions: Sequence[Decision]) -> str:
-    """Hash of all that shapes a motor's trends beyond its tables: its circuit's motors, too."""
-    motors = {one.motor_id for one in circuit}
+def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
+    """Hash of all that shapes a motor's trends beyond the tables.
+
+    Of its own file and the decisions on it: those of its circuit's other motors are no reason to
+    make anew what it was told.
+    """
     return hash_of(
         {
             "version": TRENDS_VERSION,
-            "motor": spec.motor_id,
-            "circuit": {one.motor_id: config_hash(one) for one in circuit},
-            "resets": resets_of(decisions, motors),
+            "config": config_hash(spec),
+            "resets": resets_of(decisions),
         }
     )
 
 
-def resets_of(
-    decisions: Sequence[Decision], motor_ids: Collection[str]
-) -> list[tuple[str, str, str, str]]:
-    """Baselines of some motors that people have reset, as they go into a hash."""
+def resets_of(decisions: Sequence[Decision]) -> list[tuple[str, str, str]]:
+    """Baselines of a motor that people have reset, as they go into a hash."""
     return [
-        (one.motor_id, one.night.isoformat(), one.indicator, one.note)
+        (one.night.isoformat(), one.indicator, one.note)
         for one in decisions
-        if one.kind == "baseline_reset" and one.motor_id in motor_ids
+        if one.kind == "baseline_reset"
     ]
 
 
@@ -73,10 +78,14 @@ def read_record(output: Path, motor_id: str) -> Record | None:
         if document is None:
             return None
         last, redo = (document[name] for name in ("last_night", "redo_from"))
+        beginnings = document.get("beginnings")
         return Record(
             str(document["trend_hash"]),
             dt.date.fromisoformat(last),
             None if redo is None else dt.date.fromisoformat(redo),
+            None
+            if beginnings is None
+            else {name: dt.date.fromisoformat(night) for name, night in beginnings.items()},
         )
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
@@ -91,12 +100,10 @@ def write_record(output: Path, motor_id: str, record: Record) -> None:
         If it cannot be written.
     """
     if read_record(output, motor_id) != record:
-        nights = {name: _text(getattr(record, name)) for name in ("last_night", "redo_from")}
-        put(record_file(output, motor_id), seal({"trend_hash": record.trend_hash, **nights}))
-
-
-def _text(night: dt.date | None) -> str | None:
-    return None if night is None else night.isoformat()
+        document = asdict(record)
+        # Dates as they are read.
+        text = json.loads(json.dumps(document, default=dt.date.isoformat))
+        put(record_file(output, motor_id), seal(text))
 
 
 def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
@@ -121,8 +128,9 @@ def forget_records(output: Path, keep: Collection[str]) -> None:
     Raises
     ------
     StoreError
-        If a record cannot be removed.
+        If a record cannot be written.
     """
     for folder in (output / "ledger").glob("*"):
-        if folder.name not in keep:
-            remove(record_file(output, folder.name))
+        record = read_record(output, folder.name)
+        if folder.name not in keep and record is not None:
+            write_record(output, folder.name, replace(record, trend_hash=""))

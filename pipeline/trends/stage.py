@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import takewhile
@@ -31,14 +31,23 @@ from pipeline.stored_blocks import BLOCK_COLUMNS
 from pipeline.tonight import Tonight
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.beginnings import earlier_views
+from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.night_records import Records
-from pipeline.trends.peers import LogChange, Peers, log_change, moved_apart, peers_of_circuit
+from pipeline.trends.peers import (
+    Contribution,
+    Peers,
+    contribution,
+    log_change,
+    moved_apart,
+    peers_of_circuit,
+)
 from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.reading import MotorNights, read_nights
-from pipeline.trends.record import Record, read_record, trend_hash
+from pipeline.trends.record import Record
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
 from pipeline.trends.sudden import sudden_changes
@@ -129,32 +138,20 @@ def trend_tasks(
     ]
 
 
-def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
-    """Motors by oil circuit; one without a circuit is a group of its own."""
-    circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
-    for spec in specs:
-        circuits[spec.file.oil_circuit or f"\0{spec.motor_id}"].append(spec)
-    return [group for _, group in sorted(circuits.items())]
-
-
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with threadpool_limits(1):
-        ids = [spec.motor_id for spec in task.specs]
-        groups = circuits_of(task.specs)
-        hashes = {
-            spec.motor_id: trend_hash(group, spec, task.decisions)
-            for group in groups
-            for spec in group
-        }
-        first = {one: night for group in groups for one, night in first_nights(task, group, hashes)}
+        said = decisions_of(task.specs, task.decisions)
+        circuits = [Circuit.of(task.output, group, said) for group in circuits_of(task.specs)]
+        first = [circuit.first_nights(task.changed_from, task.tonight) for circuit in circuits]
+        since = {motor_id: night for one in first for motor_id, night in one.items()}
         try:
-            nights = read_nights(task.output, task.specs, task.decisions, first, task.tonight)
+            nights = read_nights(task.output, task.specs, said, since, task.tonight)
         except StoreError as error:
-            return TrendOutcome(failures=dict.fromkeys(ids, _failure(error)))
+            return TrendOutcome(failures=dict.fromkeys(said, _failure(error)))
         done = _Done(dict(task.given_up))
-        for group in groups:
-            _run_circuit(task, group, hashes, nights, done)
+        for circuit in circuits:
+            _run_circuit(task, circuit, nights, done)
         for motor_id, one in nights.items():
             one.keep(motor_id, done.merged.get(motor_id))
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
@@ -185,28 +182,25 @@ class _Done:
 
 
 def _run_circuit(
-    task: TrendTask,
-    group: Sequence[MotorSpec],
-    hashes: Mapping[str, str],
-    nights: Mapping[str, MotorNights],
-    done: _Done,
+    task: TrendTask, circuit: Circuit, nights: Mapping[str, MotorNights], done: _Done
 ) -> None:
     histories = {
         spec.motor_id: history
-        for spec in group
+        for spec in circuit.specs
         if (history := nights[spec.motor_id].history) is not None
     }
-    spans = nights_to_do(task, group, hashes, histories)
+    spans = circuit.nights_to_do(task.changed_from, task.tonight, histories)
+    seen_from, alone = circuit.beginnings(), len(circuit.specs) == 1
     parts: dict[str, Part] = {}
     for motor_id, history in histories.items() if spans else ():
         if motor_id not in done.failures:
-            said = decisions_of(task.decisions, motor_id)
-            known = nights[motor_id].known
-            part = done.guarded(motor_id, partial(_part, task.output, history, said, known))
+            said, known = circuit.decisions[motor_id], nights[motor_id].known
+            seen = {} if alone else seen_from[motor_id]
+            part = done.guarded(motor_id, partial(_part, task.output, history, said, known, seen))
             if part is not None:
                 parts[motor_id] = part
                 done.merged[motor_id] = part.history.records
-    peers = circuit_peers(parts) if len(group) > 1 else {}
+    peers = {} if alone else circuit_peers(parts)
     for motor_id, span in spans.items():
         part = parts.get(motor_id)
         if part is None:
@@ -216,7 +210,9 @@ def _run_circuit(
         if made is not None:
             done.nights[motor_id], new = made
             done.alarms += new
-            done.records[motor_id] = Record(hashes[motor_id], span[1])
+            done.records[motor_id] = Record(
+                circuit.hashes[motor_id], span[1], beginnings=seen_from[motor_id]
+            )
 
 
 def _failure(error: Exception) -> Loss:
@@ -238,53 +234,12 @@ def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
     return replace(task, given_up={**task.given_up, loss.part: loss})
 
 
-def nights_to_do(
-    task: TrendTask,
-    group: Sequence[MotorSpec],
-    hashes: Mapping[str, str],
-    histories: Mapping[str, History],
-) -> dict[str, tuple[dt.date, dt.date]]:
-    """First and last night of each motor whose trends are to be made.
-
-    New nights, and those from the first on that a late log has touched, of any motor of the
-    circuit: what one does says what moves all. All of them where the settings or what people said
-    changed. A motor that was not asked for gets no new nights. Where nights are published that lie
-    after the motor's last, that one: it says that they are withdrawn.
-    """
-    found = {}
-    for motor_id, first in first_nights(task, group, hashes):
-        if motor_id not in histories:
-            continue
-        last = histories[motor_id].nights[-1]
-        if motor_id not in task.changed_from:
-            before = read_record(task.output, motor_id)
-            last = last if before is None else min(last, before.last_night)
-        if first <= last:
-            found[motor_id] = (first, last)
-    return found
-
-
-def first_nights(
-    task: TrendTask, group: Sequence[MotorSpec], hashes: Mapping[str, str]
-) -> Iterator[tuple[str, dt.date]]:
-    """The first night of each motor of a circuit whose trends may have to be made, see above."""
-    records = {spec.motor_id: read_record(task.output, spec.motor_id) for spec in group}
-    touched = [task.changed_from.get(motor_id) for motor_id in records]
-    touched += [record.redo_from for record in records.values() if record is not None]
-    earliest = [night for night in touched if night is not None]
-    for motor_id, before in records.items():
-        if before is not None and before.trend_hash == hashes[motor_id]:
-            until, after = task.tonight.of(motor_id), before.last_night + dt.timedelta(days=1)
-            yield motor_id, min([until if before.last_night > until else after, *earliest])
-        elif before is not None or motor_id in task.changed_from:
-            yield motor_id, dt.date.min
-
-
 def _part(
     output: Path,
     history: History,
     said: tuple[Decision, ...],
     known: tuple[Records, dt.date],
+    seen_from: Mapping[str, dt.date],
 ) -> Part:
     """What is known of a motor, its poor nights fitted together."""
 
@@ -292,12 +247,11 @@ def _part(
         motors = [history.spec.motor_id]
         return read_rows(output, BLOCK_STATISTICS, motors, BLOCK_COLUMNS, nights=nights)
 
-    return Part.of(with_poor_nights(history, said, read_blocks, known), said)
-
-
-def decisions_of(decisions: Sequence[Decision], motor_id: str) -> tuple[Decision, ...]:
-    """What people said of one motor."""
-    return tuple(one for one in decisions if one.motor_id == motor_id)
+    part = Part.of(with_poor_nights(history, said, read_blocks, known), said)
+    for night, then, said_then in earlier_views(history, said, seen_from):
+        earlier = Part.of(with_poor_nights(then, said_then, read_blocks), said_then)
+        part = part.seen_before(night, earlier)
+    return part
 
 
 @dataclass(frozen=True, slots=True)
@@ -310,22 +264,19 @@ class Part:
         Its nights, and what people said.
     eras, indicators
         From `eras_of` and `indicators_of`.
-    changes
-        How far each indicator had moved.
     apart
         By indicator, nights on which it had risen by more than the motor's paths have in common,
         shape (n,).
-    wears
-        Nights on which one of its paths had, shape (n,).
+    contributions
+        By indicator, what it says of the oil.
     """
 
     history: History
     decisions: tuple[Decision, ...]
     eras: tuple[Era, ...]
     indicators: Mapping[str, Indicator]
-    changes: Mapping[str, LogChange]
     apart: Mapping[str, NDArray[np.bool_]]
-    wears: NDArray[np.bool_]
+    contributions: Mapping[str, Contribution]
 
     @classmethod
     def of(cls, history: History, decisions: tuple[Decision, ...]) -> Part:
@@ -341,26 +292,37 @@ class Part:
             paths,
             history.spec.settings.alarms.common_cause_percent,
         )
+        # One path that wears is enough: the motor's leakage says nothing of the oil then.
         wears = np.zeros(len(history), dtype=np.bool_)
         for name in paths:
             wears |= apart[name]
-        return cls(history, decisions, eras, indicators, changes, apart, wears)
+        said = {
+            name: contribution(history, one, apart[name] if name in paths else wears)
+            for name, one in changes.items()
+        }
+        return cls(history, decisions, eras, indicators, apart, said)
 
-    def its_own(self, name: str) -> NDArray[np.bool_]:
-        """Nights on which an indicator says nothing of the oil, as the motor wears."""
-        return self.apart[name] if self.indicators[name].path else self.wears
+    def seen_before(self, night: dt.date, earlier: Part) -> Part:
+        """The same where the other motors of its circuit saw another one before a night."""
+        place = int(np.searchsorted(self.history.records["night"], np.datetime64(night)))
+        said = {
+            name: one.seen_before(self.history, place, earlier.contributions[name])
+            for name, one in self.contributions.items()
+        }
+        return replace(self, contributions=said)
 
 
 def circuit_peers(parts: Mapping[str, Part]) -> dict[str, dict[str, Peers]]:
     """By motor and indicator, what the other motors of an oil circuit did."""
+    histories = {motor_id: part.history for motor_id, part in parts.items()}
     found: defaultdict[str, dict[str, Peers]] = defaultdict(dict)
     for name in dict.fromkeys(name for part in parts.values() for name in part.indicators):
-        own = {
-            motor_id: part.changes[name] for motor_id, part in parts.items() if name in part.changes
+        said = {
+            motor_id: part.contributions[name]
+            for motor_id, part in parts.items()
+            if name in part.contributions
         }
-        histories = {motor_id: parts[motor_id].history for motor_id in own}
-        apart = {motor_id: parts[motor_id].its_own(name) for motor_id in own}
-        for motor_id, one in peers_of_circuit(histories, own, apart).items():
+        for motor_id, one in peers_of_circuit(histories, said).items():
             found[motor_id][name] = one
     return found
 

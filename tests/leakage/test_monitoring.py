@@ -195,6 +195,34 @@ def test_without_peers_in_reach_the_own_values_decide() -> None:
     assert found.states[123] == "warning"
 
 
+def test_others_that_come_back_after_a_silence_take_nothing_back_before_they_can_tell() -> None:
+    """What was told alone meanwhile: levels would else count the others' nights before it."""
+    nights = np.arange(200)
+    silent = (nights >= 110) & (nights < 150)
+    wear = np.select([nights >= 130, nights >= 100], [1.44, 1.2], 1.0)
+    others = np.where(silent, np.nan, 0.0)
+    found = monitor(nights, healthy(200, 42) * wear, others_log_change=others)
+    assert [(one.night, one.after) for one in found.changes] == [
+        (30, "ok"),
+        (102, "warning"),
+        (132, "alarm"),
+    ]
+    # Where it was the oil, the others say so on as many nights as a level needs.
+    oil = np.where(nights >= 130, 1.44, 1.0)
+    others = np.where(silent, np.nan, np.log(oil))
+    found = monitor(nights, healthy(200, 42) * oil, others_log_change=others)
+    assert found.states[148:155] == ["alarm"] * 4 + ["common_cause"] * 3
+
+
+@pytest.mark.parametrize(("size", "state"), [(1.2, "warning"), (1.4, "alarm")])
+def test_what_both_have_told_stays_though_the_others_rise_later(size: float, state: str) -> None:
+    nights = np.arange(200)
+    oil = np.where(nights >= 140, 1.3, 1.0)
+    values = healthy(200, 47) * np.where(nights >= 100, size, 1.0)
+    found = monitor(nights, values, others_log_change=np.log(oil))
+    assert set(found.states[103:]) == {state}
+
+
 def test_an_absolute_limit_holds_whatever_the_others_do() -> None:
     nights = np.arange(200)
     rise = np.where(nights >= 120, 1.4, 1.0)

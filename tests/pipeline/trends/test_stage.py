@@ -17,20 +17,15 @@ from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
 from pipeline.store import read_rows
 from pipeline.tonight import Tonight
+from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.record import Record, note_touched, read_record, trend_hash, write_record
-from pipeline.trends.stage import (
-    TrendTask,
-    circuits_of,
-    new_alarms,
-    nights_to_do,
-    trend_tasks,
-    with_q_values,
-)
+from pipeline.trends.stage import TrendTask, new_alarms, trend_tasks, with_q_values
 from pipeline.verification import verify_tables
 from pipeline.worker_process import Loss
 from tests.pipeline.trends.nights import (
     Nights,
     configure,
+    event,
     histories,
     motor,
     named,
@@ -133,25 +128,22 @@ def test_a_reset_makes_all_nights_anew(fleet: tuple[Path, Path, Nights]) -> None
 SPECS = [named(motor(), name, circuit) for name, circuit in (("A", "t"), ("B", "t"), ("C", ""))]
 
 
+OTHER_A = named(motor(), "A", "t", [event(20, "oil_change", oil="vg46")])
+
+
 def task(changed: dict[str, dt.date | None], output: Path, *said: Decision) -> TrendTask:
     return TrendTask(tuple(SPECS[:2]), output, output, changed, Tonight(night_of(39)), said)
 
 
 def to_do(one: TrendTask) -> dict[str, tuple[dt.date, dt.date]]:
     found = histories(*(Nights(spec, 40) for spec in one.specs))
-    hashes = {spec.motor_id: trend_hash(one.specs, spec, one.decisions) for spec in one.specs}
-    return nights_to_do(one, one.specs, hashes, found)
+    circuit = Circuit.of(one.output, one.specs, decisions_of(one.specs, one.decisions))
+    return circuit.nights_to_do(one.changed_from, one.tonight, found)
 
 
-def remember(output: Path, last: int, *said: Decision) -> None:
+def remember(output: Path, last: int) -> None:
     for spec in SPECS[:2]:
-        write_record(
-            output, spec.motor_id, Record(trend_hash(SPECS[:2], spec, said), last_of(last))
-        )
-
-
-def last_of(place: int) -> dt.date:
-    return night_of(place)
+        write_record(output, spec.motor_id, Record(trend_hash(spec, ()), night_of(last)))
 
 
 def test_all_nights_are_to_be_made_at_first(tmp_path: Path) -> None:
@@ -182,14 +174,26 @@ def test_what_a_broken_run_left_is_done_by_the_next(tmp_path: Path) -> None:
     assert to_do(task({"A": None, "B": None}, tmp_path)) == {"A": span, "B": span}
 
 
-def test_what_was_said_of_one_motor_redoes_its_circuit(tmp_path: Path) -> None:
+def test_what_was_said_of_one_motor_redoes_that_motor(tmp_path: Path) -> None:
     remember(tmp_path, 39)
     span = (dt.date.min, night_of(39))
     said = reset(20, motor_id="A")
-    assert to_do(task({"A": None, "B": None}, tmp_path, said)) == {"A": span, "B": span}
+    assert to_do(task({"A": None, "B": None}, tmp_path, said)) == {"A": span}
     # An acknowledgement changes no figure.
     acknowledged = replace(said, kind="acknowledged")
     assert to_do(task({"A": None, "B": None}, tmp_path, acknowledged)) == {}
+
+
+def test_what_its_own_settings_made_anew_redoes_no_other_motor(tmp_path: Path) -> None:
+    """Another oil from a night on, say: its rows are others from there on."""
+    remember(tmp_path, 39)
+    changed = replace(task({"A": night_of(20), "B": None}, tmp_path), specs=(OTHER_A, SPECS[1]))
+    assert to_do(changed) == {"A": (dt.date.min, night_of(39))}
+    # Nor a motor that joins with nights of its own.
+    (tmp_path / "ledger" / "A" / "trends").unlink()
+    assert to_do(task({"A": night_of(0), "B": None}, tmp_path)) == {
+        "A": (dt.date.min, night_of(39))
+    }
 
 
 def test_a_motor_that_was_not_asked_for_gets_no_new_nights(tmp_path: Path) -> None:

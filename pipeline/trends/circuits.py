@@ -1,0 +1,134 @@
+"""Oil circuits: their motors, what is remembered of each, and which nights are to be made."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.config import MotorSpec
+from pipeline.decisions import Decision
+from pipeline.tonight import Tonight
+from pipeline.trends.beginnings import beginnings
+from pipeline.trends.history import History
+from pipeline.trends.record import Record, read_record, trend_hash
+
+
+def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
+    """Motors by oil circuit; one without a circuit is a group of its own."""
+    circuits: defaultdict[str, list[MotorSpec]] = defaultdict(list)
+    for spec in specs:
+        circuits[spec.file.oil_circuit or f"\0{spec.motor_id}"].append(spec)
+    return [group for _, group in sorted(circuits.items())]
+
+
+@dataclass(frozen=True, slots=True)
+class Circuit:
+    """Motors of one oil circuit, and what is known of them before their nights are read.
+
+    Attributes
+    ----------
+    specs
+        The motors.
+    decisions
+        By motor, what people said of it.
+    records
+        By motor, what is remembered of its trends.
+    hashes
+        By motor, of all that shapes its trends beyond the tables.
+    """
+
+    specs: tuple[MotorSpec, ...]
+    decisions: Mapping[str, tuple[Decision, ...]]
+    records: Mapping[str, Record | None]
+    hashes: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls,
+        output: Path,
+        specs: Sequence[MotorSpec],
+        decisions: Mapping[str, tuple[Decision, ...]],
+    ) -> Circuit:
+        return cls(
+            tuple(specs),
+            decisions,
+            {one.motor_id: read_record(output, one.motor_id) for one in specs},
+            {one.motor_id: trend_hash(one, decisions[one.motor_id]) for one in specs},
+        )
+
+    def first_nights(
+        self, changed_from: Mapping[str, dt.date | None], tonight: Tonight
+    ) -> dict[str, dt.date]:
+        """The first night of each motor whose trends may have to be made.
+
+        New nights, and those from the first on that a late log of any motor has touched: what one
+        does says what moves all. All of them where a motor's own settings, events or resets
+        changed; that touches no other. Where nights after a motor's last are published, its last:
+        it says that they are withdrawn.
+
+        Parameters
+        ----------
+        changed_from
+            By motor that was asked for, its first night with new rows; None where it has none.
+        tonight
+            Up to where each motor is judged.
+        """
+        found, touched, settled = {}, [], {}
+        for motor_id, record in self.records.items():
+            if record is None:
+                if motor_id in changed_from:
+                    found[motor_id] = dt.date.min
+            elif record.trend_hash != self.hashes[motor_id]:
+                found[motor_id] = dt.date.min
+            else:
+                until, after = tonight.of(motor_id), record.last_night + dt.timedelta(days=1)
+                settled[motor_id] = until if record.last_night > until else after
+                touched += [changed_from.get(motor_id), record.redo_from]
+        late = [night for night in touched if night is not None]
+        return found | {motor_id: min([night, *late]) for motor_id, night in settled.items()}
+
+    def nights_to_do(
+        self,
+        changed_from: Mapping[str, dt.date | None],
+        tonight: Tonight,
+        histories: Mapping[str, History],
+    ) -> dict[str, tuple[dt.date, dt.date]]:
+        """First and last night of each motor whose trends are to be made.
+
+        A motor that was not asked for gets no new nights.
+        """
+        found = {}
+        for motor_id, first in self.first_nights(changed_from, tonight).items():
+            if motor_id not in histories:
+                continue
+            last, before = histories[motor_id].nights[-1], self.records[motor_id]
+            if motor_id not in changed_from and before is not None:
+                last = min(last, before.last_night)
+            if first <= last:
+                found[motor_id] = (first, last)
+        return found
+
+    def beginnings(self) -> dict[str, dict[str, dt.date]]:
+        """By motor, from when on the others see its events and resets."""
+        known = [record for record in self.records.values() if record is not None]
+        last_told = max((record.last_night for record in known), default=None)
+        found = {}
+        for spec in self.specs:
+            record, said = self.records[spec.motor_id], self.decisions[spec.motor_id]
+            before = None if record is None else record.beginnings
+            found[spec.motor_id] = beginnings(spec, said, before, last_told)
+        return found
+
+
+def decisions_of(
+    specs: Iterable[MotorSpec], decisions: Iterable[Decision]
+) -> dict[str, tuple[Decision, ...]]:
+    """What people said of some motors, by motor."""
+    found: dict[str, list[Decision]] = {one.motor_id: [] for one in specs}
+    for one in decisions:
+        if one.motor_id in found:
+            found[one.motor_id].append(one)
+    return {motor_id: tuple(said) for motor_id, said in found.items()}

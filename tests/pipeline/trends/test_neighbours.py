@@ -1,0 +1,223 @@
+"""What is said of one motor leaves alone what the others of its oil circuit were told."""
+
+from __future__ import annotations
+
+import datetime as dt
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+from unittest.mock import patch
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.decisions import Decision
+from pipeline.schema import Table
+from pipeline.trends import alarm_rows, stage
+from pipeline.trends.history import History
+from pipeline.trends.record import write_record
+from pipeline.trends.standing import Standing
+from tests.pipeline.trends.nights import (
+    PATHS,
+    Nights,
+    event,
+    histories,
+    motor,
+    named,
+    night_of,
+    ramp,
+    reset,
+    step,
+)
+
+Row = dict[str, Any]
+Told = dict[tuple[str, str, dt.date], list[Row]]
+
+SPEC = motor()
+# Nights in all, and the last that was told before something is said.
+N, LAST = 62, 55
+# Good nights of a baseline that serves.
+BASELINE = 30
+EVENTS = {"overhaul": None, "motor_exchanged": None, "oil_change": SPEC.file.oil}
+SEVERITY = {"warning": 1, "alarm": 2}
+
+
+@dataclass(frozen=True)
+class Read:
+    """A motor's nights as `read_nights` gives them."""
+
+    history: History
+    published: list[Row]
+    known: None = None
+
+    def keep(self, *_: object) -> None:
+        """Nothing is kept."""
+
+
+def up_to(history: History, last: int) -> History:
+    """Its nights up to a place."""
+    words = {place: one for place, one in history.words.items() if place <= last}
+    return replace(history, records=history.records[: last + 1], words=words)
+
+
+def states(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
+    """Instead of whole rows of `trends`: each state, and what the others did to the last bit."""
+    for place in places:
+        for name, of_nights in standing.states.items():
+            peers = standing.peers.get(name)
+            others = "" if peers is None else float(peers.others[place]).hex()
+            yield standing.key(place) | {
+                "indicator": name,
+                "state": of_nights[place],
+                "others": others,
+            }
+
+
+@dataclass
+class Circuit:
+    """Runs over a circuit whose nights need no table, and what they have told."""
+
+    folder: Path
+    histories: dict[str, History]
+    said: tuple[Decision, ...] = ()
+    told: Told = field(default_factory=dict)
+
+    def run(self, last: int, redone_from: int | None = None) -> list[Row]:
+        """A run as of a night; returns the new rows of `alarms` of all but the first motor."""
+        read = {
+            name: Read(up_to(one, last), self.alarms_of(name))
+            for name, one in self.histories.items()
+        }
+        first = None if redone_from is None else night_of(redone_from)
+        task = stage.TrendTask(
+            tuple(one.spec for one in self.histories.values()),
+            self.folder,
+            self.folder,
+            dict.fromkeys(read, first),
+            night_of(last),
+            self.said,
+        )
+        with (
+            patch.object(stage, "read_nights", lambda *_: read),
+            patch.object(stage, "stage", self._take),
+            # Neither is any reason for a state, and both take long.
+            patch.object(stage, "trend_rows", states),
+            patch.object(stage, "change_point_rows", lambda *_: ()),
+            patch.object(alarm_rows, "path_behind", lambda *_: None),
+        ):
+            outcome = stage.run_trends(task)
+        assert outcome.failures == {}
+        for name, record in outcome.records.items():
+            write_record(self.folder, name, record)
+        return [row for row in outcome.alarms if row["motor_id"] != "M1"]
+
+    def _take(self, path: Path, table: Table, nights: Mapping[dt.date, list[Row]]) -> None:
+        self.told |= {(path.stem, table.name, night): rows for night, rows in nights.items()}
+
+    def alarms_of(self, name: str) -> list[Row]:
+        """The published rows of `alarms` of a motor."""
+        of_motor = (rows for key, rows in self.told.items() if key[:2] == (name, "alarms"))
+        return [row for rows in of_motor for row in rows]
+
+    def of_others(self) -> Told:
+        """What all motors but the first were told."""
+        return {key: rows for key, rows in self.told.items() if key[0] != "M1"}
+
+    def severities_of_others(self) -> dict[tuple[str, str, dt.date], int]:
+        """Severity by motor, indicator and night."""
+        return {
+            (motor_id, row["indicator"], night): SEVERITY.get(row["state"], 0)
+            for (motor_id, table, night), rows in self.of_others().items()
+            if table == "trends"
+            for row in rows
+        }
+
+
+@dataclass(frozen=True)
+class Story:
+    """What happens to motors on one tank, and what is said of the first.
+
+    Attributes
+    ----------
+    oil
+        Night in which the oil changes, and by how much every path of every motor leaks more.
+    exchanged
+        The same of the first motor alone.
+    wear
+        By motor: path, whether it is sudden, first night, size.
+    said, of
+        What is said of the first motor after the last night that was told, and of which night.
+    """
+
+    oil: tuple[int, float]
+    exchanged: tuple[int, float]
+    wear: tuple[tuple[tuple[str, bool, int, float], ...], ...]
+    said: str
+    of: int
+
+    def histories(self) -> dict[str, History]:
+        """The motors' nights."""
+        motors = []
+        for number, wear in enumerate(self.wear, start=1):
+            both = step(N, *self.oil) * (step(N, *self.exchanged) if number == 1 else 1.0)
+            factors = dict.fromkeys(PATHS, both)
+            for path, sudden, at, size in wear:
+                factors[path] = factors[path] * (step if sudden else ramp)(N, at, size)
+            motors.append(Nights(named(SPEC, f"M{number}", "tank"), N, factors, seed=number))
+        return histories(*motors)
+
+    def tell(self, circuit: Circuit) -> None:
+        """Say it."""
+        if self.said in EVENTS:
+            dated = event(self.of, self.said, oil=EVENTS[self.said])
+            spec = named(SPEC, "M1", "tank", [dated])
+            circuit.histories["M1"] = replace(circuit.histories["M1"], spec=spec)
+        elif self.said == "acknowledged":
+            circuit.said = (replace(reset(self.of), kind="acknowledged"),)
+        else:
+            circuit.said = (reset(self.of, self.said),)
+
+
+WEAR = st.tuples(
+    st.sampled_from(PATHS), st.booleans(), st.integers(30, N - 2), st.sampled_from([0.2, 0.5, 1.2])
+)
+STORIES = st.builds(
+    Story,
+    oil=st.tuples(st.integers(32, N), st.sampled_from([-0.2, 0.2, 0.4])),
+    exchanged=st.tuples(st.integers(20, N), st.sampled_from([-0.3, 0.3])),
+    wear=st.lists(st.lists(WEAR, max_size=2).map(tuple), min_size=2, max_size=4).map(tuple),
+    said=st.sampled_from(["", "K_balance_sleeve", "acknowledged", *EVENTS]),
+    of=st.integers(3, LAST + 1),
+)
+
+
+@settings(max_examples=10)
+@given(STORIES)
+def test_what_is_said_of_a_motor_moves_nothing_that_the_others_were_told(story: Story) -> None:
+    with TemporaryDirectory() as folder:
+        circuit = Circuit(Path(folder) / "with", story.histories())
+        circuit.run(LAST)
+        shutil.copytree(circuit.folder, Path(folder) / "without")
+        without = Circuit(
+            Path(folder) / "without", dict(circuit.histories), told=dict(circuit.told)
+        )
+        story.tell(circuit)
+        assert circuit.run(LAST) == []
+        assert circuit.of_others() == without.of_others()
+        told = without.severities_of_others()
+        # In the nights to come nothing is closed, and nothing is taken back that would have stood,
+        # unless the first motor has something new to say: it has a baseline again.
+        assert [row for row in circuit.run(N - 1) if row["way"] == "recomputed"] == []
+        without.run(N - 1)
+        if story.of + BASELINE >= N:
+            stands = circuit.severities_of_others()
+            for (name, indicator, night), would_stand in without.severities_of_others().items():
+                before = told[name, indicator, min(night, night_of(LAST))]
+                assert stands[name, indicator, night] >= min(would_stand, before)
+        # What was told is told again where all nights are made anew.
+        before = circuit.of_others()
+        assert circuit.run(N - 1, redone_from=0) == []
+        assert circuit.of_others() == before
