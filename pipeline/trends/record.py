@@ -9,9 +9,9 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
-from pipeline.landing import put, read, remove
+from pipeline.landing import put, remove
 from pipeline.night_statistics import hash_of
-from pipeline.sealed import seal, unseal
+from pipeline.sealed import read_sealed, seal, unseal
 from pipeline.settings_hashes import config_hash
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -68,17 +68,17 @@ def record_file(output: Path, motor_id: str) -> Path:
 
 def read_record(output: Path, motor_id: str) -> Record | None:
     """What is remembered of a motor's trends; None where nothing is, or it is damaged."""
+    document = read_sealed(record_file(output, motor_id), unseal)
+    if document is None:
+        return None
     try:
-        document = unseal(read(record_file(output, motor_id)))
-        if document is None:
-            return None
         last, redo = (document[name] for name in ("last_night", "redo_from"))
         return Record(
             str(document["trend_hash"]),
             dt.date.fromisoformat(last),
             None if redo is None else dt.date.fromisoformat(redo),
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
