@@ -357,8 +357,8 @@ def _run(
     heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id)
     with interrupts_held() as came:
-        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
         damage.look_into(_keys_of(finished))
+        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")

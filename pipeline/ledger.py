@@ -10,13 +10,12 @@ import datetime as dt
 import hashlib
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.landing import put, read
-from pipeline.sealed import read_sealed, seal, unseal
+from pipeline.landing import put
+from pipeline.sealed import put_sealed, read_sealed, seal, unseal
 
 # Where files of which no night is known are kept.
 NO_MONTH = "unknown"
@@ -214,12 +213,7 @@ def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> 
     StoreError
         If they cannot be written.
     """
-    content = seal(settings)
-    path = settings_file(output, motor_id)
-    with suppress(OSError):
-        if read(path) == content:
-            return
-    put(path, content)
+    put_sealed(settings_file(output, motor_id), settings)
 
 
 def forget_nights(

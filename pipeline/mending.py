@@ -13,7 +13,7 @@ import logging
 import zlib
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pipeline.decisions import Decision, journal_file, put_back, take_out_damaged_lines
@@ -30,10 +30,12 @@ from pipeline.manifest import (
     renew_manifest,
     update_manifest,
 )
-from pipeline.schema import DECISIONS, NIGHT_TABLES, RUNS, TREND_TABLES
+from pipeline.schema import DECISIONS, RUNS
 from pipeline.store import ENDING, PUT_ASIDE, Proof, day_of_run, read_table, table_folder
 from pipeline.trends.record import note_touched
 from pipeline.verification import (
+    OF_MOTORS,
+    OF_TRENDS,
     TABLE_OF,
     TableFault,
     fault_of,
@@ -47,11 +49,11 @@ log = logging.getLogger(__name__)
 
 # Brings back a file of the output, by its path below it, from where it is published as well.
 Restore = Callable[[str], bool]
-OF_MOTORS = {table.name for table in NIGHT_TABLES}
-OF_TRENDS = {table.name for table in TREND_TABLES}
 # What a motor's night has of these is made anew from its stored blocks where the log is gone.
 FROM_BLOCKS = {"parameters"}
 LOST = ("table_altered", "table_missing")
+NEXT_RUN = "the next run makes it anew where the logs of that night are there"
+NO_LOGS = "the logs of that night are gone, or were not asked for"
 # So many faults are told one by one.
 FAULTS_TOLD = 20
 
@@ -93,11 +95,13 @@ class Damage:
     output: Path
     restore: Restore = lambda _: False
     found: dict[str, TableFault] = field(default_factory=dict)
-    # By motor, the nights with a fit of which rows were lost.
+    # By motor, the nights with a fit of which rows were lost; and what was found when the motors
+    # had their turn.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
+    _late: set[str] = field(default_factory=set)
 
     def look_around(self, due: Callable[[Key], bool]) -> None:
-        """Look at all published files, and prove those that are due or were written to.
+        """Before the motors have their turn: look at all published files, and prove those due.
 
         Raises
         ------
@@ -105,10 +109,15 @@ class Damage:
             If something cannot be read or written; what was done till then holds.
         """
         self.mend(self.named(rebuild_manifests(self.output, self.restore)))
-        self.look_into(manifest_keys(self.output), due)
+        self._look(manifest_keys(self.output), due)
 
-    def look_into(self, keys: Iterable[Key], due: Callable[[Key], bool] = lambda _: True) -> None:
-        """Prove the files of some manifests; raises as `look_around`."""
+    def look_into(self, keys: Iterable[Key]) -> None:
+        """After that: prove the files of some manifests; raises as `look_around`."""
+        before = set(self.found)
+        self._look(keys, lambda _: True)
+        self._late |= self.found.keys() - before
+
+    def _look(self, keys: Iterable[Key], due: Callable[[Key], bool]) -> None:
         seen = look_at_published(self.output, keys, due)
         for key in seen.proven:
             renew_manifest(self.output, *key)
@@ -172,11 +181,11 @@ class Damage:
         mended: dict[dt.date, str] = {}
         for path, fault in self.found.items():
             table, (month, label) = path.split("/")[0], key_of(path)
-            if table not in OF_MOTORS | OF_TRENDS and month != WHOLE:
+            if table not in TABLE_OF or (month != WHOLE and table not in OF_MOTORS | OF_TRENDS):
                 continue
             now = fault_of(self.output, path)
             if now is not None or not (self.output / "tables" / path).exists():
-                yield now or fault
+                yield self._not_made(now or fault)
             elif table in OF_MOTORS:
                 mended.setdefault(dt.date.fromisoformat(label), path)
         for night, path in mended.items():
@@ -186,9 +195,15 @@ class Damage:
                 if night in some and night not in made.get(motor_id, ())
             ]
             if lost:
-                why = "the logs of that night are gone, or were not asked for"
+                why = NEXT_RUN if path in self._late else NO_LOGS
                 message = f"rows of {', '.join(lost)} are not made anew: {why}"
                 yield TableFault(path, "rows_lost", message)
+
+    def _not_made(self, fault: TableFault) -> TableFault:
+        if fault.code == "table_unreadable":
+            return fault
+        gives_up = f"not made anew: {NO_LOGS}; `check --tables --mend` gives it up"
+        return replace(fault, message=NEXT_RUN if fault.path in self._late else gives_up)
 
 
 def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
@@ -254,15 +269,17 @@ def restore_decisions(output: Path) -> None:
         return
     if count := put_back(output, [Decision(**row) for row in rows]):
         name = journal_file(output).name
-        log.warning("%s is damaged: %d lines are put back from the table", name, count)
+        log.warning("%s is damaged or gone; put back from the table: %d lines", name, count)
 
 
-def mend_output(output: Path, restore: Restore) -> tuple[tuple[TableFault, ...], list[TableFault]]:
+def mend_output(
+    output: Path, restore: Restore
+) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
     """Mend all that is damaged without a run; the caller holds the lock.
 
     Returns
     -------
-    tuple of TableFault, list of TableFault
+    tuple of TableFault, tuple of TableFault
         What was found, and what is left.
 
     Raises
@@ -284,4 +301,4 @@ def mend_output(output: Path, restore: Restore) -> tuple[tuple[TableFault, ...],
     if any(one.code == "journal_damaged" for one in found):
         restore_decisions(output)
         take_out_damaged_lines(output)
-    return found, list(verify_tables(output))
+    return found, tuple(verify_tables(output))

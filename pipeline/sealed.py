@@ -6,10 +6,11 @@ import hashlib
 import json
 import logging
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pipeline.landing import read
+from pipeline.landing import put, read
 
 log = logging.getLogger(__name__)
 
@@ -82,3 +83,18 @@ def read_sealed(path: Path, unsealed: Callable[[bytes], Said | None]) -> Said | 
     name = "/".join(path.parts[-3:])
     log.warning("%s %s; what it told of is made anew where that can be", name, fault)
     return None
+
+
+def put_sealed(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document, unless it is there as it is to be.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    content = seal(document)
+    with suppress(OSError):
+        if read(path) == content:
+            return
+    put(path, content)

@@ -456,7 +456,8 @@ def prepare_night(
     """
     path = night_file(output, table, night)
     before, rows_before = _present(path, table, accepted)
-    lost_rows = rows_before is None if before is not None else _is_gone(path, accepted)
+    gone = before is None and bool(accepted) and None not in accepted
+    lost_rows = gone or (before is not None and rows_before is None)
     parts = [frame(table, [])]
     if rows_before is not None:
         parts.append(rows_before.filter(~pl.col("motor_id").is_in(list(staged))))
@@ -531,14 +532,6 @@ def _require_accepted(
 ) -> None:
     if accepted and digest not in accepted:
         raise _damaged(path, table, ValueError("it is not what its manifest says"))
-
-
-def _is_gone(path: Path, accepted: Collection[str | None]) -> bool:
-    """Whether there should be a file that is not there."""
-    gone = bool(accepted) and None not in accepted
-    if gone:
-        log.warning("%s is gone; the next run makes that night anew", path.name)
-    return gone
 
 
 def run_file(output: Path, table: Table, started: dt.datetime) -> Path:

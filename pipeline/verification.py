@@ -17,14 +17,24 @@ from pathlib import Path
 from pipeline.decisions import damaged_lines, journal_file
 from pipeline.errors import StoreError
 from pipeline.landing import TEMPORARY_PREFIX, read
-from pipeline.manifest import Key, Manifest, key_of, manifest_file, manifest_keys, read_manifest
-from pipeline.schema import TABLES
+from pipeline.manifest import (
+    WHOLE,
+    Key,
+    Manifest,
+    key_of,
+    manifest_file,
+    manifest_keys,
+    read_manifest,
+)
+from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
 from pipeline.sealed import unseal, unseal_bytes
 from pipeline.store import ENDING, PUT_ASIDE, Proof, prove
 from pipeline.trends.kept_nights import kept_folder
 
-AGAIN = "a run makes it anew where the logs of that night are there"
+AGAIN = "a run makes it anew"
 TABLE_OF = {table.name: table for table in TABLES}
+OF_MOTORS = {table.name for table in NIGHT_TABLES}
+OF_TRENDS = {table.name for table in TREND_TABLES}
 ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run makes it anew"
 
 
@@ -151,13 +161,22 @@ def _compare(output: Path, name: str, accepted: tuple[str | None, ...]) -> Table
     except (FileNotFoundError, NotADirectoryError):
         if None in accepted:
             return None
-        return TableFault(name, "table_missing", f"the file is gone; {AGAIN}")
+        return TableFault(name, "table_missing", f"the file is gone; {_again(name)}")
     except OSError as error:
         message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
         return TableFault(name, "table_unreadable", message)
     if found not in accepted:
-        return TableFault(name, "table_altered", f"it is not what was published; {AGAIN}")
+        return TableFault(name, "table_altered", f"it is not what was published; {_again(name)}")
     return None
+
+
+def _again(name: str) -> str:
+    """What comes of a file that is damaged or gone."""
+    if name.split("/")[0] in OF_MOTORS:
+        return f"{AGAIN} where the logs of that night are there"
+    if name.split("/")[0] in OF_TRENDS or key_of(name)[0] == WHOLE:
+        return AGAIN
+    return "it told of a run, and nothing makes it anew"
 
 
 def unlisted_files(output: Path) -> dict[Key, list[str]]:

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
-from pipeline.landing import put, remove
+from pipeline.landing import remove
 from pipeline.night_statistics import hash_of
-from pipeline.sealed import read_sealed, seal, unseal
+from pipeline.sealed import put_sealed, read_sealed, unseal
 from pipeline.settings_hashes import config_hash
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -90,9 +90,8 @@ def write_record(output: Path, motor_id: str, record: Record) -> None:
     StoreError
         If it cannot be written.
     """
-    if read_record(output, motor_id) != record:
-        nights = {name: _text(getattr(record, name)) for name in ("last_night", "redo_from")}
-        put(record_file(output, motor_id), seal({"trend_hash": record.trend_hash, **nights}))
+    nights = {name: _text(getattr(record, name)) for name in ("last_night", "redo_from")}
+    put_sealed(record_file(output, motor_id), {"trend_hash": record.trend_hash, **nights})
 
 
 def _text(night: dt.date | None) -> str | None:
