@@ -12,8 +12,10 @@ import polars as pl
 from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import UsageError
 from pipeline.heartbeat import Beat, read_heartbeat
+from pipeline.manifest import manifest_keys
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
 from pipeline.store import read_rows, read_table, table_folder
+from pipeline.verification import TableFault, look_at_published
 
 # From what needs attention most to what needs none.
 ORDER = ("alarm", "warning", "common_cause", "stale", "insufficient", "ok")
@@ -69,6 +71,8 @@ class FleetStatus:
         Alarms whose inspection found wear, and all that were inspected.
     beat
         What the run that is under way, or the last one, says of itself; None before the first.
+    damage
+        Published files that are gone, or were written to since and are not what was published.
     """
 
     motors: tuple[MotorState, ...]
@@ -76,6 +80,7 @@ class FleetStatus:
     findings_confirmed: int
     findings: int
     beat: Beat | None = None
+    damage: tuple[TableFault, ...] = ()
 
 
 def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
@@ -105,6 +110,7 @@ def fleet_status(output: Path, motor_ids: Sequence[str]) -> FleetStatus:
         findings.count("confirmed"),
         len(findings),
         read_heartbeat(output),
+        look_at_published(output, manifest_keys(output), lambda _: False).faults,
     )
 
 

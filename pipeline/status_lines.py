@@ -44,6 +44,7 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
             "findings": found.findings,
             "findings_confirmed": found.findings_confirmed,
             "run": None if found.beat is None else asdict(found.beat),
+            "damage": [asdict(fault) for fault in found.damage],
         }
         typer.echo(json.dumps(fleet, default=str))
         return
@@ -61,6 +62,9 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
     typer.echo(f"last good run: {ended}{', which is too old' if too_old else ''}")
     if (line := _run_line(found)) is not None:
         typer.echo(line)
+    if found.damage:
+        first, n = found.damage[0], len(found.damage)
+        typer.echo(f"{n} published files are damaged or gone, such as {first.path}: {first.code}")
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
         typer.echo(
