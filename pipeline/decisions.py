@@ -10,12 +10,13 @@ import datetime as dt
 import hashlib
 import json
 import logging
+from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
 
 from pipeline.errors import StoreError
-from pipeline.landing import append, read
+from pipeline.landing import append, blank, read
 
 log = logging.getLogger(__name__)
 
@@ -66,12 +67,16 @@ def record_decision(output: Path, decision: Decision) -> None:
     StoreError
         If it cannot be written.
     """
+    append(journal_file(output), _line(decision))
+
+
+def _line(decision: Decision) -> bytes:
     document = asdict(decision) | {
         "time": decision.time.isoformat(),
         "night": decision.night.isoformat(),
     }
     line = json.dumps({"sha256": _digest(document), **document}, sort_keys=True) + "\n"
-    append(journal_file(output), line.encode())
+    return line.encode()
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
@@ -100,6 +105,54 @@ def damaged_lines(output: Path) -> tuple[int, ...]:
         If there is a journal that cannot be read.
     """
     return tuple(number for number, one in _lines(output).items() if one is None)
+
+
+def put_back(output: Path, known: Collection[Decision]) -> int:
+    """Append what a damaged journal, or one that is gone, lacks of what is known from elsewhere.
+
+    Returns
+    -------
+    int
+        How many decisions were put back; none where the journal is whole: people may have taken
+        lines out of it.
+
+    Raises
+    ------
+    StoreError
+        If the journal cannot be read or written.
+    """
+    present = _lines(output).values()
+    if present and None not in present:
+        return 0
+    lost = [one for one in known if one not in present]
+    if lost:
+        # In one call: a journal that was gone is put back as a whole or is damaged.
+        append(journal_file(output), b"".join(map(_line, lost)))
+    return len(lost)
+
+
+def take_out_damaged_lines(output: Path) -> None:
+    """Move the damaged lines of the journal into a file beside it, to be looked at.
+
+    Raises
+    ------
+    StoreError
+        If that fails; a line is then in one of the files, or in both.
+    """
+    path = journal_file(output)
+
+    def damaged(content: bytes) -> list[tuple[int, int]]:
+        spans, begin = [], 0
+        for line in content.split(b"\n"):
+            if line.strip() and _decision(line) is None:
+                spans.append((begin, begin + len(line)))
+            begin += len(line) + 1
+        taken = b"".join(content[begin:end] + b"\n" for begin, end in spans)
+        if taken:
+            append(path.with_suffix(".damaged"), taken)
+        return spans
+
+    blank(path, damaged)
 
 
 def _lines(output: Path) -> dict[int, Decision | None]:

@@ -31,9 +31,11 @@ from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.heartbeat import Heartbeat
 from pipeline.interrupts import interrupts_held
 from pipeline.landing import make_folders, remove_all, remove_leftovers
-from pipeline.ledger import Ledger, forget_night, read_settings, write_months, write_settings
+from pipeline.ledger import Ledger, forget_nights, read_settings, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.logs import legible
+from pipeline.manifest import Key, manifest_keys
+from pipeline.mending import Damage, restore_decisions, share_due
 from pipeline.motor_night import FAILED
 from pipeline.motor_task import plan_motor, run_motor
 from pipeline.night_statistics import hash_of
@@ -79,6 +81,7 @@ from pipeline.trends.stage import (
     with_q_values,
     without_lost_motor,
 )
+from pipeline.verification import TableFault
 from pipeline.versions import own_version, versions
 from pipeline.worker_process import Loss
 from pipeline.workers import Crew
@@ -163,6 +166,10 @@ class RunResult:
         New rows of `alarms`.
     seconds_by_stage
         Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
+    damage
+        Published files that were found damaged or gone.
+    damage_left
+        What of it could not be made anew.
     """
 
     run_id: str
@@ -172,6 +179,8 @@ class RunResult:
     seconds: float
     alarms: tuple[Mapping[str, Any], ...] = ()
     seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
+    damage: tuple[TableFault, ...] = ()
+    damage_left: tuple[TableFault, ...] = ()
 
     @property
     def files(self) -> Counter[str]:
@@ -262,7 +271,7 @@ def _run_once(
     ):
         remove_leftovers([output], below=False)
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
-        with working_copy(fleet.object_store, output), staging_folder(output) as staging:
+        with working_copy(fleet.object_store, output) as restore, staging_folder(output) as staging:
             if fleet.object_store:
                 # A working copy knows its logs only once it is up to date.
                 require_space(output, request.specs, fleet.execution, crew)
@@ -271,7 +280,8 @@ def _run_once(
             stores = (fleet.log_url,) if fleet.log_url else ()
             open_outbox(output, [one.name for one in receivers], fleet.name)
             with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
-                result = _run(request, staging, progress, heartbeat, run_tasks, first=first)
+                damage = Damage(output, restore)
+                result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
             _take_up(fleet)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
@@ -384,11 +394,14 @@ def _run(
     progress: Progress,
     heartbeat: Heartbeat,
     run_tasks: RunTasks,
+    damage: Damage,
     *,
     first: bool,
 ) -> RunResult:
     started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
     fleet = request.fleet
+    damage.look_around(share_due(fleet.output, fleet.execution.prove_within_days, started))
+    restore_decisions(fleet.output)
     tasks = [_task(request, spec, staging) for spec in request.specs]
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
@@ -407,6 +420,7 @@ def _run(
     heartbeat.say(stage="publishing", run_id=run_id)
     publisher = Publisher(fleet.output, staging, run_id)
     with interrupts_held() as came:
+        damage.look_into(_keys_of(finished))
         n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
@@ -419,6 +433,9 @@ def _run(
         except KeyboardInterrupt:
             interrupted = True
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
+    if any(outcome.error_code == "store_read" for outcome in finished):
+        # What a task could not read is found and named; the next run makes it anew.
+        damage.look_into(manifest_keys(fleet.output))
     ends.append(time.perf_counter())
     stages = zip(STAGES, [begin, *ends], ends, strict=False)
     result = RunResult(
@@ -429,12 +446,20 @@ def _run(
         seconds=ends[-1] - begin,
         alarms=tuple(alarms),
         seconds_by_stage={name: end - start for name, start, end in stages},
+        damage=tuple(damage.found.values()),
+        damage_left=tuple(damage.left({one.motor_id: one.nights for one in finished})),
     )
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
         _publish_run(publisher, request, result, started, config_hash)
     interrupted = interrupted or bool(came)
     return replace(result, interrupted=interrupted)
+
+
+def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
+    """The manifests of the nights that some motors have made."""
+    nights = {night for outcome in outcomes for night in outcome.nights}
+    return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
 
 
 def _motors(
@@ -514,7 +539,7 @@ def _publish(
             note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
     # Of a motor without a new night there may be the row of a log that is of none.
     staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
-    publisher.nights(NIGHT_TABLES, staged, forget_night)
+    publisher.nights(NIGHT_TABLES, staged, forget_nights)
     publisher.whole(DATA_DICTIONARY, data_dictionary())
     for outcome in outcomes:
         write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
@@ -529,7 +554,7 @@ def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Led
     months = dict(outcome.ledger)
     for night, kept in publisher.lost.items():
         if outcome.motor_id not in kept:
-            months = {month: ledger.without(night) for month, ledger in months.items()}
+            months = {month: ledger.without({night}) for month, ledger in months.items()}
     return months
 
 
@@ -597,7 +622,7 @@ def _publish_trend_rows(
     fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
     lost: list[Collection[str]] = []
 
-    def forget(output: Path, _: dt.date, keep: Collection[str]) -> None:
+    def forget(output: Path, _: Collection[dt.date], keep: Collection[str]) -> None:
         lost.append(keep)
         forget_records(output, keep)
 
@@ -649,6 +674,7 @@ def _publish_run(
         "n_nights": result.n_nights,
         "seconds": result.seconds,
         **result.seconds_by_stage,
+        "damage": [f"{one.code}: {one.path}: {one.message}" for one in result.damage],
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})

@@ -240,6 +240,32 @@ def append(path: Path, line: bytes) -> None:
             os.close(handle)
 
 
+def blank(path: Path, chosen: Callable[[bytes], Sequence[tuple[int, int]]]) -> None:
+    """Overwrite parts of a file with blanks, in its place; nobody appends to it meanwhile.
+
+    Parameters
+    ----------
+    path
+        The file.
+    chosen
+        Begin and end of each part, given the file's content.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; some parts may be blank then.
+    """
+    with _told(path):
+        handle = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            for begin, end in chosen(_content_of(handle)):
+                os.pwrite(handle, b" " * (end - begin), begin)
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
 def make_folders(folder: Path) -> None:
     """Make a folder and those above it that are absent, so that they outlive a power cut.
 
@@ -347,12 +373,16 @@ def read(path: Path) -> bytes:
 def _read(path: Path) -> bytes:
     handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        parts, place = [], 0
-        while part := os.pread(handle, BUFFER, place):
-            parts.append(part)
-            place += len(part)
+        return _content_of(handle)
     finally:
         os.close(handle)
+
+
+def _content_of(handle: int) -> bytes:
+    parts, place = [], 0
+    while part := os.pread(handle, BUFFER, place):
+        parts.append(part)
+        place += len(part)
     return b"".join(parts)
 
 

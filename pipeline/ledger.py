@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
-import json
 from collections import defaultdict
 from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.landing import put, read
-from pipeline.sealed import seal, unseal
+from pipeline.landing import put
+from pipeline.sealed import put_sealed, read_sealed, seal, unseal
 from pipeline.worker_process import still_alive
 
 # Of a file that is read for its hash, at a time.
@@ -107,12 +106,20 @@ class Ledger:
         earlier = [label for label, record in self.nights.items() if label < night and record.model]
         return self.nights[max(earlier)].model if earlier else {}
 
-    def without(self, night: dt.date) -> Ledger:
-        """A ledger that knows nothing of a night, nor of the files in which it has samples."""
-        label = night.isoformat()
+    def without(self, nights: Collection[dt.date], refit: Collection[dt.date] = ()) -> Ledger:
+        """A ledger with which some nights are made anew: it knows no file that has samples of them.
+
+        What came of a night with a fit is kept: where its log is gone, the night after is still
+        judged with its model. Those of `refit` are then fitted anew from their statistics.
+        """
+        labels = {night.isoformat() for night in nights}
         return Ledger(
-            {name: one for name, one in self.files.items() if label not in one.nights},
-            {date: one for date, one in self.nights.items() if date != night},
+            {name: one for name, one in self.files.items() if labels.isdisjoint(one.nights)},
+            {
+                night: replace(one, figures_hash="") if night in refit else one
+                for night, one in self.nights.items()
+                if one.model or night not in nights
+            },
         )
 
     def by_month(self) -> dict[str, Ledger]:
@@ -153,15 +160,10 @@ def read_ledger(output: Path, motor_id: str) -> Ledger:
 
 
 def _read_month(path: Path) -> Ledger:
-    return month_of(path) or Ledger()
-
-
-def month_of(path: Path) -> Ledger | None:
-    """What a file of a ledger says; None where it is damaged or cannot be read."""
+    document = read_sealed(path, unseal)
+    if document is None:
+        return Ledger()
     try:
-        document = unseal(read(path))
-        if document is None:
-            return None
         files = {
             name: FileRecord(**(record | {"nights": tuple(record["nights"])}))
             for name, record in document["files"].items()
@@ -172,8 +174,8 @@ def month_of(path: Path) -> Ledger | None:
             )
             for label, record in document["nights"].items()
         }
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return Ledger()
     return Ledger(files, nights)
 
 
@@ -202,11 +204,8 @@ def settings_file(output: Path, motor_id: str) -> Path:
 
 def read_settings(output: Path, motor_id: str) -> dict[str, str]:
     """Settings of a motor's last run by dotted key; empty where they are not known."""
-    try:
-        document = json.loads(read(settings_file(output, motor_id)))
-        return {str(key): str(value) for key, value in document.items()}
-    except (OSError, ValueError, AttributeError, RecursionError):
-        return {}
+    document = read_sealed(settings_file(output, motor_id), unseal) or {}
+    return {str(key): str(value) for key, value in document.items()}
 
 
 def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:
@@ -217,33 +216,49 @@ def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> 
     StoreError
         If they cannot be written.
     """
-    if read_settings(output, motor_id) != settings:
-        content = json.dumps(dict(settings), indent=0, sort_keys=True).encode()
-        put(settings_file(output, motor_id), content)
+    put_sealed(settings_file(output, motor_id), settings)
 
 
-def forget_night(output: Path, night: dt.date, keep: Collection[str]) -> None:
-    """Let the next run make a night anew for all motors but some.
+def forget_nights(
+    output: Path,
+    nights: Collection[dt.date],
+    keep: Collection[str] = (),
+    refit: Collection[dt.date] = (),
+) -> dict[str, set[dt.date]]:
+    """Let the next run make some nights anew for all motors but some.
 
     Parameters
     ----------
     output
         Output folder.
-    night
-        Label of a night whose table was lost.
+    nights
+        Labels of nights whose tables were lost.
     keep
-        Ids of motors whose rows of that night are published.
+        Ids of motors whose rows of these nights are published.
+    refit
+        Those of the nights that may be fitted from their statistics where their logs are gone.
+
+    Returns
+    -------
+    dict of str to set
+        By motor, those of the nights that it had a fit of.
 
     Raises
     ------
     StoreError
         If a ledger cannot be written.
     """
-    for folder in (output / "ledger").glob("*"):
+    fitted = {}
+    for folder in sorted((output / "ledger").glob("*")):
         if folder.name in keep:
             continue
         before = read_ledger(output, folder.name)
-        write_months(output, folder.name, changed_months(before, before.without(night)))
+        fitted[folder.name] = {
+            night for night, one in before.nights.items() if one.model and night in nights
+        }
+        after = before.without(nights, refit)
+        write_months(output, folder.name, changed_months(before, after))
+    return fitted
 
 
 def content_hash(path: Path) -> str:

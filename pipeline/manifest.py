@@ -11,10 +11,16 @@ import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pipeline.errors import StoreError
 from pipeline.landing import put, read
+
+MONTH_PREFIX = "month="
+# In place of a month: manifests of the tables that are one file.
+WHOLE = "whole"
+# Month and name of a manifest.
+Key = tuple[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +53,27 @@ class Manifest:
 
 def manifest_file(output: Path, month: str, name: str) -> Path:
     """Where the manifest of a night, or of a run, lies."""
-    return output / "manifest" / f"month={month}" / f"{name}.json"
+    return output / "manifest" / f"{MONTH_PREFIX}{month}" / f"{name}.json"
+
+
+def manifest_keys(output: Path) -> list[Key]:
+    """Month and name of each manifest that there is, sorted."""
+    paths = (output / "manifest").glob(f"{MONTH_PREFIX}*/*.json")
+    return sorted((path.parent.name.removeprefix(MONTH_PREFIX), path.stem) for path in paths)
+
+
+def key_of(name: str) -> Key:
+    """Month and name of the manifest that lists a table file.
+
+    Examples
+    --------
+    >>> key_of("fits/month=2026-03/2026-03-02.parquet"), key_of("decisions/decisions.parquet")
+    (('2026-03', '2026-03-02'), ('whole', 'decisions'))
+    """
+    path = PurePosixPath(name)
+    folder = path.parent.name
+    month = folder.removeprefix(MONTH_PREFIX) if folder.startswith(MONTH_PREFIX) else WHOLE
+    return month, path.stem
 
 
 def read_manifest(output: Path, month: str, name: str) -> Manifest | None:
@@ -112,15 +138,32 @@ def update_manifest(output: Path, month: str, name: str, files: Mapping[str, str
     _write(path, Manifest(kept, coming))
 
 
+def renew_manifest(output: Path, month: str, name: str) -> None:
+    """Give a manifest the time of now, as its files have been proven once more.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    path = manifest_file(output, month, name)
+    manifest = _read(path)
+    if manifest is not None:
+        put(path, _encoded(manifest))
+
+
 def _write(path: Path, manifest: Manifest) -> None:
     """Write a manifest, unless it is there as it is to be."""
-    if _read(path) == manifest:
-        return
+    if _read(path) != manifest:
+        put(path, _encoded(manifest))
+
+
+def _encoded(manifest: Manifest) -> bytes:
     document: dict[str, object] = {"files": dict(manifest.files)}
     if manifest.coming:
         document["coming"] = {name: list(some) for name, some in manifest.coming.items()}
     document["sha256"] = _digest(manifest)
-    put(path, json.dumps(document, indent=0, sort_keys=True).encode())
+    return json.dumps(document, indent=0, sort_keys=True).encode()
 
 
 def _read(path: Path) -> Manifest | None:

@@ -16,8 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.errors import StoreError
-from pipeline.manifest import Manifest, announce, read_manifest, update_manifest
-from pipeline.publishing import WHOLE
+from pipeline.manifest import WHOLE, Manifest, announce, read_manifest, update_manifest
 from pipeline.schema import SCHEMA_VERSION, TABLES, Table
 from pipeline.store import VERSION_KEY, encode_table, prepare_file, read_table
 

@@ -14,7 +14,7 @@ from typing import Any
 import polars as pl
 
 from pipeline.errors import StoreError
-from pipeline.manifest import Manifest, announce, read_manifest, update_manifest
+from pipeline.manifest import WHOLE, Manifest, announce, read_manifest, update_manifest
 from pipeline.schema import Table, frame
 from pipeline.store import (
     NightFile,
@@ -29,11 +29,9 @@ from pipeline.store import (
 
 # What is still to be done with all rows of a night, given the motors whose rows are new.
 Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
-# Lets the next run make a night anew for all motors but some.
-Forget = Callable[[Path, dt.date, Collection[str]], None]
+# Lets the next run make nights anew for all motors but some.
+Forget = Callable[[Path, Collection[dt.date], Collection[str]], object]
 Rows = Mapping[str, pl.DataFrame]
-# Manifest of the tables that are one file.
-WHOLE = "whole"
 
 
 @dataclass(slots=True)
@@ -153,7 +151,7 @@ class Publisher:
                 files.append(file)
                 if file.lost_rows:
                     self.lost.setdefault(night, set()).update(motors)
-                    forget(self.output, night, set(motors))
+                    forget(self.output, (night,), set(motors))
             self._land(f"{night:%Y-%m}", night.isoformat(), files)
             undone.pop_all()
 

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
-from typing import Any
+import logging
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pipeline.landing import put, read
+
+log = logging.getLogger(__name__)
+
+Said = TypeVar("Said")
 
 
 def seal(document: Mapping[str, Any]) -> bytes:
@@ -54,3 +63,38 @@ def unseal_bytes(content: bytes) -> bytes | None:
     size = hashlib.sha256().digest_size
     whole = content[size:]
     return whole if content[:size] == hashlib.sha256(whole).digest() else None
+
+
+def read_sealed(path: Path, unsealed: Callable[[bytes], Said | None]) -> Said | None:
+    """Content of a file of an output; None where there is none, or it is damaged.
+
+    A damaged one is named in a warning.
+    """
+    try:
+        content = unsealed(read(path))
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        fault = f"cannot be read: {error.strerror}"
+    else:
+        if content is not None:
+            return content
+        fault = "is damaged"
+    name = "/".join(path.parts[-3:])
+    log.warning("%s %s; what it told of is made anew where that can be", name, fault)
+    return None
+
+
+def put_sealed(path: Path, document: Mapping[str, Any]) -> None:
+    """Write a document, unless it is there as it is to be.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    content = seal(document)
+    with suppress(OSError):
+        if read(path) == content:
+            return
+    put(path, content)

@@ -14,10 +14,12 @@ from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import UsageError
 from pipeline.explain import FITS_OF_A_NIGHT, fit_words
 from pipeline.heartbeat import Beat, read_heartbeat
+from pipeline.manifest import manifest_keys
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
 from pipeline.store import read_rows, read_table, table_folder
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
+from pipeline.verification import TableFault, look_at_published
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
@@ -90,6 +92,8 @@ class FleetStatus:
         What the run that is under way, or the last one, says of itself; None before the first.
     receivers
         What each receiver of changes of state has not been told.
+    damage
+        Published files that are gone, or were written to since and are not what was published.
     """
 
     motors: tuple[MotorState, ...]
@@ -98,6 +102,7 @@ class FleetStatus:
     findings: int
     beat: Beat | None = None
     receivers: tuple[Backlog, ...] = ()
+    damage: tuple[TableFault, ...] = ()
 
 
 def fleet_status(
@@ -131,6 +136,7 @@ def fleet_status(
         len(findings),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
+        look_at_published(output, manifest_keys(output), lambda _: False).faults,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+from collections.abc import Iterator
 from dataclasses import asdict
 
 import typer
@@ -22,32 +23,12 @@ COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "se
 
 
 def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
-    """Print a fleet's state.
+    """Print a fleet's state: for people, or one JSON object a motor and one for the fleet.
 
-    Parameters
-    ----------
-    name
-        The fleet.
-    found
-        Its state.
-    too_old
-        Whether the last good run is older than was asked for.
-    as_json
-        One JSON object a motor, then one for the fleet.
+    `too_old`: the last good run is older than was asked for.
     """
     if as_json:
-        for motor in found.motors:
-            typer.echo(json.dumps({"event": "motor", **asdict(motor)}, default=str))
-        fleet = {
-            "event": "fleet",
-            "last_good_run": found.last_good_run,
-            "too_old": too_old,
-            "findings": found.findings,
-            "findings_confirmed": found.findings_confirmed,
-            "run": None if found.beat is None else asdict(found.beat),
-            "receivers": [asdict(one) for one in found.receivers],
-        }
-        typer.echo(json.dumps(fleet, default=str))
+        _print_json(found, too_old=too_old)
         return
     console = Console()
     if console.is_terminal:
@@ -59,16 +40,39 @@ def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool)
     else:
         for motor in found.motors:
             typer.echo(one_line("; ".join(_cells(motor))))
-    ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
-    typer.echo(f"last good run: {ended}{', which is too old' if too_old else ''}")
-    if (line := _run_line(found)) is not None:
+    for line in _fleet_lines(found, too_old=too_old):
         typer.echo(line)
-    for one in found.receivers:
-        if one.undelivered:
-            typer.echo(_undelivered_line(one))
+
+
+def _print_json(found: FleetStatus, *, too_old: bool) -> None:
+    for motor in found.motors:
+        typer.echo(json.dumps({"event": "motor", **asdict(motor)}, default=str))
+    fleet = {
+        "event": "fleet",
+        "last_good_run": found.last_good_run,
+        "too_old": too_old,
+        "findings": found.findings,
+        "findings_confirmed": found.findings_confirmed,
+        "run": None if found.beat is None else asdict(found.beat),
+        "receivers": [asdict(one) for one in found.receivers],
+        "damage": [asdict(fault) for fault in found.damage],
+    }
+    typer.echo(json.dumps(fleet, default=str))
+
+
+def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
+    """Lines below the motors: last run, deliveries, damage, inspections."""
+    ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
+    yield f"last good run: {ended}{', which is too old' if too_old else ''}"
+    if (line := _run_line(found)) is not None:
+        yield line
+    yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
+    if found.damage:
+        first, n = found.damage[0], len(found.damage)
+        yield f"{n} published files are damaged or gone, such as {first.path}: {first.code}"
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
-        typer.echo(
+        yield (
             f"inspections that confirmed an alarm: {found.findings_confirmed} of "
             f"{found.findings} ({share:.0f} %)"
         )

@@ -14,14 +14,17 @@ import os
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from enum import Enum
 from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
+from polars.exceptions import PanicException, PolarsError
 
 from pipeline.errors import StoreError, UsageError
 from pipeline.landing import Prepared, move, prepare, put, read, scratch
+from pipeline.manifest import MONTH_PREFIX, Manifest, key_of, read_manifest
 from pipeline.schema import SCHEMA_VERSION, Table, frame
 
 log = logging.getLogger(__name__)
@@ -30,7 +33,9 @@ VERSION_KEY = "motor_leakage_schema_version"
 # Ending of a damaged file that a run has put aside.
 PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
-MONTH_PREFIX, ENDING = "month=", ".parquet"
+ENDING = ".parquet"
+# What reading a damaged file raises; a damaged name is a UnicodeDecodeError, a ValueError.
+DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
 def existing_tables(output: Path) -> Path:
@@ -193,12 +198,11 @@ def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
             if name not in rows.columns
         ]
         return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
-    # A damaged name is a UnicodeDecodeError, a ValueError.
-    except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
+    except DAMAGE as error:
         raise _damaged(path, table, error) from error
 
 
-def _damaged(path: Path, table: Table, error: Exception) -> StoreError:
+def _damaged(path: Path, table: Table, error: BaseException) -> StoreError:
     return StoreError("store_read", f"{path.name} of {table.name} is damaged: {error}")
 
 
@@ -233,36 +237,81 @@ def read_rows(
     Raises
     ------
     StoreError
-        If a file is damaged.
+        If a file is damaged, or is not what its manifest says.
     """
     chosen = list(columns or table.schema)
     empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
     if nights is None:
-        paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+        paths = sorted(table_folder(output, table).glob(f"month={month}/*.parquet"))
     else:
         files = (night_file(output, table, night) for night in sorted(nights))
-        paths = [str(path) for path in files if path.exists()]
+        paths = [path for path in files if path.exists()]
     if not paths:
         return empty.select(chosen)
     empty = empty.select(["motor_id", *(name for name in chosen if name != "motor_id")])
-    try:
-        parts = [_read_motors(path, motor_ids, empty.columns) for path in paths]
-        rows = pl.concat([empty, *parts], how="diagonal_relaxed")
-    except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
-        raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
+    parts = [_read_motors(output, path, table, motor_ids, empty.columns) for path in paths]
+    rows = pl.concat([empty, *parts], how="diagonal_relaxed")
     return rows.select(chosen).cast(pl.Schema({name: table.schema[name] for name in chosen}))
 
 
-def _read_motors(path: str, motor_ids: Sequence[str], columns: Sequence[str]) -> pl.DataFrame:
+def _read_motors(
+    output: Path, path: Path, table: Table, motor_ids: Sequence[str], columns: Sequence[str]
+) -> pl.DataFrame:
     """Some motors' rows of a file, in those columns that it has.
 
     File by file, as a scanner of many takes longer for small ones; with checksums, as a flipped bit
     would otherwise be a step in a trend.
     """
-    with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
+    try:
+        content = _published_content(output, path, table)
+        with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
+            rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
+    except DAMAGE as error:
+        raise _damaged(path, table, error) from error
     assert isinstance(rows, pl.DataFrame)
     return rows.filter(pl.col("motor_id").is_in(list(motor_ids)))
+
+
+def _published_content(output: Path, path: Path, table: Table) -> bytes:
+    """Content of a file that is what its manifest says; of one without a manifest, as it is."""
+    name = path.relative_to(output / "tables").as_posix()
+    for _ in range(2):  # a run may publish it in between
+        manifest = read_manifest(output, *key_of(name)) or Manifest()
+        content, accepted = read(path), manifest.accepted(name)
+        if not accepted or hashlib.sha256(content).hexdigest() in accepted:
+            return content
+    raise _damaged(path, table, ValueError("it is not what its manifest says"))
+
+
+class Proof(Enum):
+    """What proves a file of which no manifest tells.
+
+    `WHOLE`: to the byte it is what this program writes of its rows, its footer too. `PAGES`: the
+    checksums of its pages alone, as another version wrote it.
+    """
+
+    WHOLE = "whole"
+    PAGES = "pages"
+
+
+def prove(path: Path, table: Table) -> tuple[str, Proof]:
+    """SHA-256 of a table file that is whole as far as it can tell itself, and what proves it.
+
+    Raises
+    ------
+    StoreError
+        If it is damaged, of a newer version of the program, or has rows of other nights.
+    """
+    try:
+        content = read(path)
+    except OSError as error:
+        raise _damaged(path, table, error) from error
+    rows = _decode(path, table, content)
+    of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in table.schema
+    if of_night and {str(night) for night in rows["night"].drop_nulls()} - {path.stem}:
+        raise _damaged(path, table, ValueError("it has rows of other nights"))
+    same = encode_table(path.name, rows) == content
+    return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
 
 
 def _require_known_version(path: Path, content: pa.Table) -> None:
@@ -421,7 +470,8 @@ def prepare_night(
     """
     path = night_file(output, table, night)
     before, rows_before = _present(path, table, accepted)
-    lost_rows = rows_before is None if before is not None else _is_gone(path, accepted)
+    gone = before is None and bool(accepted) and None not in accepted
+    lost_rows = gone or (before is not None and rows_before is None)
     parts = [frame(table, [])]
     if rows_before is not None:
         parts.append(rows_before.filter(~pl.col("motor_id").is_in(list(staged))))
@@ -498,15 +548,15 @@ def _require_accepted(
         raise _damaged(path, table, ValueError("it is not what its manifest says"))
 
 
-def _is_gone(path: Path, accepted: Collection[str | None]) -> bool:
-    """Whether there should be a file that is not there."""
-    gone = bool(accepted) and None not in accepted
-    if gone:
-        log.warning("%s is gone; the next run makes that night anew", path.name)
-    return gone
-
-
 def run_file(output: Path, table: Table, started: dt.datetime) -> Path:
     """File of a run, of the tables that have one for each run."""
     name = f"{started:%Y%m%dT%H%M%S%fZ}.parquet"
     return table_folder(output, table) / f"month={started:%Y-%m}" / name
+
+
+def day_of_run(path: Path) -> dt.date | None:
+    """The day on which a run began, by its file's name; None where no run is called so."""
+    try:
+        return dt.date.fromisoformat(path.name[:8])
+    except ValueError:
+        return None

@@ -1,9 +1,15 @@
-"""`motor-leakage check --tables`: whether all that a run has left is as it was written."""
+"""Comparison of an output with what runs have left there: `check --tables` all, a run a share.
+
+A run looks whether every published file is there, and reads those that are due, and those that
+somebody has written to since they were published.
+"""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator
+import os
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,15 +17,26 @@ from pathlib import Path
 from pipeline.decisions import damaged_lines, journal_file
 from pipeline.errors import StoreError
 from pipeline.landing import TEMPORARY_PREFIX, read
-from pipeline.ledger import month_of
-from pipeline.manifest import Manifest, read_manifest
-from pipeline.sealed import unseal_bytes
-from pipeline.store import PUT_ASIDE
+from pipeline.manifest import (
+    WHOLE,
+    Key,
+    Manifest,
+    key_of,
+    manifest_file,
+    manifest_keys,
+    read_manifest,
+)
+from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
+from pipeline.sealed import unseal, unseal_bytes
+from pipeline.store import ENDING, PUT_ASIDE, Proof, prove
 from pipeline.telling.outbox import OUTBOX_FILES, parsed
 from pipeline.trends.kept_nights import kept_folder
-from pipeline.trends.record import read_record, record_file
 
-AGAIN = "`fit-fleet --force` with that night makes it anew from the logs"
+AGAIN = "a run makes it anew"
+TABLE_OF = {table.name: table for table in TABLES}
+OF_MOTORS = {table.name for table in NIGHT_TABLES}
+OF_TRENDS = {table.name for table in TREND_TABLES}
+ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run makes it anew"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,8 +48,9 @@ class TableFault:
     path
         Relative to the folder of the tables; of another file, to the output folder.
     code
-        ``table_altered``, ``table_missing``, ``table_unlisted``, ``manifest_damaged``,
-        ``ledger_damaged``, ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
+        ``table_altered``, ``table_missing``, ``table_unreadable``, ``table_unlisted``,
+        ``rows_lost``, ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``,
+        ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
     message
         In words, with what to do.
     """
@@ -40,6 +58,22 @@ class TableFault:
     path: str
     code: str
     message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """A comparison of the published files with their manifests.
+
+    Attributes
+    ----------
+    faults
+        Files that differ, are absent or cannot be read, and manifests that are damaged.
+    proven
+        Manifests all whose files were read and are whole though one was written to since.
+    """
+
+    faults: tuple[TableFault, ...]
+    proven: tuple[Key, ...]
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
@@ -52,80 +86,179 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
     TableFault
         One for each file that differs, is absent, is in no manifest, or is damaged itself.
     """
-    yield from _verify_listed(output)
+    yield from look_at_published(output, manifest_keys(output)).faults
     yield from _verify_unlisted(output)
-    yield from _verify_ledger(output)
-    yield from _verify_history(output)
+    yield from _verify_sealed(output)
     yield from _verify_journal(output)
     yield from _verify_outbox(output)
 
 
-def _verify_listed(output: Path) -> Iterator[TableFault]:
-    for path in sorted((output / "manifest").glob("month=*/*.json")):
-        manifest = _manifest_at(output, path)
+def look_at_published(
+    output: Path, keys: Iterable[Key], is_due: Callable[[Key], bool] = lambda _: True
+) -> Look:
+    """Compare the files of manifests that are due; of the others, those that were written to since.
+
+    That a file is there is looked at in any case.
+    """
+    faults: list[TableFault] = []
+    proven: list[Key] = []
+    for key in keys:
+        manifest = read_manifest(output, *key)
         if manifest is None:
-            yield TableFault(
-                path.relative_to(output).as_posix(),
-                "manifest_damaged",
-                "the manifest is damaged; `fit-fleet --force` with that night makes it anew",
-            )
+            path = manifest_file(output, *key)
+            if path.exists():
+                message = "the manifest is damaged; a run makes it anew from the files"
+                name = path.relative_to(output).as_posix()
+                faults.append(TableFault(name, "manifest_damaged", message))
             continue
-        for name in sorted(manifest.names):
-            fault = _compare(output, name, manifest)
-            # A run may have published it since its manifest was read.
-            if fault is not None and (now := _manifest_at(output, path)) not in (None, manifest):
-                assert now is not None
-                fault = _compare(output, name, now)
-            if fault is not None:
-                yield fault
+        later = _written_since(output, key, manifest)
+        names = manifest.names if is_due(key) else later
+        found = [fault for name in sorted(names) if (fault := fault_of(output, name)) is not None]
+        faults += found
+        if later and not found:
+            proven.append(key)
+    return Look(tuple(faults), tuple(proven))
+
+
+def _written_since(output: Path, key: Key, manifest: Manifest) -> set[str]:
+    """Files that were written to after their manifest, or are not there."""
+    published_ns = _written_ns(manifest_file(output, *key))
+    tables = os.fspath(output / "tables")
+    return {
+        name
+        for name in manifest.names
+        if (written := _written_ns(f"{tables}/{name}")) is None
+        or published_ns is None
+        or written > published_ns
+    }
+
+
+def _written_ns(path: Path | str) -> int | None:
+    try:
+        return os.stat(path).st_mtime_ns  # noqa: PTH116 - thousands of them in every run
+    except OSError:
+        return None
+
+
+def fault_of(output: Path, name: str) -> TableFault | None:
+    """What is wrong with a table file, by its manifest.
+
+    It is looked at twice: a run may have published it in between, and what went wrong on the way
+    from the disk is none of its faults.
+    """
+    fault = None
+    for _ in range(2):
+        manifest = read_manifest(output, *key_of(name)) or Manifest()
+        fault = _compare(output, name, manifest.accepted(name))
+        if fault is None:
+            break
+    return fault
+
+
+def _compare(output: Path, name: str, accepted: tuple[str | None, ...]) -> TableFault | None:
+    if not accepted:
+        return None
+    try:
+        found = hashlib.sha256(read(output / "tables" / name)).hexdigest()
+    except (FileNotFoundError, NotADirectoryError):
+        if None in accepted:
+            return None
+        return TableFault(name, "table_missing", f"the file is gone; {_again(name)}")
+    except OSError as error:
+        message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
+        return TableFault(name, "table_unreadable", message)
+    if found not in accepted:
+        return TableFault(name, "table_altered", f"it is not what was published; {_again(name)}")
+    return None
+
+
+def _again(name: str) -> str:
+    """What comes of a file that is damaged or gone."""
+    if name.split("/")[0] in OF_MOTORS:
+        return f"{AGAIN} where the logs of that night are there"
+    if name.split("/")[0] in OF_TRENDS or key_of(name)[0] == WHOLE:
+        return AGAIN
+    return "it told of a run, and nothing makes it anew"
+
+
+def unlisted_files(output: Path) -> dict[Key, list[str]]:
+    """Table files that are in no manifest, by the one that should list them.
+
+    Those of a damaged manifest are among them.
+    """
+    # Files first, then manifests: a run announces a file before it puts it there.
+    found: defaultdict[Key, set[str]] = defaultdict(set)
+    tables = os.fspath(output / "tables")
+    for folder, _, files in os.walk(tables):
+        below = folder[len(tables) + 1 :]
+        for file in files:
+            if not file.startswith(TEMPORARY_PREFIX):
+                name = f"{below}/{file}" if below else file
+                found[key_of(name)].add(name)
+    unlisted = {}
+    for key, names in sorted(found.items()):
+        manifest = read_manifest(output, *key) or Manifest()
+        if left := names - manifest.names:
+            unlisted[key] = sorted(left)
+    return unlisted
+
+
+def proofs_of(output: Path, names: Sequence[str]) -> dict[str, tuple[str, Proof]]:
+    """SHA-256 and proof of those of some table files that can prove themselves.
+
+    Raises
+    ------
+    StoreError
+        ``store_newer``.
+    """
+    found = {}
+    for name in names:
+        table = TABLE_OF.get(name.split("/")[0])
+        if table is None or not name.endswith(ENDING):
+            continue
+        try:
+            found[name] = prove(output / "tables" / name, table)
+        except StoreError as error:
+            if error.code == "store_newer":
+                raise
+    return found
 
 
 def _verify_unlisted(output: Path) -> Iterator[TableFault]:
-    """Files first, then what the manifests say: a run announces a file before it puts it there."""
-    tables = output / "tables"
-    found = {
-        path.relative_to(tables).as_posix()
-        for path in tables.rglob("*")
-        if path.is_file() and not path.name.startswith(TEMPORARY_PREFIX)
-    }
-    for path in (output / "manifest").glob("month=*/*.json"):
-        manifest = _manifest_at(output, path)
-        found -= manifest.names if manifest else set()
-    for name in sorted(found):
-        message = "the file is in no manifest: it was not published by a run"
-        if name.endswith(PUT_ASIDE):
-            message = "it was damaged and a run put it aside; delete it when you have seen it"
-        yield TableFault(name, "table_unlisted", message)
+    for key, names in unlisted_files(output).items():
+        strangers = set(names)
+        if read_manifest(output, *key) is None:
+            proofs = proofs_of(output, names)
+            strangers -= proofs.keys()
+            path = manifest_file(output, *key)
+            if proofs and not path.exists():
+                message = f"there is no manifest of {len(proofs)} files; a run makes it anew"
+                name = path.relative_to(output).as_posix()
+                yield TableFault(name, "manifest_missing", message)
+        for name in sorted(strangers):
+            yield TableFault(name, "table_unlisted", _why_unlisted(name))
 
 
-def _verify_ledger(output: Path) -> Iterator[TableFault]:
-    for folder in sorted((output / "ledger").glob("*/")):
-        damaged = [path for path in sorted(folder.glob("*.json")) if month_of(path) is None]
-        record = record_file(output, folder.name)
-        if record.exists() and read_record(output, folder.name) is None:
-            damaged.append(record)
-        for path in damaged:
-            if path.exists():
-                yield TableFault(
-                    path.relative_to(output).as_posix(),
-                    "ledger_damaged",
-                    "it only saves work: the next run makes anew what it told of",
-                )
+def _why_unlisted(name: str) -> str:
+    if name.endswith(PUT_ASIDE):
+        return "it was damaged and put aside; `check --tables --mend` removes it"
+    return "the file is in no manifest: it was not published by a run; delete it"
 
 
-def _verify_history(output: Path) -> Iterator[TableFault]:
-    for path in sorted(kept_folder(output).glob("*/*")):
-        if path.name.startswith(TEMPORARY_PREFIX):
-            continue
-        with suppress(OSError):
-            if unseal_bytes(read(path)) is not None:
+def _verify_sealed(output: Path) -> Iterator[TableFault]:
+    kinds: tuple[tuple[Path, str, Callable[[bytes], object]], ...] = (
+        (output / "ledger", "ledger_damaged", unseal),
+        (kept_folder(output), "history_damaged", unseal_bytes),
+    )
+    for folder, code, unsealed in kinds:
+        for path in sorted(folder.glob("*/*")):
+            if path.name.startswith(TEMPORARY_PREFIX):
                 continue
-        if path.exists():
-            yield TableFault(
-                path.relative_to(output).as_posix(),
-                "history_damaged",
-                "it only saves work: the next run reads the nights from the tables again",
-            )
+            with suppress(OSError):
+                if unsealed(read(path)) is not None:
+                    continue
+            if path.exists():
+                yield TableFault(path.relative_to(output).as_posix(), code, ONLY_WORK)
 
 
 def _verify_journal(output: Path) -> Iterator[TableFault]:
@@ -136,9 +269,8 @@ def _verify_journal(output: Path) -> Iterator[TableFault]:
         yield TableFault(name, "journal_damaged", error.message)
         return
     for number in lines:
-        yield TableFault(
-            name, "journal_damaged", f"line {number} is damaged; take the line from a backup"
-        )
+        message = f"line {number} is damaged; `check --tables --mend` takes it out"
+        yield TableFault(name, "journal_damaged", message)
 
 
 def _verify_outbox(output: Path) -> Iterator[TableFault]:
@@ -158,23 +290,3 @@ def _is_damaged_outbox(path: Path) -> bool:
         return False
     except OSError:
         return True
-
-
-def _manifest_at(output: Path, path: Path) -> Manifest | None:
-    return read_manifest(output, path.parent.name.removeprefix("month="), path.stem)
-
-
-def _compare(output: Path, name: str, manifest: Manifest) -> TableFault | None:
-    accepted = manifest.accepted(name)
-    try:
-        with (output / "tables" / name).open("rb") as stream:
-            found = hashlib.file_digest(stream, "sha256").hexdigest()
-    except FileNotFoundError:
-        if None in accepted or not accepted:
-            return None
-        return TableFault(name, "table_missing", f"the file is gone; {AGAIN}")
-    except OSError as error:
-        return TableFault(name, "table_altered", f"it cannot be read: {error.strerror}; {AGAIN}")
-    if found not in accepted:
-        return TableFault(name, "table_altered", f"it is not what was published; {AGAIN}")
-    return None

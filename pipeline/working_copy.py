@@ -20,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -81,7 +82,7 @@ class Snapshot:
 
 
 @contextmanager
-def working_copy(url: str, output: Path) -> Iterator[None]:
+def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
     """Bring an output folder up to date with an object store, and publish what was changed in it.
 
     Parameters
@@ -91,6 +92,11 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
     output
         The folder, of which the caller holds the lock.
 
+    Yields
+    ------
+    callable
+        Brings a file back, by its path below the folder, as it is published; False: it is not.
+
     Raises
     ------
     StoreError
@@ -99,16 +105,24 @@ def working_copy(url: str, output: Path) -> Iterator[None]:
     """
     if not url:
         _require_no_copy(output)
-        yield
+        yield lambda _: False
         return
     store = ObjectStore.at(url)
     snapshot = pull(store, output)
     # From here on the folder is no copy, whatever becomes of the run.
     _record(store, output, None)
     started_ns = time.time_ns() - STAMP_NS
-    yield
+    yield partial(_restore, store, output, snapshot)
     with interrupts_held():
         push(store, output, snapshot, started_ns)
+
+
+def _restore(store: ObjectStore, output: Path, snapshot: Snapshot, path: str) -> bool:
+    """Bring a file of a working copy back as it was published; False: it was not."""
+    entry = snapshot.files.get(path)
+    if entry is not None:
+        put(output / path, _content(store, entry))
+    return entry is not None
 
 
 def _require_no_copy(output: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,7 +16,6 @@ from pipeline.cli.arguments import (
     AsJson,
     absolute_folder,
     load,
-    loaded,
     say,
 )
 from pipeline.errors import UsageError
@@ -24,6 +24,7 @@ from pipeline.messages import error_line
 if TYPE_CHECKING:
     from pipeline.channel_check import ChannelCheck
     from pipeline.check import MotorCheck
+    from pipeline.verification import TableFault
 
 
 def check(
@@ -38,6 +39,12 @@ def check(
     tables: Annotated[
         bool, typer.Option("--tables", help="Compare every table file with its manifest instead.")
     ] = False,
+    mend: Annotated[
+        bool,
+        typer.Option(
+            "--mend", help="With --tables: mend what is damaged, and give up what is lost."
+        ),
+    ] = False,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -51,13 +58,15 @@ def check(
 
     Example: motor-leakage check --suggest demo/logs/CB400-01/CB400-01_2026-01-03.csv
 
-    Exit code 0: no fault; 1: a log cannot be read, or there is none at all; 2: a fault in the
-    config.
+    Example: motor-leakage check --tables --mend configs/fleet.toml
+
+    Exit code 0: no fault; 1: a log cannot be read, there is none at all, or a file of the output
+    is damaged; 2: a fault in the config.
     """
     from pipeline.check import check_fleet
 
-    if tables:
-        raise typer.Exit(_check_tables(config, output, as_json=as_json))
+    if tables or mend:
+        raise typer.Exit(_check_tables(config, output, as_json=as_json, mend=mend))
     if suggest is not None:
         from pipeline.ingest.suggest import suggest as suggested
 
@@ -81,26 +90,39 @@ def check(
     raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 
 
-def _check_tables(config: Path | None, output: Path | None, *, as_json: bool) -> int:
-    """Compare the table files with their manifests; returns the exit code."""
+def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, mend: bool) -> int:
+    """Compare the files of an output with what was left there; returns the exit code."""
+    from pipeline.fleet import locked
+    from pipeline.mending import mend_output
     from pipeline.store import existing_tables
     from pipeline.verification import verify_tables
+    from pipeline.working_copy import working_copy
 
     if config is None:
         raise UsageError("config", "name the fleet file whose tables are to be checked")
-    folder = output or loaded(config).output
-    faults = 0
-    for fault in verify_tables(folder):
-        faults += 1
-        line = {"event": "table_fault", **asdict(fault)}
-        words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
-        say(json.dumps(line) if as_json else words, err=True)
+    fleet = load(config, output, None, logs=False)
+    folder = fleet.output
+    if mend:
+        with locked(folder), working_copy(fleet.object_store, folder) as restore:
+            found, left = mend_output(folder, restore)
+    else:
+        found = left = tuple(verify_tables(folder))
+    _say_faults(found, "table_fault", "", as_json=as_json)
+    if mend:
+        _say_faults(left, "table_fault_left", "left: ", as_json=as_json)
     # Where manifests tell of tables that are gone, that is said already.
-    tables = folder / "tables" if faults else existing_tables(folder)
+    tables = folder / "tables" if found else existing_tables(folder)
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
-    total = {"event": "tables", "n_files": n_files, "n_faults": faults}
-    say(json.dumps(total) if as_json else f"{n_files} table files, {faults} faults")
-    return EXIT_MOTORS_FAILED if faults else EXIT_OK
+    total = {"event": "tables", "n_files": n_files, "n_faults": len(found), "n_left": len(left)}
+    words = f"{n_files} table files, {len(found)} faults" + f", {len(left)} left" * mend
+    say(json.dumps(total) if as_json else words)
+    return EXIT_MOTORS_FAILED if left else EXIT_OK
+
+
+def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json: bool) -> None:
+    for one in faults:
+        words = f"motor-leakage: {mark}{one.code}: {one.path}: {one.message}"
+        say(json.dumps({"event": event, **asdict(one)}) if as_json else words, err=True)
 
 
 def _print_checks(checks: tuple[MotorCheck, ...]) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,6 +23,8 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     from collections import Counter
 
     from pipeline.fleet import plan_fleet, plan_trends
+    from pipeline.manifest import manifest_keys
+    from pipeline.verification import look_at_published
 
     total = 0
     for motor_id, plan in plan_fleet(request):
@@ -44,6 +47,11 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
             say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
         else:
             say(f"{motor_id}: all trends anew: {reason}")
+    output = request.fleet.output
+    for fault in look_at_published(output, manifest_keys(output), lambda _: False).faults:
+        line = {"event": "table_fault", **asdict(fault)}
+        words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
+        say(json.dumps(line) if as_json else words, err=True)
     if not as_json:
         say(f"{total} nights would be done")
 
@@ -114,6 +122,8 @@ class Reporter:
                     name: round(seconds, 3) for name, seconds in _by_stage(result).items()
                 },
                 "errors": _by_code(result),
+                "damage": [asdict(fault) for fault in result.damage],
+                "damage_left": [asdict(fault) for fault in result.damage_left],
                 "alarms": [
                     {name: row[name] for name in ("motor_id", "indicator", "to_state", "reason")}
                     for row in result.alarms
@@ -134,6 +144,11 @@ class Reporter:
             say(f"seconds by stage, those of motors added up: {stages}")
         for code, count in _by_code(result).items():
             say(f"{code}: {count} motors")
+        for fault in result.damage_left:
+            say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
+        if result.damage:
+            n, left = len(result.damage), len(result.damage_left)
+            say(f"damage: {n} files were found damaged or gone, {left} are not mended")
         for row in result.alarms:
             # That an indicator has its baseline is in `alarms`; nobody needs to look.
             if row["way"] != "baseline":

@@ -68,8 +68,8 @@ def fit_fleet(
 
     Example: motor-leakage fit-fleet configs/fleet.toml --jobs 2 --since 2026-01-02
 
-    Exit code 0: no motor failed; 1: at least one did, the others are done; 2: wrong usage or
-    config; 3: another run holds the output; 4: nothing could be published.
+    Exit code 0: no motor failed; 1: at least one did, the others are done, or published rows are
+    lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
     """
     with _stoppable(), nullcontext() if dry_run else early_crew(config, jobs) as crew:
         from pipeline.fleet import RunRequest
@@ -126,7 +126,8 @@ def _run(
     if result.interrupted:
         raise KeyboardInterrupt
     alarmed = fail_on_alarm and any(row["to_state"] == "alarm" for row in result.alarms)
-    raise typer.Exit(EXIT_MOTORS_FAILED if result.failed or alarmed else EXIT_OK)
+    failed = result.failed or result.damage_left or alarmed
+    raise typer.Exit(EXIT_MOTORS_FAILED if failed else EXIT_OK)
 
 
 def fit(

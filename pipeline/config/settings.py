@@ -489,6 +489,13 @@ class Execution(Section):
         description="Disk space that a run leaves free beyond its own tables, or else does not "
         "begin [MiB]; 0: not looked at",
     )
+    prove_within_days: int = Field(
+        30,
+        ge=1,
+        le=365,
+        description="Every published file is read and compared with its manifest within so many "
+        "days, a share of them in each run [days]",
+    )
 
     @property
     def hasty(self) -> Execution:

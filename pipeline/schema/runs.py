@@ -72,6 +72,12 @@ RUNS = Table(
                 ("scipy", "SciPy"),
             )
         ),
+        Column(
+            "damage",
+            NAMES,
+            "",
+            "Published files that the run found damaged or gone, in words, each with its code",
+        ),
     ),
 )
 

@@ -18,10 +18,10 @@ import scipy
 
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
-from pipeline.landing import put, read
+from pipeline.landing import put
 from pipeline.night_statistics import hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
-from pipeline.sealed import seal_bytes, unseal_bytes
+from pipeline.sealed import read_sealed, seal_bytes, unseal_bytes
 from pipeline.settings_hashes import config_hash
 from pipeline.store import month_stamps, night_stamps
 from pipeline.trends.night_records import Layout, Records
@@ -87,11 +87,8 @@ class KeptMonth:
 
     @classmethod
     def decoded(cls, content: bytes, key: str, layout: Layout) -> KeptMonth | None:
-        """What a file's content says; None where it is damaged, or made by other settings."""
-        whole = unseal_bytes(content)
-        if whole is None:
-            return None
-        text, _, numbers = whole.partition(b"\n")
+        """What unsealed content says; None where it was made by other settings."""
+        text, _, numbers = content.partition(b"\n")
         head = json.loads(text)
         if head["key"] != key:
             return None
@@ -131,9 +128,12 @@ def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[s
     """What is kept of a motor by month, as far as it is whole and was made with the same key."""
     found = {}
     for path in sorted((kept_folder(output) / motor_id).glob("[0-9]*")):
+        content = read_sealed(path, unseal_bytes)
+        if content is None:
+            continue
         try:
-            month = KeptMonth.decoded(read(path), key, layout)
-        except (OSError, ValueError, KeyError, TypeError):
+            month = KeptMonth.decoded(content, key, layout)
+        except (ValueError, KeyError, TypeError):
             continue
         if month is not None:
             found[path.name] = month

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.decisions import Decision
-from pipeline.landing import put, read
 from pipeline.night_statistics import hash_of
-from pipeline.sealed import seal, unseal
+from pipeline.sealed import put_sealed, read_sealed, unseal
 from pipeline.settings_hashes import config_hash
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -73,10 +72,10 @@ def record_file(output: Path, motor_id: str) -> Path:
 
 def read_record(output: Path, motor_id: str) -> Record | None:
     """What is remembered of a motor's trends; None where nothing is, or it is damaged."""
+    document = read_sealed(record_file(output, motor_id), unseal)
+    if document is None:
+        return None
     try:
-        document = unseal(read(record_file(output, motor_id)))
-        if document is None:
-            return None
         last, redo = (document[name] for name in ("last_night", "redo_from"))
         beginnings = document.get("beginnings")
         return Record(
@@ -87,7 +86,7 @@ def read_record(output: Path, motor_id: str) -> Record | None:
             if beginnings is None
             else {name: dt.date.fromisoformat(night) for name, night in beginnings.items()},
         )
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
@@ -99,11 +98,8 @@ def write_record(output: Path, motor_id: str, record: Record) -> None:
     StoreError
         If it cannot be written.
     """
-    if read_record(output, motor_id) != record:
-        document = asdict(record)
-        # Dates as they are read.
-        text = json.loads(json.dumps(document, default=dt.date.isoformat))
-        put(record_file(output, motor_id), seal(text))
+    text = json.loads(json.dumps(asdict(record), default=dt.date.isoformat))  # dates as text
+    put_sealed(record_file(output, motor_id), text)
 
 
 def note_touched(output: Path, motor_id: str, night: dt.date) -> None:

@@ -9,6 +9,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,11 +21,15 @@ from pipeline.ledger import (
     NightRecord,
     changed_months,
     content_hash,
-    forget_night,
+    forget_nights,
     ledger_folder,
     read_ledger,
+    read_settings,
+    settings_file,
     write_months,
+    write_settings,
 )
+from pipeline.verification import verify_tables
 
 MODELS = st.dictionaries(
     st.sampled_from(["none", "fixed", "estimated"]),
@@ -122,10 +127,20 @@ def test_none_there(tmp_path: Path) -> None:
 def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
     for motor in "AB":
         write_whole(tmp_path, motor, TWO_MONTHS)
-    forget_night(tmp_path, NEW_YEAR, {"B"})
-    kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != NEW_YEAR}
+    third = dt.date(2026, 1, 3)
+    assert forget_nights(tmp_path, {NEW_YEAR, third}, {"B"}) == {"A": {NEW_YEAR}}
+    # The night after is still judged with the model of one whose log may be gone.
+    kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != third}
     assert read_ledger(tmp_path, "A") == Ledger({}, kept)
     assert read_ledger(tmp_path, "B") == TWO_MONTHS
+
+
+def test_a_forgotten_night_can_be_fitted_anew_from_its_statistics(tmp_path: Path) -> None:
+    made = replace(SOME.nights[NEW_YEAR], figures_hash="0123456789abcdef")
+    write_whole(tmp_path, "A", Ledger(SOME.files, {NEW_YEAR: made}))
+    forget_nights(tmp_path, {NEW_YEAR}, refit={NEW_YEAR})
+    expected = replace(made, figures_hash="")
+    assert read_ledger(tmp_path, "A") == Ledger({}, {NEW_YEAR: expected})
 
 
 class TestDamage:
@@ -195,6 +210,27 @@ class TestDamage:
             write_whole(tmp_path, "A", Ledger())
         assert read_ledger(tmp_path, "A") == SOME
         assert [path.name for path in file.parent.iterdir()] == [file.name]
+
+
+def test_any_flipped_bit_of_the_settings_is_seen(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Thirty of thirty: they were the one file of a ledger that was not sealed."""
+    settings = {"reference.speed_rpm": "30.0", "cleaning.hampel_window": "11"}
+    write_settings(tmp_path, "A", settings)
+    assert read_settings(tmp_path, "A") == settings
+    path = settings_file(tmp_path, "A")
+    whole = path.read_bytes()
+    for bit in np.random.default_rng(1).choice(8 * len(whole), 30, replace=False):
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        caplog.clear()
+        assert read_settings(tmp_path, "A") == {}, bit
+        assert "ledger/A/settings is damaged" in caplog.text
+        assert [fault.code for fault in verify_tables(tmp_path)] == ["ledger_damaged"]
+    write_settings(tmp_path, "A", settings)
+    assert path.read_bytes() == whole
 
 
 class TestModelBefore:
