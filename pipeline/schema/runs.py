@@ -101,7 +101,8 @@ MOTOR_OUTCOMES = Table(
             pl.String,
             "",
             "The first failure in words, with its file or night; without a failure, why nothing "
-            "could be fitted, or null",
+            "could be fitted, or null; and which nights were withdrawn, as no log has samples of "
+            "them",
         ),
         Column("n_ok", pl.Int64, "", "Nights with a fit"),
         Column("n_stood_still", pl.Int64, "", "Nights in which the motor stood still"),

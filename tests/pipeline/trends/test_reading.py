@@ -307,7 +307,8 @@ def two_months(tmp_path: Path) -> Fleet:
 def read(fleet: Fleet) -> list[str]:
     """Nights of the first motor as the next run sees them."""
     (spec, _) = load_fleet(fleet.config).motors
-    found = read_nights(fleet.output, [spec], (), {}, Tonight(night_of(fleet.before + 8)))["M1"]
+    tonight = Tonight(night_of(fleet.before + 8))
+    found = read_nights(fleet.output, [spec], {"M1": ()}, {}, tonight)["M1"]
     found.keep("M1", None)
     assert found.history is not None
     return [str(night) for night in found.history.nights]
