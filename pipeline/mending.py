@@ -72,7 +72,16 @@ def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[Key], bool
         shares = {day % days for day in range(last + 1, today + 1)}
     else:
         shares = {(today + sum(day >= today for day in before)) % days}
-    return lambda key: zlib.crc32("/".join(key).encode()) % days in shares
+    return lambda key: _turn(key) % days in shares
+
+
+def _turn(key: Key) -> int:
+    """The share that a manifest is of: nights and runs follow each other day by day."""
+    _, name = key
+    try:
+        return dt.date.fromisoformat(name.partition("T")[0]).toordinal()
+    except ValueError:
+        return zlib.crc32(name.encode())
 
 
 @dataclass(slots=True)
@@ -247,7 +256,7 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
 def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
     told = f"made anew: {counts.get(Proof.WHOLE, 0)} files are proven to the last byte"
     if pages := counts.get(Proof.PAGES, 0):
-        told += f", {pages} of other versions by the checksums of their pages, which leave out "
+        told += f", {pages} of other libraries by the checksums of their pages, which leave out "
         told += "their footers"
     return f"{told}; what may have been gone before is not known"
 

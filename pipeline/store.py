@@ -141,30 +141,36 @@ def encode_table(name: str, rows: pl.DataFrame) -> bytes:
         If they cannot be encoded, or are decoded otherwise.
     """
     try:
-        content = rows.to_arrow(compat_level=pl.CompatLevel.oldest())
-        stream = pa.BufferOutputStream()
-        with pq.ParquetWriter(
-            stream,
-            content.schema,
-            compression="zstd",
-            write_page_checksum=True,
-            store_schema=False,
-        ) as table:
-            table.write_table(content)
-            # Metadata of the schema would be left out with it.
-            table.add_key_value_metadata({VERSION_KEY: str(SCHEMA_VERSION)})
-        encoded = stream.getvalue()
-        decoded = pl.from_arrow(
-            pq.read_table(
-                pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
-            )
-        )
+        encoded = _as_parquet(rows, SCHEMA_VERSION)
+        decoded = pl.from_arrow(_from_parquet(encoded))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise StoreError("store_write", f"{name} cannot be written: {error}") from error
     assert isinstance(decoded, pl.DataFrame)
     if not decoded.equals(rows, null_equal=True):
         raise StoreError("store_write", f"{name}: what is read back is not what was written")
-    return bytes(encoded)
+    return encoded
+
+
+def _as_parquet(rows: pl.DataFrame, version: int) -> bytes:
+    content = rows.to_arrow(compat_level=pl.CompatLevel.oldest())
+    stream = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        stream,
+        content.schema,
+        compression="zstd",
+        write_page_checksum=True,
+        store_schema=False,
+    ) as table:
+        table.write_table(content)
+        # Metadata of the schema would be left out with it.
+        table.add_key_value_metadata({VERSION_KEY: str(version)})
+    return bytes(stream.getvalue())
+
+
+def _from_parquet(encoded: bytes) -> pa.Table:
+    return pq.read_table(
+        pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
+    )
 
 
 def read_table(path: Path, table: Table) -> pl.DataFrame:
@@ -185,9 +191,7 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
 
 def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
     try:
-        content = pq.read_table(
-            pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
-        )
+        content = _from_parquet(encoded)
         _require_known_version(path, content)
         rows = pl.from_arrow(content)
         assert isinstance(rows, pl.DataFrame)
@@ -284,10 +288,10 @@ def _published_content(output: Path, path: Path, table: Table) -> bytes:
 
 
 class Proof(Enum):
-    """What proves a file of which no manifest tells.
+    """Evidence for a file that no manifest lists.
 
     `WHOLE`: to the byte it is what this program writes of its rows, its footer too. `PAGES`: the
-    checksums of its pages alone, as another version wrote it.
+    checksums of its pages alone, as another version of PyArrow or Polars wrote it.
     """
 
     WHOLE = "whole"
@@ -310,17 +314,24 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
     of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in table.schema
     if of_night and {str(night) for night in rows["night"].drop_nulls()} - {path.stem}:
         raise _damaged(path, table, ValueError("it has rows of other nights"))
-    same = encode_table(path.name, rows) == content
+    stored = _from_parquet(content)
+    as_stored = pl.from_arrow(stored)
+    assert isinstance(as_stored, pl.DataFrame)
+    same = _as_parquet(as_stored, _version_of(stored)) == content
     return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
 
 
 def _require_known_version(path: Path, content: pa.Table) -> None:
     """Refuse a file of a newer version of the program: it may hold what this one would lose."""
-    version = int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
+    version = _version_of(content)
     if version > SCHEMA_VERSION:
         raise StoreError(
             "store_newer", f"{path.name} is of schema version {version}; update the program"
         )
+
+
+def _version_of(content: pa.Table) -> int:
+    return int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
 
 
 def _require_columns(names: Sequence[str], table: Table) -> None:
