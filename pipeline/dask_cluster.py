@@ -19,6 +19,8 @@ from pipeline.errors import EngineError
 if TYPE_CHECKING:
     from distributed import Client
 
+log = logging.getLogger(__name__)
+
 # One thread a worker, for Polars and BLAS as well: with more, tasks of one process would share
 # what `threadpool_limits` holds, and results could depend on their company.
 ENVIRONMENT = {"POLARS_MAX_THREADS": "1", "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -61,6 +63,12 @@ def connected(execution: Execution, expected: Surroundings) -> Iterator[Client]:
         _require_workers(client, where, execution)
         _require_one_thread(client)
         _require_alike(client, expected)
+        if execution.scheduler.startswith("tcp://"):
+            log.warning(
+                "nothing is encrypted or authenticated on the way to %s: whoever reaches it runs "
+                "code on its workers; keep it in a closed network, or use tls://",
+                execution.scheduler,
+            )
         yield client
 
 

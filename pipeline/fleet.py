@@ -30,7 +30,7 @@ from pipeline.engine import RunTasks, nights_a_part, open_engine, results_of
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.heartbeat import Heartbeat
 from pipeline.interrupts import interrupts_held
-from pipeline.landing import make_folders, remove_all, remove_leftovers
+from pipeline.landing import make_folders, make_private_folder, remove_all, remove_leftovers
 from pipeline.ledger import Ledger, forget_nights, read_settings, write_months, write_settings
 from pipeline.log_shelf import FATES
 from pipeline.logs import legible
@@ -512,13 +512,16 @@ def locked(output: Path) -> Iterator[None]:
 
 @contextmanager
 def staging_folder(output: Path) -> Iterator[Path]:
-    """A folder for this run's staged rows; those of killed runs are removed."""
+    """A folder for this run's staged rows; those of killed runs are removed.
+
+    Nobody else may enter it: what tasks leave there for each other is unpickled.
+    """
     root = output / "staging"
     remove_all(root)
     # A name of its own: a worker of a killed run may still write into the folder of that one.
     folder = root / secrets.token_hex(8)
     try:
-        make_folders(folder)
+        make_private_folder(folder)
     except OSError as error:
         remove_all(root)
         raise StoreError(

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 TEMPORARY_PREFIX = ".writing-"
 # Tables hold no secrets, and analysts are other users.
 MODE = 0o644
+PRIVATE = 0o700
 BUFFER = 1 << 20
 
 Write = Callable[[BinaryIO], object]
@@ -264,6 +265,18 @@ def blank(path: Path, chosen: Callable[[bytes], Sequence[tuple[int, int]]]) -> N
             os.fsync(handle)
         finally:
             os.close(handle)
+
+
+def make_private_folder(folder: Path) -> None:
+    """Make a new folder that nobody but the user of this process may enter.
+
+    Raises
+    ------
+    OSError
+        If it cannot be made, or is there already.
+    """
+    make_folders(folder.parent)
+    os.mkdir(folder, PRIVATE)
 
 
 def make_folders(folder: Path) -> None:

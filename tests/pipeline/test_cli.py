@@ -17,6 +17,7 @@ from typing import Any
 
 import polars as pl
 import pytest
+from typer.main import get_command
 
 import pipeline.cli
 import pipeline.fleet
@@ -468,6 +469,17 @@ def test_help_of_each_command_shows_an_example(call: Call, command: str) -> None
     code, out, _ = call(command, "--help")
     assert code == 0
     assert f"Example: motor-leakage {command} " in re.sub(r"\s+", " ", out)
+
+
+def test_help_shows_what_is_written_in_it(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of it: markup swallows what stands in square brackets."""
+    monkeypatch.setenv("COLUMNS", "300")
+    for command in COMMANDS:
+        _, out, _ = call(command, "--help")
+        for parameter in get_command(app).commands[command].params:
+            written = parameter.help.replace("\\[", "[")
+            assert re.sub(r"\s+", " ", written) in re.sub(r"\s+", " ", out)
+    assert "those of [retention] if empty" in call("prune", "--help")[1]
 
 
 def test_examples_of_the_help_run_as_they_stand(

@@ -52,6 +52,15 @@ def test_each_task_gives_its_result_once(two_workers: Processes) -> None:
     assert sorted(found) == [0, 2, 3, 5]
 
 
+def test_a_way_that_nobody_guards_is_warned_of_once(
+    two_workers: Processes, caplog: pytest.LogCaptureFixture
+) -> None:
+    run(two_workers.execution(), abs, [-5, 3, -2, 0])
+    (warning,) = (one.getMessage() for one in caplog.records if one.levelname == "WARNING")
+    assert two_workers.address.startswith("tcp://")
+    assert f"on the way to {two_workers.address}: whoever reaches it runs code" in warning
+
+
 def test_what_a_task_stages_comes_back_with_its_result(
     two_workers: Processes, tmp_path: Path
 ) -> None:

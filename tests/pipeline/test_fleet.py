@@ -10,6 +10,7 @@ import re
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -29,7 +30,7 @@ import pipeline.fleet
 import pipeline.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
-from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.fleet import RunRequest, RunResult, run_fleet, staging_folder
 from pipeline.motor_task import run_motor
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
 from pipeline.store import NightFile, night_file, prepare_night, read_table
@@ -559,6 +560,16 @@ def test_an_output_that_cannot_be_written(own_fleet: OwnFleet, place: str) -> No
     # Once it is out of the way all is done.
     blocked.rmdir() if blocked.is_dir() else blocked.unlink()
     assert run(fleet).n_nights == 3
+
+
+def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None:
+    """Parts of a split motor are unpickled from there."""
+    before = os.umask(0)
+    try:
+        with staging_folder(tmp_path / "out") as folder:
+            assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    finally:
+        os.umask(before)
 
 
 # Signals. The run is a process of its own; one of its motors waits for ever.
