@@ -240,7 +240,7 @@ def run_fleet(
 
 
 def _joined(first: RunResult, second: RunResult) -> RunResult:
-    """What came of a run and of the one that did what it had set aside."""
+    """The result of a run, together with that of the one which did what it had set aside."""
     outcomes = {outcome.motor_id: outcome for outcome in (*first.outcomes, *second.outcomes)}
     seconds = Counter(first.seconds_by_stage)
     seconds.update(second.seconds_by_stage)
@@ -463,7 +463,7 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
 
 
 def _motors(
-    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
 ) -> Iterator[MotorOutcome]:
     """Outcomes of the motors; those for which there was no engine any more have failed."""
     left = {task.spec.motor_id: task for task in tasks}

@@ -15,7 +15,7 @@ from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import FileRecord
 from pipeline.log_source import logs_of
 from pipeline.logs import (
-    Tellable,
+    PlausibleNights,
     covered,
     failed,
     growing,
@@ -75,7 +75,7 @@ class LogShelf:
         Tells of the globs that match none.
     read
         Paths of those whose content was read.
-    tellable
+    plausible
         Nights that the name or time of an unreadable one may tell.
     """
 
@@ -97,16 +97,16 @@ class LogShelf:
         self.unmatched = self._source.unmatched
         found = self._look() if looked_at is None else looked_at
         latest = night_of(latest_us, spec.settings.nights)
-        self.tellable = Tellable.of((*found.values(), *before.values()), latest)
-        self.before = {name: self.tellable.without_others(one) for name, one in before.items()}
-        self.files = place_failed(found, self.before, spec, self.tellable)
+        self.plausible = PlausibleNights.of((*found.values(), *before.values()), latest)
+        self.before = {name: self.plausible.only_plausible(one) for name, one in before.items()}
+        self.files = place_failed(found, self.before, spec, self.plausible)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
 
     def _look(self) -> dict[str, FileRecord]:
-        """What is known of each file by its ends."""
+        """Each file as its ends tell it."""
         return {
             name: replace(self._look_at(name), read_with=self._read_with)
             for name in self._source.names

@@ -80,7 +80,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
-    """Whether a path leads to a folder; one that did not answer is taken for a file."""
+    """A path leads to a folder; one that did not answer is taken for a file."""
     if not path.is_symlink():
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())
@@ -244,7 +244,7 @@ def spanned(
 
 
 def source_of(spec: MotorSpec, latest_us: int | None) -> LogSource:
-    """How a motor's logs are read, without samples after a time [µs since 1970]."""
+    """Dialect and channels of a motor's logs, without samples after a time [µs since 1970]."""
     return replace(spec.file.log_source(), latest_us=latest_us)
 
 
@@ -328,7 +328,7 @@ def labels_of(record: FileRecord) -> set[dt.date]:
 
 
 @dataclass(frozen=True, slots=True)
-class Tellable:
+class PlausibleNights:
     """Nights that a file's name or time may tell where the file itself cannot be read.
 
     Attributes
@@ -344,13 +344,13 @@ class Tellable:
     latest: dt.date
 
     @classmethod
-    def of(cls, files: Iterable[FileRecord], latest: dt.date) -> Tellable:
-        """What files of a motor, those that cannot be read among them, leave to be told."""
+    def of(cls, files: Iterable[FileRecord], latest: dt.date) -> PlausibleNights:
+        """From all files of a motor; those that cannot be read say nothing."""
         known = {label for one in files if one.status == "ok" for label in labels_of(one)}
         return cls(min(known, default=None), max(known, default=None), latest)
 
     def why_not(self, label: dt.date) -> str | None:
-        """Why a night is none that a name or time may tell; None: it is one."""
+        """Reason why a name or time cannot tell a night; None: it can."""
         if label > self.latest:
             return "more than a day ahead"
         if self.first is None or self.last is None:
@@ -359,8 +359,8 @@ class Tellable:
             return None
         return f"more than {FARTHEST_NIGHT.days} days from those of the motor's other logs"
 
-    def without_others(self, record: FileRecord) -> FileRecord:
-        """The record of a file without nights that are none its name or time may tell."""
+    def only_plausible(self, record: FileRecord) -> FileRecord:
+        """The record of a file without nights that its name or time cannot tell."""
         if not is_guess(record):
             return record
         kept = [label for label in sorted(labels_of(record)) if self.why_not(label) is None]
@@ -368,12 +368,12 @@ class Tellable:
 
 
 def is_guess(record: FileRecord) -> bool:
-    """Whether nights of a file are told by its name or time alone, not by its samples."""
+    """A file that cannot be read: its nights, if any, are told by its name or time alone."""
     return record.status != "ok" and record.first_us is None
 
 
 def is_newly_told(before: FileRecord, now: FileRecord) -> bool:
-    """Whether the name or time of a file that is as it was tells a night that it did not before."""
+    """The name or time of a file that is as it was tells a night that it did not tell before."""
     return is_guess(now) and not labels_of(now) <= labels_of(before)
 
 
@@ -381,7 +381,7 @@ def place_failed(
     records: Mapping[str, FileRecord],
     before: Mapping[str, FileRecord],
     spec: MotorSpec,
-    tellable: Tellable,
+    plausible: PlausibleNights,
 ) -> dict[str, FileRecord]:
     """Give each unreadable file the night that it would have been of.
 
@@ -392,7 +392,9 @@ def place_failed(
     """
     lag = _lag_of_names(one for one in records.values() if one.status == "ok" and one.nights)
     return {
-        name: _placed(record, before.get(name), lag, spec, tellable) if is_guess(record) else record
+        name: _placed(record, before.get(name), lag, spec, plausible)
+        if is_guess(record)
+        else record
         for name, record in records.items()
     }
 
@@ -402,19 +404,19 @@ def _placed(
     before: FileRecord | None,
     lag: dt.timedelta,
     spec: MotorSpec,
-    tellable: Tellable,
+    plausible: PlausibleNights,
 ) -> FileRecord:
     told = _told(record, before, lag, spec)
     if told is None:
         return record
     labels, basis = told
-    placed = tellable.without_others(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
+    placed = plausible.only_plausible(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
     if placed.nights and placed.nights == record.nights:
         return record
     # The night itself stands beside the message wherever that is shown.
     how = f"night told {basis}"
     if not placed.nights:
-        how = f"told {basis}, its night would lie {tellable.why_not(labels[0])}: it is of none"
+        how = f"told {basis}, its night would lie {plausible.why_not(labels[0])}: it is of none"
     return replace(placed, message=f"{TOLD.sub('', record.message or '')} ({how})")
 
 

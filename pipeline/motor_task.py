@@ -252,7 +252,7 @@ class _Nights:
             rows = read_rows(self.task.output, FITS, [self.spec.motor_id], columns)
             told |= set(rows.filter(status=FAILED)["night"])
         sure = {label for one in files if not is_guess(one) for label in labels_of(one)}
-        none = {label for label in told if self.logs.tellable.why_not(label) is not None}
+        none = {label for label in told if self.logs.plausible.why_not(label) is not None}
         return none - sure - self.logs.present()
 
     def split(self) -> SplitMotor | None:

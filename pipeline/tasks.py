@@ -251,7 +251,7 @@ def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
 
     Nor where it has given up too much already.
     """
-    if len(task.given_up) == MOST_GIVEN_UP or len(task.silent) == MOST_GIVEN_UP:
+    if MOST_GIVEN_UP in (len(task.given_up), len(task.silent)):
         return None
     if loss.log:
         return replace(task, silent={**task.silent, loss.log: loss})

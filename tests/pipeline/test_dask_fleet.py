@@ -176,7 +176,7 @@ def test_trends_without_an_engine_are_made_by_the_next_run(
 
     @contextmanager
     def lost_before_trends(*_: object) -> Iterator[Any]:
-        def run_tasks(function: Any, tasks: Sequence[Any], lost: Any) -> Iterator[Any]:
+        def run_tasks(function: Any, tasks: Sequence[Any], *_: Any, **__: Any) -> Iterator[Any]:
             if function is run_trends:
                 raise EngineError("scheduler_lost", "the connection to the scheduler is lost")
             yield from map(function, tasks)

@@ -512,7 +512,7 @@ def test_a_worker_that_dies_once_costs_nothing(
 def test_a_fault_of_ours_costs_its_motor_alone(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def broken(spec: object) -> object:
+    def broken(*_: object) -> object:
         raise ZeroDivisionError("not foreseen")
 
     fleet = own_fleet(CSV, PARQUET)

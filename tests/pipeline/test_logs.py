@@ -21,7 +21,7 @@ from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.logs import (
     LONGEST_LOG_DAYS,
-    Tellable,
+    PlausibleNights,
     covered,
     find_logs,
     inspect_log,
@@ -284,7 +284,7 @@ class TestPlaceFailed:
     ) -> dict[str, FileRecord]:
         by_name = {record.path: record for record in records}
         known = {record.path: record for record in before}
-        return place_failed(by_name, known, spec, Tellable.of((*records, *before), latest))
+        return place_failed(by_name, known, spec, PlausibleNights.of((*records, *before), latest))
 
     def readable(self, name: str, *nights: str) -> FileRecord:
         return FileRecord(name, 10, 1, "y", nights=nights)

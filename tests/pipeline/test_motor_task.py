@@ -22,7 +22,7 @@ from pipeline.config import load_fleet
 from pipeline.fleet import RunRequest, plan_fleet
 from pipeline.ingest import RawLog, read_log
 from pipeline.ledger import Ledger, NightRecord
-from pipeline.logs import Tellable, find_logs, inspect_log, place_failed, slice_night
+from pipeline.logs import PlausibleNights, find_logs, inspect_log, place_failed, slice_night
 from pipeline.motor_night import NightOutcome, fit_night
 from pipeline.motor_task import run_motor
 from pipeline.settings_hashes import config_hash
@@ -403,8 +403,8 @@ def test_a_file_that_vanishes_while_it_is_looked_at(
     workshop.log(NIGHT)
     gone = workshop.logs / "gone.parquet"
 
-    def with_gone(spec: Any) -> tuple[dict[str, Path], list[str]]:
-        paths, absent = find_logs(spec)
+    def with_gone(spec: Any, silent: Any) -> tuple[dict[str, Path], list[str]]:
+        paths, absent = find_logs(spec, silent)
         return paths | {"M1/gone.parquet": gone}, absent
 
     monkeypatch.setattr(pipeline.log_source, "find_logs", with_gone)
@@ -576,7 +576,9 @@ def test_failed_files_are_placed_by_what_most_names_say(workshop: Workshop) -> N
     name = f"log-{NIGHT + 5 * DAY:%Y%m%d}.parquet"
     (workshop.logs / name).write_bytes(b"x")
     records[name] = inspect_log(name, workshop.logs / name, None, spec)
-    placed = place_failed(records, {}, spec, Tellable.of(records.values(), NIGHT + 9 * DAY))[name]
+    placed = place_failed(records, {}, spec, PlausibleNights.of(records.values(), NIGHT + 9 * DAY))[
+        name
+    ]
     assert placed.nights == ((NIGHT + 6 * DAY).isoformat(),)
 
 

@@ -16,6 +16,7 @@ from polars.testing import assert_frame_equal
 import pipeline.fleet
 from pipeline import logs
 from pipeline.config import load_fleet
+from pipeline.explain import explain
 from pipeline.fleet import RunRequest, RunResult, fleets_tonight, run_fleet
 from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, TRENDS, Table
 from pipeline.store import nights_back, read_rows
@@ -136,7 +137,7 @@ def poisoned(watched: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_poisoned_fleet_heals_in_the_next_run(
     watched: Path, poisoned: Path, tmp_path: Path, gone: Sequence[str]
 ) -> None:
-    """Whatever somebody has deleted to heal it."""
+    """And all that somebody may have deleted to heal it makes no difference."""
     before = {table: rows(watched, table) for table in (*NIGHT_TABLES, *TREND_TABLES)}
     fleet = tmp_path / "fleet"
     shutil.copytree(poisoned, fleet)
@@ -295,6 +296,7 @@ def test_a_log_of_no_night_stands_under_the_motors_first(workshop: Workshop) -> 
     assert "its night would lie more than a day ahead: it is of none" in (outcome.message or "")
     assert unread(workshop) == {"M1/x_2099-01-01.parquet": None}
     assert file_of(workshop, "x_2099-01-01.parquet") == str(NIGHT + DAY)
+    assert not any("x_2099" in line for line in explain(workshop.output, "M1", NIGHT + DAY))
     # It is told once, as a night that failed is.
     again = workshop.run()
     assert (again.status, again.files["failed"]) == ("no_new_data", 1)
