@@ -689,11 +689,17 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     check_same_tables(output_of(fleet), fitted_output, PARQUET)
 
 
-def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(own_fleet: OwnFleet) -> None:
+def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the damage is seen when the night is made, and leaves no time on the file."""
+    monkeypatch.setattr("pipeline.fleet.share_due", lambda *_: lambda _: False)
     fleet = load_fleet(own_fleet("CB400-01", "CB400-02", fitted=True))
     night = FIRST
     before = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")
+    state = night_file(fleet.output, FITS, night).stat()
     night_file(fleet.output, FITS, night).write_bytes(b"junk")
+    os.utime(night_file(fleet.output, FITS, night), ns=(state.st_atime_ns, state.st_mtime_ns))
     log = min((fleet.log_root / "CB400-01").iterdir())
     log.write_text(log.read_text("utf-8").rsplit("\n", 2)[0] + "\n", "utf-8")
     run_fleet(RunRequest(fleet))

@@ -19,6 +19,7 @@ CALLS = {
     "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
     "fchmod": (errno.EIO,),
     "write": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "pwrite": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
     "fsync": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
     "pread": (errno.EIO,),
     "replace": (errno.EIO, errno.ENOSPC, errno.EDQUOT),

@@ -97,6 +97,12 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
     return keep
 
 
+@pytest.fixture
+def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a run proves is not said by the day on which the test is run."""
+    monkeypatch.setattr("pipeline.fleet.share_due", lambda *_: lambda _: False)
+
+
 def flip(path: Path, place: int) -> None:
     """Flip a bit of a byte of a file; its time stays."""
     state = path.stat()
@@ -177,6 +183,7 @@ def test_a_damaged_file_is_put_aside_and_made_anew_by_the_run_that_proves_it(
     check_repaired(output, tiny_fleet)
 
 
+@pytest.mark.usefixtures("_nothing_due")
 def test_what_a_program_has_written_to_is_proven_in_the_next_run(
     tiny_fleet: TinyFleet, output: Path
 ) -> None:
@@ -229,6 +236,7 @@ def test_every_manifest_has_its_turn_within_the_days_whenever_a_run_takes_place(
     assert sum(turns(*[0] * 30)) == len(keys)
 
 
+@pytest.mark.usefixtures("_nothing_due")
 def test_a_night_that_a_run_touches_is_proven_though_it_is_not_due(
     tiny_fleet: TinyFleet, tmp_path: Path
 ) -> None:
@@ -249,6 +257,7 @@ def test_a_night_that_a_run_touches_is_proven_though_it_is_not_due(
     assert codes(output) == []
 
 
+@pytest.mark.usefixtures("_nothing_due")
 def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     tiny_fleet: TinyFleet, output: Path
 ) -> None:
@@ -260,11 +269,10 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     rot_of_footer(path)
     shutil.rmtree(output / "history")
     (output / "ledger" / "M1" / "trends").unlink()
-    # A share in which this night is not.
-    result = tiny_fleet.run(output, prove_within_days=365)
+    result = tiny_fleet.run(output)
     assert {outcome.error_code for outcome in result.failed} == {"store_read"}
     assert found(result) == [(name_of(path, output), "table_altered")]
-    result = tiny_fleet.run(output, prove_within_days=365)
+    result = tiny_fleet.run(output)
     assert (result.failed, result.damage_left) == ((), ())
     remove_aside(output)
     check_repaired(output, tiny_fleet)
