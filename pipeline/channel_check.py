@@ -92,7 +92,7 @@ def check_channels(
         return (), ()
     newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
     try:
-        log = read_log(path_of(newest), spec.file.log_source())
+        log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
         return (), (f"{error.code}: {error.message}",)
     suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)

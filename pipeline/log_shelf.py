@@ -175,7 +175,8 @@ class LogShelf:
             return None
         content: RawLog | None = None
         try:
-            content = read_log(self._source.path(name), self._spec.file.log_source())
+            file = self._spec.file
+            content = read_log(self._source.path(name), file.logs, file.channels)
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None

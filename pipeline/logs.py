@@ -179,10 +179,11 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 def spanned(record: FileRecord, path: Path, spec: MotorSpec) -> FileRecord:
     """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
     try:
-        first, last = time_span(path, spec.file.log_source())
+        first, last = time_span(path, spec.file.logs, spec.file.channels)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
-            return covered(record, read_log(path, spec.file.log_source()), spec)
+            log = read_log(path, spec.file.logs, spec.file.channels)
+            return covered(record, log, spec)
     except LogError as error:
         return failed(record, error)
     nights = spec.settings.nights

@@ -1,8 +1,6 @@
 """Files of logs to raw channels: one contract, three readers.
 
->>> from pipeline.ingest import ChannelSource, LogSource
->>> LogSource("csv", (ChannelSource("speed", "n", "rpm"),)).time_format
-'iso8601'
+Imports config, units and errors, nothing else of the pipeline.
 """
 
 from __future__ import annotations
@@ -12,18 +10,20 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
+from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog
+from pipeline.ingest.contract import RawChannel, RawLog
 from pipeline.ingest.csv_log import csv_time_span, read_csv_log
 from pipeline.ingest.mcap_log import mcap_time_span, read_mcap_log
 from pipeline.ingest.parquet_log import parquet_time_span, read_parquet_log
+from pipeline.units import CHANNELS
 
-__all__ = ["ChannelSource", "LogSource", "RawChannel", "RawLog", "read_log", "time_span"]
+__all__ = ["RawChannel", "RawLog", "read_log", "time_span"]
 
 
 class _Reader(NamedTuple):
-    read: Callable[[Path, LogSource], RawLog]
-    span: Callable[[Path, LogSource], tuple[int, int]]
+    read: Callable[[Path, Logs, Channels], RawLog]
+    span: Callable[[Path, Logs, Channels], tuple[int, int]]
 
 
 _READERS: Mapping[str, _Reader] = MappingProxyType(
@@ -35,15 +35,17 @@ _READERS: Mapping[str, _Reader] = MappingProxyType(
 )
 
 
-def read_log(path: Path, source: LogSource) -> RawLog:
+def read_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
     """Read the channels of a log.
 
     Parameters
     ----------
     path
         The file.
-    source
-        How it is written, and which channels are wanted.
+    logs
+        How it is written.
+    channels
+        What is wanted of it, by channel; at least one.
 
     Returns
     -------
@@ -57,14 +59,14 @@ def read_log(path: Path, source: LogSource) -> RawLog:
     """
     _require_file(path)
     try:
-        return _READERS[source.format].read(path, source)
+        return _READERS[logs.format].read(path, logs, _in_order(channels))
     except OSError as error:
         raise _not_readable(path, error) from error
     except MemoryError as error:
         raise _too_large(path) from error
 
 
-def time_span(path: Path, source: LogSource) -> tuple[int, int]:
+def time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
     """Time from which and until which a log goes, without reading it whole if that can be.
 
     A CSV is taken to be in order, its first and last rows are looked at; a Parquet file says it in
@@ -72,7 +74,7 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
 
     Parameters
     ----------
-    path, source
+    path, logs, channels
         As for `read_log`.
 
     Returns
@@ -87,11 +89,15 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
     """
     _require_file(path)
     try:
-        return _READERS[source.format].span(path, source)
+        return _READERS[logs.format].span(path, logs, _in_order(channels))
     except OSError as error:
         raise _not_readable(path, error) from error
     except MemoryError as error:
         raise _too_large(path) from error
+
+
+def _in_order(channels: Channels) -> Channels:
+    return dict(sorted(channels.items(), key=lambda item: CHANNELS.index(item[0])))
 
 
 def _require_file(path: Path) -> None:

@@ -11,16 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.motors import Channel, Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import (
-    ChannelSource,
-    LogSource,
-    RawChannel,
-    RawLog,
-    different_stamps,
-)
+from pipeline.ingest.contract import RawChannel, RawLog, different_stamps
 from pipeline.ingest.quality import is_bad
-from pipeline.ingest.time_stamps import TimeStamps, example_of
+from pipeline.ingest.time_stamps import example_of
+from pipeline.ingest.wall_clock import TimeStamps
 from pipeline.units import convert_to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
@@ -68,7 +64,8 @@ class Readings:
 
 def raw_channel(
     path: Path,
-    source: ChannelSource,
+    name: str,
+    channel: Channel,
     time_us: NDArray[np.int64],
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
@@ -77,8 +74,8 @@ def raw_channel(
 
     Parameters
     ----------
-    path, source
-        The log, and where the channel is in it.
+    path, name, channel
+        The log, and the channel's name and place in it.
     time_us : (n,) int64
     readings
         As they stand in the log.
@@ -90,29 +87,33 @@ def raw_channel(
     LogError
         ``log_type``: the channel holds something, but not one number.
     """
-    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings), quality)
+    readings = in_canonical_unit(name, channel, readings)
+    return canonical_channel(path, name, channel, time_us, readings, quality)
 
 
-def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
+def in_canonical_unit(name: str, channel: Channel, readings: Readings) -> Readings:
     """Readings of a channel after scale, offset and unit."""
     raw = readings.raw.copy()
-    convert_in_place(source, raw)
+    convert_in_place(name, channel, raw)
     return replace(readings, raw=raw)
 
 
-def convert_in_place(source: ChannelSource, raw: NDArray[np.float64]) -> None:
+def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> None:
     """Scale, offset and unit of a channel applied to figures that are the caller's own."""
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
     with np.errstate(over="ignore", invalid="ignore"):
-        if source.scale != 1.0 or source.offset != 0.0:
-            raw *= source.scale
-            raw += source.offset
-        convert_to_canonical(source.channel, raw, source.unit)
+        if channel.scale != 1.0 or channel.offset != 0.0:
+            raw *= channel.scale
+            raw += channel.offset
+        # Counts are read as they are; cleaning makes a flow of them.
+        if channel.counts is None:
+            convert_to_canonical(name, raw, channel.unit)
 
 
 def canonical_channel(
     path: Path,
-    source: ChannelSource,
+    name: str,
+    channel: Channel,
     time_us: NDArray[np.int64],
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
@@ -125,9 +126,9 @@ def canonical_channel(
         raise LogError(
             "log_type",
             path,
-            f"{source.source} (channel {source.channel}) holds no number in {unparsed} cells, such "
+            f"{channel.source} (channel {name}) holds no number in {unparsed} cells, such "
             f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
-            source.source,
+            channel.source,
         )
     return RawChannel(
         _frozen(time_us),
@@ -138,11 +139,11 @@ def canonical_channel(
     )
 
 
-def time_name(source: LogSource, example: str | None = None) -> str:
+def time_name(logs: Logs, example: str | None = None) -> str:
     """How the time column of a table is named in messages, with a stamp that is not readable."""
-    form = source.time_format
+    form = logs.time_format
     here = f"; here is {example[:40]!r}" if example else ""
-    return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
+    return f"{logs.time!r} in format {form} (such as {example_of(form)}{here})"
 
 
 def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[str, int]]:

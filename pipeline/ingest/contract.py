@@ -1,8 +1,9 @@
-"""What every reader of logs takes and gives, whatever the format of the file.
+"""The contract of all readers of logs, whatever the format of the file.
 
-A reader gets a `LogSource` and gives a `RawLog`: each channel on its own time stamps, in the order
-of the file, in canonical units, with what is missing marked. A reader sorts nothing, fills nothing
-and judges nothing but the file itself; whether a sample is plausible is for the cleaning stage.
+A reader is given a motor's `Logs` and `Channel` as configured, and returns a `RawLog`: each channel
+on its own time stamps, in the order of the file, in canonical units, with what is missing marked. A
+reader sorts nothing, fills nothing and judges nothing but the file itself; whether a sample is
+plausible is for the cleaning stage.
 
 Codes of the `LogError` that readers raise:
 
@@ -24,154 +25,11 @@ Codes of the `LogError` that readers raise:
 
 from __future__ import annotations
 
-import codecs
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
-from zoneinfo import ZoneInfo
 
 import numpy as np
 from numpy.typing import NDArray
-
-from pipeline.errors import UsageError
-from pipeline.ingest.mcap_paths import field_path
-from pipeline.ingest.time_stamps import require_time_format
-from pipeline.units import conversion
-
-LogFormat = Literal["csv", "parquet", "mcap"]
-LogLayout = Literal["wide", "long", "file_per_channel"]
-
-MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
-"""Cells of a CSV that mean "no sample". ``NaN`` does not: it is a reading that is not finite."""
-
-QualityValue = str | int | float | bool
-"""What a column of qualities may hold."""
-
-GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
-"""What historians write beside a good sample: the word, or OPC DA's code without any remark.
-
-0 is not among them. It is good in OPC UA and bad in OPC DA, so whoever has it says which it is.
-"""
-
-THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
-"""Marks that may stand between groups of three digits."""
-
-
-@dataclass(frozen=True, slots=True)
-class ChannelSource:
-    """Where a channel is found in a log, and how its raw figures become readings.
-
-    Parameters
-    ----------
-    channel
-        Canonical name, one of `pipeline.units.CHANNELS`.
-    source
-        Name of the column (CSV, Parquet; a path such as ``hydraulics.pressure.a`` where columns of
-        Parquet are nested) or topic (MCAP). In the layout "long" what the column of names holds, in
-        "file_per_channel" a pattern of the file's name such as ``*_dp_*.csv``.
-    unit
-        Unit of ``raw * scale + offset``, one of `pipeline.units.UNITS` of the channel's quantity.
-    field
-        Key in the message, or path of keys and array positions such as ``pressure.a`` or
-        ``pressures[0].value`` (MCAP only; `pipeline.ingest.mcap_paths.field_path`).
-    scale, offset
-        For sensors logged in counts, volts or milliamperes.
-    quality_source
-        Column of the samples' quality (CSV, Parquet), or its path in the message (MCAP). Empty:
-        the log says nothing of its samples.
-    quality_good
-        What stands there beside a good sample.
-    """
-
-    channel: str
-    source: str
-    unit: str
-    field: str = "value"
-    scale: float = 1.0
-    offset: float = 0.0
-    quality_source: str = ""
-    quality_good: tuple[QualityValue, ...] = GOOD_QUALITY
-
-    def __post_init__(self) -> None:
-        conversion(self.channel, self.unit)
-        field_path(self.field, self.source)
-        if not (np.isfinite(self.scale) and np.isfinite(self.offset) and self.scale != 0):
-            raise UsageError(
-                "channel_source",
-                f"channel {self.channel}: scale and offset are finite, scale not 0",
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class LogSource:
-    """How the logs of a motor are written.
-
-    Parameters
-    ----------
-    format
-        "csv", "parquet" or "mcap".
-    channels
-        The channels that are wanted; each name once.
-    time_source
-        Column of the time stamps (CSV, Parquet); "log_time" or "publish_time" (MCAP, where any
-        other name means "log_time").
-    time_format
-        "iso8601", "epoch_s", "epoch_ms", "epoch_us", "epoch_ns", "excel_days" or a format of
-        `time.strptime`. Parquet columns of type timestamp and MCAP say it themselves.
-    time_zone
-        Zone of time stamps that do not carry one.
-    layout
-        "wide": a column a channel; "long": a row a sample, with the channel's name in it;
-        "file_per_channel": a file a channel (CSV and Parquet).
-    channel_column, value_column
-        Columns of the name ("long") and of the value ("long", "file_per_channel").
-    date_column
-        Column of the date where the time has one of its own (CSV); both are read as
-        ``date time`` in `time_format`.
-    separator, decimal, thousands, encoding, skip_rows, unit_rows, missing_tokens
-        The dialect of a CSV; `skip_rows` lines stand before the header, `unit_rows` after it.
-    stamp
-        Path of the time stamp within each message, instead of its log time (MCAP): seconds and
-        nanoseconds, or a number or text in `time_format`. Empty: none.
-    salvage
-        Whether a truncated or damaged file gives what stands before the damage (MCAP).
-    """
-
-    format: LogFormat
-    channels: tuple[ChannelSource, ...]
-    time_source: str = "time"
-    time_format: str = "iso8601"
-    time_zone: str = "UTC"
-    layout: LogLayout = "wide"
-    channel_column: str = "channel"
-    value_column: str = "value"
-    date_column: str = ""
-    separator: str = ","
-    decimal: str = "."
-    thousands: str = ""
-    encoding: str = "utf-8"
-    skip_rows: int = 0
-    unit_rows: int = 0
-    missing_tokens: tuple[str, ...] = MISSING_TOKENS
-    stamp: str = ""
-    salvage: bool = False
-
-    def __post_init__(self) -> None:
-        if self.format not in get_args(LogFormat):
-            raise UsageError(
-                "log_source", f"log format {self.format!r} is none of csv, parquet, mcap"
-            )
-        if self.format == "mcap":
-            for channel in self.channels:
-                if channel.quality_source:
-                    field_path(channel.quality_source, channel.source)
-        names = [channel.channel for channel in self.channels]
-        if not names or len(names) != len(set(names)):
-            raise UsageError("log_source", "a log has at least one channel, and each channel once")
-        require_time_format(self.time_format)
-        if self.stamp:
-            field_path(self.stamp)
-        _require_dialect(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,35 +137,3 @@ def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
     """
     arrays = {(part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels}
     return [time_us for time_us in arrays.values() if time_us.size]
-
-
-def _require_dialect(source: LogSource) -> None:
-    """Refuse a dialect that no CSV can be read with."""
-    if len(source.separator) != 1 or not source.separator.isascii() or source.separator in '"\r\n':
-        raise UsageError("log_source", f"separator {source.separator!r} is not one character")
-    if source.decimal not in {".", ","} or source.decimal == source.separator:
-        raise UsageError(
-            "log_source",
-            f"decimal {source.decimal!r} is neither '.' nor ',', or it is the separator",
-        )
-    if source.thousands and (
-        source.thousands not in THOUSANDS or source.thousands in (source.decimal, source.separator)
-    ):
-        raise UsageError(
-            "log_source",
-            f"thousands {source.thousands!r} is none of {', '.join(map(repr, THOUSANDS))}, or it "
-            "is the decimal mark or the separator",
-        )
-    if source.skip_rows < 0 or source.unit_rows < 0:
-        raise UsageError("log_source", "skip_rows and unit_rows are not negative")
-    if source.layout not in get_args(LogLayout):
-        raise UsageError("log_source", f"layout {source.layout!r} is not known")
-    try:
-        codecs.getincrementaldecoder(source.encoding)()
-        " ".encode(source.encoding)
-    except (LookupError, ValueError) as error:
-        raise UsageError("log_source", f"encoding {source.encoding!r} is not known") from error
-    try:
-        ZoneInfo(source.time_zone)
-    except (OSError, ValueError, KeyError) as error:
-        raise UsageError("log_source", f"time zone {source.time_zone!r} is not known") from error

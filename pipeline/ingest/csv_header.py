@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.config.motors import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogSource
 
 _HEAD = 2**20
 
@@ -46,15 +46,15 @@ class Header:
 
     Parameters
     ----------
-    path, source
+    path, logs
         The log.
     wanted
         Names of the columns that each header must have.
     """
 
-    def __init__(self, path: Path, source: LogSource, wanted: Sequence[str]) -> None:
+    def __init__(self, path: Path, logs: Logs, wanted: Sequence[str]) -> None:
         self.path = path
-        self.source = source
+        self.logs = logs
         self.wanted = wanted
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
@@ -82,13 +82,13 @@ class Header:
         if torn:
             raise LogError("log_truncated", self.path, "the header has no line end")
         raise LogError(
-            "log_empty", self.path, f"no header after {self.source.skip_rows} skipped lines"
+            "log_empty", self.path, f"no header after {self.logs.skip_rows} skipped lines"
         )
 
     def take_first(self, data: bytes) -> int:
         """Read the first header; returns where the rows begin."""
         lines = data[:_HEAD].splitlines(keepends=True)
-        at = self.source.skip_rows
+        at = self.logs.skip_rows
         while at < len(lines) and not lines[at].strip():
             at += 1
         if at >= len(lines):
@@ -105,7 +105,7 @@ class Header:
         """Cells of a line, without blanks around them."""
         text = line.decode().strip("\r\n").removeprefix("\ufeff")
         try:
-            row = next(csv.reader([text], delimiter=self.source.separator), [])
+            row = next(csv.reader([text], delimiter=self.logs.separator), [])
         except csv.Error as error:
             raise LogError(
                 "log_not_csv", self.path, f"the header cannot be read: {error}"
@@ -130,9 +130,9 @@ class Header:
         self._take(names)
 
     def _take(self, names: tuple[str, ...]) -> None:
-        self.unit_rows_left = self.source.unit_rows
+        self.unit_rows_left = self.logs.unit_rows
         if names != self.names:
-            self.position = _positions(self.path, self.source, names, self.wanted)
+            self.position = _positions(self.path, self.logs, names, self.wanted)
             self.names = names
 
     def is_again(self, line: bytes) -> tuple[str, ...] | None:
@@ -223,7 +223,7 @@ def _headers_again(header: Header, data: bytes, start: int) -> Iterator[tuple[in
 
 
 def _positions(
-    path: Path, source: LogSource, names: Sequence[str], wanted: Sequence[str]
+    path: Path, logs: Logs, names: Sequence[str], wanted: Sequence[str]
 ) -> dict[str, int]:
     for name in wanted:
         count = names.count(name)
@@ -237,6 +237,6 @@ def _positions(
             raise LogError(
                 "log_column_missing",
                 path,
-                f"no column {name!r}; separated by {source.separator!r} there are {there}{hint}",
+                f"no column {name!r}; separated by {logs.separator!r} there are {there}{hint}",
             )
     return {name: names.index(name) for name in wanted}

@@ -15,9 +15,10 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
+from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
 from pipeline.ingest import csv_cells
-from pipeline.ingest.contract import LogSource, RawLog
+from pipeline.ingest.contract import RawLog
 from pipeline.ingest.csv_header import Header, Section, rows_begin, sections
 from pipeline.ingest.csv_text import Lines, is_packed, is_utf8, read_lines, repaired
 from pipeline.ingest.table import Columns, Table, wanted_columns
@@ -29,28 +30,28 @@ _SLACK = 1.1
 _MANY_RAGGED = 2**19
 
 
-def read_csv_log(path: Path, source: LogSource) -> RawLog:
+def read_csv_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
     """Read the wanted columns of a CSV.
 
     Parameters
     ----------
     path
         An existing file, plain or packed with gzip or Zstandard.
-    source
-        Its dialect and channels.
+    logs, channels
+        Its dialect, and what is wanted of it.
 
     Raises
     ------
     LogError
         As listed in `pipeline.ingest.contract`.
     """
-    reader = _Reader(path, source, wanted_columns(path, source))
-    for lines in read_lines(path, source.encoding):
+    reader = _Reader(path, logs, channels, wanted_columns(path, logs, channels))
+    for lines in read_lines(path, logs.encoding):
         reader.read(lines)
     return reader.log()
 
 
-def csv_time_span(path: Path, source: LogSource) -> tuple[int, int]:
+def csv_time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
     """First and last time stamp of a CSV, from its first and last rows where these can be read.
 
     Raises
@@ -58,29 +59,29 @@ def csv_time_span(path: Path, source: LogSource) -> tuple[int, int]:
     LogError
         As `read_csv_log`; ``log_empty`` where there is no row.
     """
-    times = Columns(wanted_columns(path, source).time, None, ())
-    if is_utf8(source.encoding) and path.stat().st_size > 4 * _SPAN_PIECE and not is_packed(path):
+    times = Columns(wanted_columns(path, logs, channels).time, None, ())
+    if is_utf8(logs.encoding) and path.stat().st_size > 4 * _SPAN_PIECE and not is_packed(path):
         try:
-            return _span_of_ends(path, source, times)
+            return _span_of_ends(path, logs, channels, times)
         except LogError:
             # Say what is wrong, or find the span, from the whole file.
             pass
-    reader = _Reader(path, source, times)
-    for lines in read_lines(path, source.encoding):
+    reader = _Reader(path, logs, channels, times)
+    for lines in read_lines(path, logs.encoding):
         reader.read(lines)
     reader.require_rows_of_one_width()
     return reader.table.span()
 
 
-def _span_of_ends(path: Path, source: LogSource, times: Columns) -> tuple[int, int]:
+def _span_of_ends(path: Path, logs: Logs, channels: Channels, times: Columns) -> tuple[int, int]:
     with path.open("rb") as file:
         file.seek(-_SPAN_PIECE, 2)
         tail = file.read()
     begin, end = tail.find(b"\n") + 1, max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    reader = _Reader(path, source, times)
-    reader.read(next(read_lines(path, source.encoding, _SPAN_PIECE)))
+    reader = _Reader(path, logs, channels, times)
+    reader.read(next(read_lines(path, logs.encoding, _SPAN_PIECE)))
     first = reader.table.span()
-    reader.table = Table(path, source)
+    reader.table = Table(path, logs, channels)
     reader.read(Lines(repaired(tail[begin:end])))
     last = reader.table.span()
     return min(first[0], last[0]), max(first[1], last[1])
@@ -105,21 +106,21 @@ def _first(ragged: Sequence[Any], data: bytes, start: int, piece: int) -> _Ragge
 class _Reader:
     """Takes the pieces of a file one after the other, and gives the log."""
 
-    def __init__(self, path: Path, source: LogSource, columns: Columns) -> None:
+    def __init__(self, path: Path, logs: Logs, channels: Channels, columns: Columns) -> None:
         self.path = path
-        self.source = source
+        self.logs = logs
         self.columns = columns
-        self.table = Table(path, source)
-        self.header = Header(path, source, columns.all)
+        self.table = Table(path, logs, channels)
+        self.header = Header(path, logs, columns.all)
         self.torn = 0
         self.rows = 0
         self.ragged = 0
         self.first_ragged = _Ragged(0, 0, 0)
         self.pieces = 0
-        numbers: tuple[pa.DataType, ...] = () if source.thousands else (pa.float64(),)
+        numbers: tuple[pa.DataType, ...] = () if logs.thousands else (pa.float64(),)
         # What each column may be parsed as at once; what fails is not tried again.
         self.types: dict[str, tuple[pa.DataType, ...]] = dict.fromkeys(columns.numbers, numbers)
-        self.types |= dict.fromkeys(columns.time, csv_cells.time_types(source))
+        self.types |= dict.fromkeys(columns.time, csv_cells.time_types(logs))
         self.types |= dict.fromkeys(columns.qualities, (pa.string(),))
 
     def read(self, lines: Lines) -> None:
@@ -159,7 +160,7 @@ class _Reader:
 
     def _expect(self, rows: int, size: int) -> None:
         """Make room for the whole file, by the rows of its first piece."""
-        if not self.rows and is_utf8(self.source.encoding) and not is_packed(self.path):
+        if not self.rows and is_utf8(self.logs.encoding) and not is_packed(self.path):
             self.table.expect(int(_SLACK * rows * self.path.stat().st_size / size))
 
     def log(self) -> RawLog:
@@ -192,7 +193,7 @@ class _Reader:
     def _line(self, row: _Ragged) -> int:
         """Number of a row's line in the file, from 1."""
         # Counted only where it is asked for, which costs a sound file nothing.
-        pieces = islice(read_lines(self.path, self.source.encoding), row.piece + 1)
+        pieces = islice(read_lines(self.path, self.logs.encoding), row.piece + 1)
         line, last = row.line + 1, b""
         for number, lines in enumerate(pieces):
             # A line end of two characters may be cut in two.
@@ -262,9 +263,9 @@ class _Reader:
 
     def _add(self, cells: dict[str, pa.ChunkedArray]) -> None:
         self.table.add(
-            csv_cells.stamps(self.source, [cells[name] for name in self.columns.time]),
+            csv_cells.stamps(self.logs, [cells[name] for name in self.columns.time]),
             {
-                name: csv_cells.readings(self.path, self.source, name, cells[name])
+                name: csv_cells.readings(self.path, self.logs, name, cells[name])
                 for name in self.columns.numbers
             },
             None if self.columns.name is None else cells[self.columns.name],
@@ -274,15 +275,15 @@ class _Reader:
     def _parse(self, section: Section, types: dict[str, pa.DataType]) -> tuple[pa.Table, list[Any]]:
         """A section's columns, by position, and the rows that are left out."""
         if not self.columns.qualities:
-            return _parse(self.source, section, types)
+            return _parse(self.logs, section, types)
         # What means "no sample" in a column of readings is an answer in one of qualities.
-        table, ragged = _parse(self.source, section, types, text_can_be_null=False)
+        table, ragged = _parse(self.logs, section, types, text_can_be_null=False)
         kept = {str(section.position[name]) for name in self.columns.qualities}
-        return csv_cells.with_missing_tokens(self.source, table, kept), ragged
+        return csv_cells.with_missing_tokens(self.logs, table, kept), ragged
 
 
 def _parse(
-    source: LogSource,
+    logs: Logs,
     section: Section,
     types: dict[str, pa.DataType],
     *,
@@ -299,14 +300,14 @@ def _parse(
         pa.BufferReader(pa.py_buffer(section.body)),
         read_options=arrow_csv.ReadOptions(column_names=list(map(str, range(section.width)))),
         parse_options=arrow_csv.ParseOptions(
-            delimiter=source.separator, invalid_row_handler=leave_out
+            delimiter=logs.separator, invalid_row_handler=leave_out
         ),
         convert_options=arrow_csv.ConvertOptions(
             include_columns=list(types),
             column_types=types,
-            null_values=list(source.missing_tokens),
+            null_values=list(logs.missing_tokens),
             strings_can_be_null=text_can_be_null,
-            decimal_point=source.decimal,
+            decimal_point=logs.decimal,
         ),
     )
     return table, ragged

@@ -6,13 +6,13 @@ in the memory behind them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.assembly import Readings, convert_in_place
-from pipeline.ingest.contract import ChannelSource
+from pipeline.ingest.assembly import Readings
 from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
 
 _T = TypeVar("_T", bound=np.generic)
@@ -92,14 +92,16 @@ class GatheredReadings:
 
     Parameters
     ----------
-    channel
-        Into whose canonical unit they are converted; None: they stay as they stand.
+    convert
+        Brings a piece into the canonical unit, where it lies; None: readings stay as they stand.
     expected
         As of `Growing`.
     """
 
-    def __init__(self, channel: ChannelSource | None = None, expected: int = 0) -> None:
-        self._channel = channel
+    def __init__(
+        self, convert: Callable[[NDArray[np.float64]], None] | None = None, expected: int = 0
+    ) -> None:
+        self._convert = convert
         self._raw = Growing(np.float64, expected)
         self._missing: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
         self._unparsed: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
@@ -108,8 +110,8 @@ class GatheredReadings:
     def add(self, part: Readings) -> None:
         """Add a piece."""
         raw = self._raw.append(part.raw)
-        if self._channel is not None:
-            convert_in_place(self._channel, raw)
+        if self._convert is not None:
+            self._convert(raw)
         self._missing.append(part.missing)
         self._unparsed.append(part.unparsed)
         self._example = self._example or part.example

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pipeline.ingest.contract import LogLayout
+from pipeline.config.motors import LogLayout
 from pipeline.ingest.guess_cells import Marks, as_number, is_missing, is_number
 from pipeline.ingest.guess_channels import channel_of, preference, unit_of, words_of
 from pipeline.ingest.guess_files import files_by_channel
@@ -93,7 +93,7 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class TableLayout:
     """How channels lie in a table.
 
     Attributes
@@ -178,7 +178,7 @@ def find_layout(
     path: Path,
     scan: Scan,
     read: Callable[[Path], Sequence[Column]],
-) -> Layout:
+) -> TableLayout:
     """Which layout a table has, and where its channels are.
 
     Parameters
@@ -215,7 +215,7 @@ def find_layout(
         [(one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable]
     )
     unused |= {one.name: one.filled[:SAMPLES] for one in texts}
-    return Layout("wide", sources, unused)
+    return TableLayout("wide", sources, unused)
 
 
 def _value_column(numbers: Sequence[Column]) -> Column | None:
@@ -226,7 +226,7 @@ def _value_column(numbers: Sequence[Column]) -> Column | None:
     return named[0] if len(named) == 1 else None
 
 
-def _long(value: Column, texts: Sequence[Column], scan: Scan) -> Layout | None:
+def _long(value: Column, texts: Sequence[Column], scan: Scan) -> TableLayout | None:
     units = [one for one in texts if _UNIT_COLUMNS & set(words_of(one.name))][:1]
     names = [one for one in texts if one not in units]
     if not names:
@@ -246,12 +246,12 @@ def _long(value: Column, texts: Sequence[Column], scan: Scan) -> Layout | None:
     sources, unused = _assigned(
         [(name, name, unit, tuple(samples)) for name, (samples, unit) in seen.items()]
     )
-    return Layout("long", sources, unused, channel_column=column.name, value_column=value.name)
+    return TableLayout("long", sources, unused, channel_column=column.name, value_column=value.name)
 
 
 def _file_per_channel(
     value: str, path: Path, read: Callable[[Path], Sequence[Column]]
-) -> Layout | None:
+) -> TableLayout | None:
     """The layout of a file a channel; None where the files are not all alike."""
     sources, files = [], []
     for channel, (pattern, example) in files_by_channel(path).items():
@@ -264,7 +264,9 @@ def _file_per_channel(
         files.append(pattern)
     if not sources:
         return None
-    return Layout("file_per_channel", tuple(sources), {}, value_column=value, files=tuple(files))
+    return TableLayout(
+        "file_per_channel", tuple(sources), {}, value_column=value, files=tuple(files)
+    )
 
 
 Candidate = tuple[str, str, str, tuple[str, ...]]

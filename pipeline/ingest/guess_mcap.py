@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.ingest.guess_channels import channel_of, preference, unit_of, words_of
 from pipeline.ingest.guess_layout import VALUE_WORDS, Source
 from pipeline.ingest.guess_times import (
@@ -17,7 +18,6 @@ from pipeline.ingest.guess_times import (
     is_time_name,
     number_format,
 )
-from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap_topics import Topic, read_topics
 from pipeline.units import CHANNELS, QUANTITIES

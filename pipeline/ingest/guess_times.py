@@ -11,14 +11,13 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pyarrow as pa
 
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.time_stamps import (
-    EPOCH_UNITS,
-    EXCEL_DAYS,
-    TimeStamps,
     from_text,
     placed,
     written_as_numbers,
 )
+from pipeline.ingest.wall_clock import TimeStamps
 
 _TIME_NAME = re.compile(
     r"(?i)^\W*(date.?time|time.?stamp|time|zeit(stempel)?|uhrzeit|datum|date|tid(sstämpel)?|"
@@ -54,7 +53,7 @@ class TimeGuess:
     Attributes
     ----------
     formats
-        As in `LogSource.time_format`, the likeliest first; more than one where the stamps can be
+        As in `logs.time_format`, the likeliest first; more than one where the stamps can be
         read in several ways, empty where in none.
     has_zone
         Whether the stamps say their zone, or are counted from 1970.

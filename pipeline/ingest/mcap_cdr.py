@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap_cdr_walk import HEAD, ORDERS, Found, TooManySteps, walked
 from pipeline.ingest.mcap_fields import number_kind, stamp_parts
 from pipeline.ingest.mcap_layout import Schema
-from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import (
     Decoded,
     Decoder,

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
 from pipeline.ingest.mcap_layout import fields_at
-from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import Payloads
 from pipeline.ingest.mcap_ros2_types import Array, Definitions, Message, Number, Text, Type
 

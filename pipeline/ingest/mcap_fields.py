@@ -6,8 +6,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Protocol
 
+from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
-from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import NANOSECONDS, SECONDS
 
 _MOST_NAMES = 40

@@ -19,10 +19,10 @@ import pyarrow.compute as pc
 import pyarrow.json as arrow_json
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap_messages import read_messages
-from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import (
     NANOSECONDS,
     SECONDS,

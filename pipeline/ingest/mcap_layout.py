@@ -40,7 +40,7 @@ _FOOTER = struct.Struct("<BQQQI")
 _CHECKSUM_BYTES = 4
 
 
-class Channel(NamedTuple):
+class ChannelRecord(NamedTuple):
     """A channel record: what the messages of an id are; schema 0 is none."""
 
     topic: str
@@ -79,7 +79,7 @@ class Summary(NamedTuple):
     """
 
     start: int
-    channels: Mapping[int, Channel]
+    channels: Mapping[int, ChannelRecord]
     schemas: Mapping[int, Schema]
     statistics: Statistics | None
 
@@ -117,7 +117,7 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
     return everywhere[at]
 
 
-def read_channel(path: Path, content: bytes) -> tuple[int, Channel]:
+def read_channel(path: Path, content: bytes) -> tuple[int, ChannelRecord]:
     """Id and content of a channel record.
 
     Raises
@@ -131,7 +131,7 @@ def read_channel(path: Path, content: bytes) -> tuple[int, Channel]:
         encoding, _ = _text(content, at)
     except (struct.error, UnicodeDecodeError) as error:
         raise LogError("log_damaged", path, f"a channel record cannot be read: {error}") from error
-    return channel_id, Channel(topic, encoding, schema_id)
+    return channel_id, ChannelRecord(topic, encoding, schema_id)
 
 
 def read_schema(path: Path, content: bytes) -> tuple[int, Schema]:
@@ -185,11 +185,11 @@ def read_summary(path: Path, file: BinaryIO) -> Summary:
 
 def _summary_records(
     path: Path, section: bytes
-) -> tuple[Mapping[int, Channel], Mapping[int, Schema], Statistics | None]:
+) -> tuple[Mapping[int, ChannelRecord], Mapping[int, Schema], Statistics | None]:
     offsets, end = record_offsets(memoryview(section))
     if end != len(section):
         raise LogError("log_damaged", path, "the records of the summary do not fill it")
-    channels: dict[int, Channel] = {}
+    channels: dict[int, ChannelRecord] = {}
     schemas: dict[int, Schema] = {}
     statistics = None
     for start, stop in pairwise([*offsets, end]):

@@ -31,7 +31,7 @@ from pipeline.ingest.mcap_layout import (
     MESSAGE_INDEX,
     PREFIX,
     SCHEMA,
-    Channel,
+    ChannelRecord,
     Schema,
     Statistics,
     Summary,
@@ -73,7 +73,7 @@ class Messages:
     """
 
     buffer: memoryview
-    channels: Mapping[int, Channel]
+    channels: Mapping[int, ChannelRecord]
     schemas: Mapping[int, Schema]
     channel_id: NDArray[np.uint16]
     log_time: NDArray[np.uint64]
@@ -107,7 +107,7 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
         ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
-    channels: dict[int, Channel] = {}
+    channels: dict[int, ChannelRecord] = {}
     schemas: dict[int, Schema] = {}
     read_to = len(MAGIC)
     with path.open("rb") as file:
@@ -172,7 +172,7 @@ def _data_section(
     path: Path,
     file: BinaryIO,
     end: int,
-    channels: dict[int, Channel],
+    channels: dict[int, ChannelRecord],
     schemas: dict[int, Schema],
     end_is_known: bool,
 ) -> Iterator[Messages]:
@@ -257,7 +257,7 @@ def _messages_of_block(
     path: Path,
     block: memoryview,
     offsets: NDArray[np.int64],
-    channels: dict[int, Channel],
+    channels: dict[int, ChannelRecord],
     schemas: dict[int, Schema],
     place: int,
 ) -> Iterator[Messages]:
@@ -288,7 +288,7 @@ def _messages(
     path: Path,
     buffer: memoryview,
     offsets: NDArray[np.int64],
-    channels: dict[int, Channel],
+    channels: dict[int, ChannelRecord],
     schemas: dict[int, Schema],
     read_to: int,
 ) -> Messages:
@@ -320,7 +320,7 @@ def _declare(
     path: Path,
     buffer: memoryview,
     starts: NDArray[np.int64],
-    channels: dict[int, Channel],
+    channels: dict[int, ChannelRecord],
     schemas: dict[int, Schema],
 ) -> None:
     """Add channels and schemas, which may be repeated but not changed."""

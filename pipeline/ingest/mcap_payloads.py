@@ -9,10 +9,11 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
+from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap_messages import Messages
-from pipeline.ingest.mcap_paths import FieldPath
-from pipeline.ingest.time_stamps import EPOCH_UNITS, WrittenStamps, written_as_numbers
+from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
 from pipeline.ingest.wall_clock import LATEST_US
 
 _NEWLINE = 10

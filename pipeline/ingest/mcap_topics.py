@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.config.field_paths import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder, ros2_definitions
 from pipeline.ingest.mcap_json import json_decoder
-from pipeline.ingest.mcap_layout import Channel, Schema, Summary, read_summary
+from pipeline.ingest.mcap_layout import ChannelRecord, Schema, Summary, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
-from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
 from pipeline.ingest.mcap_ros2_types import Array, Definitions, Message, Number, Type
@@ -91,7 +91,7 @@ def read_topics(path: Path) -> list[Topic]:
     return [topics[name] for name in sorted(topics)]
 
 
-def _topic(channel: Channel, schema: Schema | None, summary: Summary) -> Topic:
+def _topic(channel: ChannelRecord, schema: Schema | None, summary: Summary) -> Topic:
     count = None
     if summary.statistics is not None:
         same = [i for i, one in summary.channels.items() if one.topic == channel.topic]

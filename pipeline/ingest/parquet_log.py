@@ -17,14 +17,14 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from pipeline.config.motors import Channels, Logs
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
-from pipeline.ingest.contract import LogSource, RawLog
+from pipeline.ingest.contract import RawLog
 from pipeline.ingest.parquet_text import decoded, is_text, text_paths
 from pipeline.ingest.table import Columns, Table, wanted_columns
 from pipeline.ingest.time_stamps import (
-    EPOCH_UNITS,
-    EXCEL_DAYS,
     WrittenStamps,
     written_as_numbers,
     written_as_text,
@@ -46,27 +46,27 @@ _Place = tuple[str, ...]
 """Names of a column and of the fields within it."""
 
 
-def read_parquet_log(path: Path, source: LogSource) -> RawLog:
+def read_parquet_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
     """Read the wanted columns of a Parquet file.
 
     Parameters
     ----------
     path
         An existing file.
-    source
-        Its channels and time column.
+    logs, channels
+        How it is written, and what is wanted of it.
 
     Raises
     ------
     LogError
         As listed in `pipeline.ingest.contract`.
     """
-    table = Table(path, source)
-    _gather(path, source, wanted_columns(path, source), table)
+    table = Table(path, logs, channels)
+    _gather(path, wanted_columns(path, logs, channels), table)
     return table.log({})
 
 
-def parquet_time_span(path: Path, source: LogSource) -> tuple[int, int]:
+def parquet_time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
     """First and last time stamp, from the time column alone.
 
     Raises
@@ -76,16 +76,17 @@ def parquet_time_span(path: Path, source: LogSource) -> tuple[int, int]:
     """
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
-    table = Table(path, source)
-    _gather(path, source, Columns(wanted_columns(path, source).time, None, ()), table)
+    table = Table(path, logs, channels)
+    times = wanted_columns(path, logs, channels).time
+    _gather(path, Columns(times, None, ()), table)
     return table.span()
 
 
-def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> None:
+def _gather(path: Path, columns: Columns, table: Table) -> None:
     """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
     with _opened(path) as file:
         places = {name: _place(path, file.schema_arrow, name) for name in columns.all}
-        _require_types(path, source, columns, file.schema_arrow, places)
+        _require_types(table, columns, file.schema_arrow, places)
         wanted = [".".join(place) for place in places.values()]
         texts = [name for name in text_paths(file.schema_arrow) if name in wanted]
     with _opened(path, texts) as file:
@@ -93,7 +94,7 @@ def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> No
         for batch in _batches(path, file, places):
             found = {name: _within(path, batch, place) for name, place in places.items()}
             table.add(
-                _stamps(path, source, [found[name] for name in columns.time]),
+                _stamps(path, table.logs, [found[name] for name in columns.time]),
                 {name: _readings(found[name]) for name in columns.numbers},
                 None if columns.name is None else found[columns.name].cast(pa.string()),
                 {name: found[name] for name in columns.qualities},
@@ -188,12 +189,9 @@ def _kind(schema: pa.Schema, place: _Place) -> pa.DataType:
 
 
 def _require_types(
-    path: Path,
-    source: LogSource,
-    columns: Columns,
-    schema: pa.Schema,
-    places: Mapping[str, _Place],
+    table: Table, columns: Columns, schema: pa.Schema, places: Mapping[str, _Place]
 ) -> None:
+    path = table.path
     for name in columns.numbers:
         kind = _kind(schema, places[name])
         if not (
@@ -203,7 +201,9 @@ def _require_types(
             or pa.types.is_null(kind)
         ):
             channels = ", ".join(
-                c.channel for c in source.channels if source.layout != "wide" or c.source == name
+                known
+                for known, channel in table.channels.items()
+                if table.logs.layout != "wide" or channel.source == name
             )
             raise LogError(
                 "log_type",
@@ -260,7 +260,7 @@ def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.ChunkedArray
     return pa.chunked_array([decoded(path, ".".join(place), column)])
 
 
-def _stamps(path: Path, source: LogSource, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
+def _stamps(path: Path, logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
     column = columns[-1]
     if len(columns) > 1:
         if not all(is_text(part.type) for part in columns):
@@ -271,20 +271,20 @@ def _stamps(path: Path, source: LogSource, columns: Sequence[pa.ChunkedArray]) -
     if pa.types.is_timestamp(kind):
         return written_as_timestamps(column)
     if is_text(kind):
-        return written_as_text(column.cast(pa.string()), source.time_format)
+        return written_as_text(column.cast(pa.string()), logs.time_format)
     numeric = pa.types.is_integer(kind) or pa.types.is_float64(kind)
-    if not numeric or source.time_format not in (*EPOCH_UNITS, EXCEL_DAYS):
+    if not numeric or logs.time_format not in (*EPOCH_UNITS, EXCEL_DAYS):
         # A float32 of seconds since 1970 moves in steps of 128 s.
         raise LogError(
             "log_time",
             path,
-            f"a time column of type {kind} cannot be read as {source.time_format!r}: wanted are "
+            f"a time column of type {kind} cannot be read as {logs.time_format!r}: wanted are "
             "timestamps, text, or integers or float64 with time_format one of "
             + ", ".join((*EPOCH_UNITS, EXCEL_DAYS)),
-            source.time_source,
+            logs.time,
         )
     blank = np.nan if pa.types.is_floating(kind) else 0
-    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), source.time_format)
+    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), logs.time_format)
 
 
 def _readings(column: pa.ChunkedArray) -> Readings:

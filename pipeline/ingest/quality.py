@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.config.motors import QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.contract import QualityValue
 
 _GOOD, _BAD, BLANK = 0, 1, 2
 """States of a cell of a quality column."""

@@ -11,16 +11,16 @@ from dataclasses import replace
 from glob import escape
 from pathlib import Path
 
+from pipeline.config.motors import MISSING_TOKENS
 from pipeline.errors import LogError
-from pipeline.ingest.contract import MISSING_TOKENS
 from pipeline.ingest.guess_cells import Marks, as_number, marks_of, strange_tokens
 from pipeline.ingest.guess_channels import likely_units
 from pipeline.ingest.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
 from pipeline.ingest.guess_files import suffix_of
 from pipeline.ingest.guess_layout import (
     Column,
-    Layout,
     Source,
+    TableLayout,
     Times,
     find_layout,
     find_times,
@@ -190,7 +190,7 @@ def _other_readings(times: Times) -> str:
     return f"day or month first? The log begins on {readings[0]} so, on {others}"
 
 
-def _layout_lines(layout: Layout) -> Iterator[str]:
+def _layout_lines(layout: TableLayout) -> Iterator[str]:
     if layout.kind != "wide":
         yield f'layout = "{layout.kind}"'
     if layout.channel_column:

@@ -6,7 +6,6 @@ number are rounded.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -18,7 +17,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import DTypeLike, NDArray
 
-from pipeline.errors import UsageError
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
 from pipeline.ingest.wall_clock import (
     EARLIEST_US,
     EPOCH,
@@ -28,36 +27,9 @@ from pipeline.ingest.wall_clock import (
     from_naive,
 )
 
-__all__ = [
-    "EPOCH_UNITS",
-    "EXCEL_DAYS",
-    "TimeStamps",
-    "WrittenStamps",
-    "example_of",
-    "from_epoch",
-    "from_naive",
-    "from_text",
-    "placed",
-    "require_time_format",
-    "written_as_numbers",
-    "written_as_text",
-    "written_as_timestamps",
-]
-
-EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns": 1}
-"""Microseconds in a unit of each epoch format (`epoch_ns` is divided by 1000 instead)."""
-
-EXCEL_DAYS = "excel_days"
-"""Days since 30 December 1899, a local time; kept to the millisecond, as spreadsheets keep it."""
-
-_DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
-
-
 _EXCEL_ZERO_MS = (datetime(1899, 12, 30) - EPOCH) // timedelta(milliseconds=1)
 _DAY_MS = 86_400_000
 _NONE, _LOCAL, WITH_ZONE = 0, 1, 2
-
-
 _LOOKED_AT = 1000
 _EXAMPLE = datetime(2025, 3, 1, 6)
 
@@ -82,43 +54,6 @@ class WrittenStamps:
     time_us: NDArray[np.int64]
     kind: NDArray[np.int8]
     example: str | None = None
-
-
-def require_time_format(time_format: str) -> None:
-    """Refuse a format without a day, hour and minute, or with a directive that is not supported.
-
-    Raises
-    ------
-    UsageError
-        ``time_format``.
-
-    Examples
-    --------
-    >>> require_time_format("%d.%m.%Y %H:%M:%S,%f")
-    """
-    if time_format in ("iso8601", EXCEL_DAYS) or time_format in EPOCH_UNITS:
-        return
-    directives = re.findall(r"%(.?)", time_format)
-    if not set(directives) <= _DIRECTIVES:
-        raise UsageError(
-            "time_format",
-            f"time format {time_format!r}: iso8601, {', '.join(EPOCH_UNITS)}, "
-            f"{EXCEL_DAYS}, or directives of {' '.join('%' + d for d in sorted(_DIRECTIVES))}",
-        )
-    has = set(directives).intersection
-    day = has("Yy") and (has("j") or (has("mbB") and has("d")))
-    hour = has("M") and (has("H") or (has("I") and has("p")))
-    fraction = "%f" not in time_format or re.search(r"[.,]%f", time_format)
-    if not (day and hour and fraction):
-        raise UsageError(
-            "time_format",
-            f"time format {time_format!r} names no full day, hour and minute, or has %f without "
-            "'.' or ',' before it",
-        )
-    try:
-        _strptime(pl.Series(["?"]), time_format)
-    except pl.exceptions.PolarsError as error:
-        raise UsageError("time_format", f"time format {time_format!r}: {error}") from error
 
 
 def example_of(time_format: str) -> str:
@@ -148,7 +83,7 @@ def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps
     texts
         Arrow strings; null where the cell is blank.
     time_format
-        As in `pipeline.ingest.contract.LogSource`.
+        As in `logs.time_format`.
     zone
         Zone of stamps that carry none.
 
@@ -396,16 +331,7 @@ def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
 def _from_strptime(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if ",%f" in time_format:
         texts = pc.replace_substring(texts, ",", ".")
-    stamps = _strptime(pl.Series("time", texts), time_format)
+    stamps = parsed(pl.Series("time", texts), time_format)
     kind = WITH_ZONE if "%z" in time_format else _LOCAL
     readable = stamps.is_not_null().to_numpy()
     return WrittenStamps(stamps.to_physical().fill_null(0).to_numpy(), _kinds(readable, kind))
-
-
-def _strptime(texts: pl.Series, time_format: str) -> pl.Series:
-    # In the words of this parser %f stands for the dot as well, and only %#z knows "Z".
-    dotted = time_format.replace(",", ".") if ",%f" in time_format else time_format
-    its_format = dotted.replace(".%f", "%.f").replace("%z", "%#z")
-    return texts.str.strip_chars().str.to_datetime(
-        its_format, time_unit="us", strict=False, exact=True
-    )

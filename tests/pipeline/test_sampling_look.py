@@ -298,7 +298,7 @@ def test_nothing_of_the_demo_is_remarked_on(demo_folder: object) -> None:
     looked_at = 0
     for spec in fleet.motors:
         for path in sorted((fleet.log_root / spec.motor_id).iterdir()):
-            log = read_log(path, spec.file.log_source())
+            log = read_log(path, spec.file.logs, spec.file.channels)
             for name, channel in spec.file.channels.items():
                 found = look_of(
                     log.channels[name], is_flow=name == COUNTED, resolution=channel.resolution

@@ -78,8 +78,8 @@ def json_log(folder: Path, topics: Mapping[str, Callable[[int], Any]], **options
 
 def require_it_reads(folder: Path, path: Path, late_us: int = 0) -> str:
     toml = suggest(path)
-    source = load_motor(folder, HEAD + toml).file.log_source()
-    log = read_log(path, source)
+    motor = load_motor(folder, HEAD + toml).file
+    log = read_log(path, motor.logs, motor.channels)
     assert set(log.channels) == set(VALUES)
     for channel, values in VALUES.items():
         np.testing.assert_array_equal(log.channels[channel].time_us, TIMES_US + late_us)
@@ -181,7 +181,8 @@ def test_the_time_of_publishing_is_told_where_it_is_another(tmp_path: Path) -> N
     toml = require_it_reads(tmp_path, path, late_us=RECORDED_LATER_NS // 1000)
     assert "publish_time is 3 ms before it: which is when it was measured?" in toml
     chosen = toml.replace('time = "log_time"', 'time = "publish_time"')
-    log = read_log(path, load_motor(tmp_path, HEAD + chosen).file.log_source())
+    motor = load_motor(tmp_path, HEAD + chosen).file
+    log = read_log(path, motor.logs, motor.channels)
     assert log.first_us == T0_US
 
 

@@ -10,15 +10,17 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, read_log
+from pipeline.ingest import read_log
 from pipeline.ingest.time_stamps import EPOCH_UNITS, example_of, from_text
 
-SPEED = (ChannelSource("speed", "n", "rpm"),)
+from .sources import Source, column
+
+SPEED = {"speed": column("n", "rpm")}
 
 
-def told(path: Path, source: LogSource) -> str:
+def told(path: Path, source: Source) -> str:
     with pytest.raises(LogError) as raised:
-        read_log(path, source)
+        read_log(path, *source)
     assert raised.value.code == "log_time"
     return raised.value.message
 
@@ -49,25 +51,25 @@ def log(folder: Path, *stamps: str) -> Path:
 def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
     tmp_path: Path, stamps: list[str], time_format: str, cell: str, written: str
 ) -> None:
-    source = LogSource("csv", SPEED, separator=";", time_format=time_format)
+    source = Source.of("csv", SPEED, separator=";", time_format=time_format)
     message = told(log(tmp_path, *stamps), source)
     assert f"'time' in format {time_format} (such as {written}; here is {cell!r})" in message
 
 
 def test_where_cells_are_blank_there_is_none_to_show(tmp_path: Path) -> None:
-    message = told(log(tmp_path, "", ""), LogSource("csv", SPEED, separator=";"))
+    message = told(log(tmp_path, "", ""), Source.of("csv", SPEED, separator=";"))
     assert "'time' in format iso8601 (such as 2025-03-01T06:00:00Z)" in message
 
 
 def test_a_number_of_parquet_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({"time": pa.array([None, 77, 78]), "n": [1.0, 2.0, 3.0]}), path)
-    source = LogSource("parquet", SPEED, time_format="epoch_ms")
+    source = Source.of("parquet", SPEED, time_format="epoch_ms")
     assert "(such as 1740808800000; here is '77')" in told(path, source)
 
 
 def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
-    source = LogSource("csv", SPEED, separator=";", time_zone="Europe/Berlin")
+    source = Source.of("csv", SPEED, separator=";", time_zone="Europe/Berlin")
     message = told(log(tmp_path, "2025-03-30T02:30:00"), source)
     assert "here is '2025-03-30 02:30:00'), lie in an hour that does not exist" in message
 
