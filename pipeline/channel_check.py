@@ -17,8 +17,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ledger import FileRecord
 from pipeline.logs import labels_of
-from pipeline.sampling_look import look_of
-from pipeline.sampling_remark import configured, remark, words
+from pipeline.sampling_look import configured, look_of, remark, words
 from pipeline.unit_look import suspect_units
 
 # Larger logs are not read for a look: a check answers in seconds.
