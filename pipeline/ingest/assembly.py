@@ -1,12 +1,12 @@
-"""The last steps that all readers share: a channel's readings are judged, converted and kept."""
+"""Steps that all readers share: a channel's readings are judged, converted and kept."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,76 +26,18 @@ _DAY_US = 86_400_000_000
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Raw figures of one channel, before scale, offset and unit.
+    """Raw figures of one channel, before scale, offset and unit."""
 
-    Attributes
-    ----------
-    raw : (n,) float64
-        nan where missing.
-    missing : (n,) bool
-    unparsed : (n,) bool
-        Part of `missing`: there was something, and it is no number.
-    example
-        The first thing that is no number, for a message.
-    """
-
-    raw: NDArray[np.float64]
+    raw: NDArray[np.float64]  # nan where missing
     missing: NDArray[np.bool_]
-    unparsed: NDArray[np.bool_]
-    example: str | None = None
+    unparsed: NDArray[np.bool_]  # part of `missing`: there was something, and it is no number
+    example: str | None = None  # the first of these, for a message
 
     def rows(self, kept: NDArray[np.bool_]) -> Readings:
         """The readings of some rows."""
         if kept.all():
             return self
         return Readings(self.raw[kept], self.missing[kept], self.unparsed[kept], self.example)
-
-    @staticmethod
-    def joined(parts: Sequence[Readings]) -> Readings:
-        """Readings one after the other."""
-        examples = (part.example for part in parts if part.example is not None)
-        return Readings(
-            np.concatenate([np.empty(0), *(part.raw for part in parts)]),
-            _joined_marks([part.missing for part in parts]),
-            _joined_marks([part.unparsed for part in parts]),
-            next(examples, None),
-        )
-
-
-def raw_channel(
-    path: Path,
-    name: str,
-    channel: Channel,
-    time_us: NDArray[np.int64],
-    readings: Readings,
-    quality: NDArray[np.uint8] | None = None,
-) -> RawChannel:
-    """Channel in its canonical unit.
-
-    Parameters
-    ----------
-    path, name, channel
-        The log, and the channel's name and place in it.
-    time_us : (n,) int64
-    readings
-        As they stand in the log.
-    quality : (n,) uint8
-        Of `quality_states`; None: the log says nothing of its samples.
-
-    Raises
-    ------
-    LogError
-        ``log_type``: the channel holds something, but not one number.
-    """
-    readings = in_canonical_unit(name, channel, readings)
-    return canonical_channel(path, name, channel, time_us, readings, quality)
-
-
-def in_canonical_unit(name: str, channel: Channel, readings: Readings) -> Readings:
-    """Readings of a channel after scale, offset and unit."""
-    raw = readings.raw.copy()
-    convert_in_place(name, channel, raw)
-    return replace(readings, raw=raw)
 
 
 def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> None:
@@ -110,6 +52,20 @@ def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> N
             convert_to_canonical(name, raw, channel.unit)
 
 
+def raw_channel(
+    path: Path,
+    name: str,
+    channel: Channel,
+    time_us: NDArray[np.int64],
+    readings: Readings,
+    quality: NDArray[np.uint8] | None = None,
+) -> RawChannel:
+    """Channel of readings as they stand in the log; otherwise as `canonical_channel`."""
+    raw = readings.raw.copy()
+    convert_in_place(name, channel, raw)
+    return canonical_channel(path, name, channel, time_us, replace(readings, raw=raw), quality)
+
+
 def canonical_channel(
     path: Path,
     name: str,
@@ -118,7 +74,13 @@ def canonical_channel(
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel whose readings are in its canonical unit already; otherwise as `raw_channel`."""
+    """Channel of readings in its canonical unit, with their `quality_states` if the log has them.
+
+    Raises
+    ------
+    LogError
+        ``log_type``: the channel holds something, but not one number.
+    """
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
     told = bad is not None and bool(bad[readings.unparsed].all())
@@ -130,43 +92,28 @@ def canonical_channel(
             f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
             channel.source,
         )
-    return RawChannel(
-        _frozen(time_us),
-        _frozen(readings.raw),
-        _frozen(readings.missing),
-        unparsed,
-        None if bad is None else _frozen(bad),
-    )
+    return _frozen(RawChannel(time_us, readings.raw, readings.missing, unparsed, bad))
 
 
 def time_name(logs: Logs, example: str | None = None) -> str:
-    """How the time column of a table is named in messages, with a stamp that is not readable."""
+    """Name of a table's time column in messages, with a stamp that is not readable."""
     form = logs.time_format
     here = f"; here is {example[:40]!r}" if example else ""
     return f"{logs.time!r} in format {form} (such as {example_of(form)}{here})"
 
 
-def judged(path: Path, stamps: TimeStamps, name: str) -> tuple[TimeStamps, dict[str, int]]:
-    """Stamps without those in the future, and how many rows have no good time, by reason.
+def judged(
+    path: Path, parts: Sequence[TimeStamps], name: str
+) -> tuple[list[TimeStamps], dict[str, int]]:
+    """Stamps of a log without those in the future; counts of rows without a good time, by reason.
 
-    Parameters
-    ----------
-    name
-        What the stamps are called and how they were read.
+    The parts are judged together; `name` says what the stamps are called and how they were read.
 
     Raises
     ------
     LogError
         ``log_time``: more than half of the rows have no good time.
     """
-    (past,), refused = judged_together(path, [stamps], name)
-    return past, refused
-
-
-def judged_together(
-    path: Path, parts: Sequence[TimeStamps], name: str
-) -> tuple[list[TimeStamps], dict[str, int]]:
-    """Stamps of a log that come in parts, judged as one; otherwise as `judged`."""
     latest_us = time.time_ns() // 1000 + _DAY_US
     rows = sum(part.readable.size for part in parts)
     ahead = sum(int(np.count_nonzero(_future(part, latest_us))) for part in parts)
@@ -221,14 +168,7 @@ def without_rows_of_others(
 
     Where each channel is logged at times of its own, a table has a row for each of them, which is
     blank for the others. So is a channel most of whose readings stand alone in their rows; one that
-    shares them was to have a reading there.
-
-    Parameters
-    ----------
-    channels
-        By name, all of the same rows.
-    columns
-        Column of each channel; several may have the same.
+    shares them was to have a reading there. Several channels may be of one column.
 
     Examples
     --------
@@ -250,24 +190,11 @@ def without_rows_of_others(
         of_its_rows = readings[~channel.missing]
         alone = 2 * np.count_nonzero(of_its_rows == 1) > of_its_rows.size
         # What a row says of a reading's quality counts though the reading is blank.
-        told = (
-            ~channel.missing
-            if channel.bad_quality is None
-            else (~channel.missing | channel.bad_quality)
-        )
-        apart[name] = _rows(channel, told) if alone else channel
+        told = ~channel.missing
+        if channel.bad_quality is not None:
+            told |= channel.bad_quality
+        apart[name] = _frozen(channel.rows(told)) if alone else channel
     return apart
-
-
-def _rows(channel: RawChannel, kept: NDArray[np.bool_]) -> RawChannel:
-    """Some rows of everything that a channel has of each."""
-    values = {one.name: getattr(channel, one.name) for one in fields(channel)}
-    chosen: dict[str, Any] = {
-        name: _frozen(value[kept])
-        for name, value in values.items()
-        if isinstance(value, np.ndarray)
-    }
-    return replace(channel, **chosen)
 
 
 def raw_log(
@@ -297,14 +224,18 @@ def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
 
 
-def _joined_marks(parts: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    # Zeros that are never written take no memory.
-    if not any(part.any() for part in parts):
-        return np.zeros(sum(part.size for part in parts), dtype=np.bool_)
-    return np.concatenate(parts)
+def _frozen(channel: RawChannel) -> RawChannel:
+    bad = channel.bad_quality
+    return RawChannel(
+        _view(channel.time_us),
+        _view(channel.value),
+        _view(channel.missing),
+        channel.unparsed,
+        None if bad is None else _view(bad),
+    )
 
 
-def _frozen(values: NDArray[_T]) -> NDArray[_T]:
+def _view(values: NDArray[_T]) -> NDArray[_T]:
     view = values.view()
     view.flags.writeable = False
     return view

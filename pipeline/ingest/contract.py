@@ -64,9 +64,9 @@ class RawChannel:
         chosen: NDArray[np.bool_] | NDArray[np.intp] | slice,
         time_us: NDArray[np.int64] | None = None,
     ) -> RawChannel:
-        """Some of its samples; the count of what is no number stays that of all.
+        """Some of its samples, with stamps that channels share where these are given.
 
-        Their stamps may be given, so that channels go on sharing them.
+        The count of what is no number stays that of all.
         """
         bad = self.bad_quality
         return RawChannel(
@@ -82,13 +82,11 @@ class RawChannel:
         """Samples one after the other; where a part says nothing of its quality, it is not bad."""
         bad = None
         if any(part.bad_quality is not None for part in parts):
-            none = np.bool_(False)
+            marks = [part.bad_quality for part in parts]
             bad = np.concatenate(
                 [
-                    np.broadcast_to(none, part.missing.shape)
-                    if part.bad_quality is None
-                    else part.bad_quality
-                    for part in parts
+                    np.zeros(part.missing.size, np.bool_) if own is None else own
+                    for part, own in zip(parts, marks, strict=True)
                 ]
             )
         return RawChannel(
@@ -107,7 +105,7 @@ class RawLog:
     Attributes
     ----------
     channels
-        By canonical name, all that the source names.
+        By name, all that are wanted.
     rows
         Rows (CSV, Parquet) or messages of the topics read (MCAP) that have a time stamp.
     first_us, last_us

@@ -19,43 +19,21 @@ from pipeline.config.motors import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
-from pipeline.ingest.time_stamps import (
-    WrittenStamps,
-    written_as_numbers,
-    written_as_text,
-    written_as_timestamps,
-)
+from pipeline.ingest.time_stamps import WrittenStamps, written
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
 
 
 def stamps(logs: Logs, columns: list[pa.ChunkedArray]) -> WrittenStamps:
-    """Time stamps of a column of time, or of one of dates and one of times.
-
-    Parameters
-    ----------
-    logs
-        Their dialect.
-    columns
-        Text, or what Arrow made of it.
-    """
-    column = columns[-1]
-    if len(columns) > 1:
-        date, clock = (pc.utf8_trim_whitespace(part) for part in columns)
-        column = pc.binary_join_element_wise(date, clock, " ")
-    if pa.types.is_timestamp(column.type):
-        return written_as_timestamps(column)
-    if not pa.types.is_string(column.type):
-        blank = np.nan if pa.types.is_floating(column.type) else 0
-        return written_as_numbers(pc.fill_null(column, blank).to_numpy(), logs.time_format)
+    """Time stamps of a column of time, or of one of dates and one of times."""
     numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
-    if logs.decimal == "," and numeric:
-        column = pc.replace_substring(column, ",", ".")
-    return written_as_text(column, logs.time_format)
+    if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
+        columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]
+    return written(columns, logs.time_format)
 
 
 def time_types(logs: Logs) -> tuple[pa.DataType, ...]:
-    """Types that Arrow may find a time column to be, to be tried in turn; then comes text."""
+    """Types of a time column that Arrow may parse, to be tried in turn; then comes text."""
     if logs.date_column:
         return ()
     if logs.time_format == "iso8601":
@@ -66,7 +44,7 @@ def time_types(logs: Logs) -> tuple[pa.DataType, ...]:
 
 
 def with_missing_tokens(logs: Logs, table: pa.Table, kept: Collection[str]) -> pa.Table:
-    """A table in whose columns of text, but for some, the tokens of a missing sample are null."""
+    """A table with null for the tokens of a missing sample in its columns of text, but for some."""
     tokens = pa.array(logs.missing_tokens, pa.string())
     for at, name in enumerate(table.column_names):
         column = table.column(at)
@@ -77,16 +55,7 @@ def with_missing_tokens(logs: Logs, table: pa.Table, kept: Collection[str]) -> p
 
 
 def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
-    """Numbers of a column of text, or of one that Arrow could parse.
-
-    Parameters
-    ----------
-    path, logs
-        The log.
-    name
-        The column.
-    cells
-        Text or float64.
+    """Numbers of a column of text, or of one that Arrow could parse as float64.
 
     Raises
     ------

@@ -20,37 +20,17 @@ MOST_HEADERS = 2**16
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """Rows below one header.
+class HeadedRows:
+    """Rows below one header."""
 
-    Attributes
-    ----------
-    body
-        Their text.
-    width
-        Cells of the header.
-    position
-        Column of each wanted name, from 0.
-    line
-        Number of the header's line; 0 where it is not counted.
-    """
-
-    body: memoryview
-    width: int
-    position: Mapping[str, int]
-    line: int
+    body: memoryview  # their text
+    width: int  # cells of the header
+    position: Mapping[str, int]  # column of each wanted name, from 0
+    line: int  # number of the header's line; 0 where it is not counted
 
 
 class Header:
-    """The header that holds at a place of a file.
-
-    Parameters
-    ----------
-    path, logs
-        The log.
-    wanted
-        Names of the columns that each header must have.
-    """
+    """The header that holds at a place of a file; each must have all wanted columns."""
 
     def __init__(self, path: Path, logs: Logs, wanted: Sequence[str]) -> None:
         self.path = path
@@ -63,18 +43,7 @@ class Header:
         self.unit_rows_left = 0
 
     def require(self, *, torn: int) -> None:
-        """Refuse a file that has ended without a header.
-
-        Raises
-        ------
-        LogError
-            ``log_empty``, ``log_truncated`` or ``log_not_csv``.
-
-        Parameters
-        ----------
-        torn
-            Bytes behind the last line end.
-        """
+        """Refuse a file that has ended without a header, `torn` bytes behind its last line end."""
         if self.names:
             return
         if torn > _HEAD:
@@ -145,53 +114,38 @@ class Header:
 
 
 def rows_begin(header: Header, data: bytes) -> int:
-    """Where the rows of a piece begin, below the file's header and its lines of units.
+    """Begin of the rows of a piece of whole lines, below the file's header and lines of units.
 
-    Parameters
-    ----------
-    header
-        As the piece before has left it; it is moved on.
-    data
-        Whole lines.
+    The header is as the piece before has left it, and is moved on.
     """
     start = 0 if header.names else header.take_first(data)
     return _below_units(header, data, start, len(data))
 
 
-def sections(header: Header, data: bytes, start: int) -> Iterator[Section]:
-    """Rows of a piece of a file, each with the header that holds for it.
-
-    Parameters
-    ----------
-    header
-        As the piece before has left it; it is moved on.
-    data
-        Whole lines.
-    start
-        Where its rows begin.
-    """
+def headed_rows(header: Header, data: bytes, start: int) -> Iterator[HeadedRows]:
+    """Rows of a piece from `start` on, each with the header that holds for them."""
     parts: list[memoryview] = []
     for begin, end in [*_headers_again(header, data, start), (len(data), len(data))]:
         start = _below_units(header, data, start, begin)
         parts.append(memoryview(data)[start:begin])
         names = header.is_again(data[begin:end]) if end > begin else None
         if names != header.names:
-            yield from _section(header, parts)
+            yield from _headed(header, parts)
             parts = []
         if names is not None:
             header.take_again(names)
         start = end
 
 
-def _section(header: Header, parts: list[memoryview]) -> Iterator[Section]:
+def _headed(header: Header, parts: list[memoryview]) -> Iterator[HeadedRows]:
     filled = [part for part in parts if len(part)]
     if filled:
         body = filled[0] if len(filled) == 1 else memoryview(b"".join(filled))
-        yield Section(body, len(header.names), header.position, header.line)
+        yield HeadedRows(body, len(header.names), header.position, header.line)
 
 
 def _below_units(header: Header, data: bytes, start: int, end: int) -> int:
-    """Where the rows begin below the lines of units that are still to come."""
+    """Begin of the rows below the lines of units that are still to come."""
     while header.unit_rows_left and start < end:
         stop = _end_of_line(data, start, end)
         header.unit_rows_left -= bool(data[start:stop].strip())

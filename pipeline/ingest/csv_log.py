@@ -19,7 +19,7 @@ from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
 from pipeline.ingest import csv_cells
 from pipeline.ingest.contract import RawLog
-from pipeline.ingest.csv_header import Header, Section, rows_begin, sections
+from pipeline.ingest.csv_header import HeadedRows, Header, headed_rows, rows_begin
 from pipeline.ingest.csv_text import Lines, is_packed, is_utf8, read_lines, repaired
 from pipeline.ingest.table import Columns, Table, wanted_columns
 
@@ -31,20 +31,7 @@ _MANY_RAGGED = 2**19
 
 
 def read_csv_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
-    """Read the wanted columns of a CSV.
-
-    Parameters
-    ----------
-    path
-        An existing file, plain or packed with gzip or Zstandard.
-    logs, channels
-        Its dialect, and what is wanted of it.
-
-    Raises
-    ------
-    LogError
-        As listed in `pipeline.ingest.contract`.
-    """
+    """Read the wanted columns of a CSV, plain or packed with gzip or Zstandard."""
     reader = _Reader(path, logs, channels, wanted_columns(path, logs, channels))
     for lines in read_lines(path, logs.encoding):
         reader.read(lines)
@@ -52,20 +39,13 @@ def read_csv_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
 
 
 def csv_time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
-    """First and last time stamp of a CSV, from its first and last rows where these can be read.
-
-    Raises
-    ------
-    LogError
-        As `read_csv_log`; ``log_empty`` where there is no row.
-    """
+    """First and last time stamp of a CSV, from its first and last rows where these can be read."""
     times = Columns(wanted_columns(path, logs, channels).time, None, ())
     if is_utf8(logs.encoding) and path.stat().st_size > 4 * _SPAN_PIECE and not is_packed(path):
         try:
             return _span_of_ends(path, logs, channels, times)
         except LogError:
-            # Say what is wrong, or find the span, from the whole file.
-            pass
+            pass  # The whole file says what is wrong, or has the span.
     reader = _Reader(path, logs, channels, times)
     for lines in read_lines(path, logs.encoding):
         reader.read(lines)
@@ -133,8 +113,8 @@ class _Reader:
         start = rows_begin(self.header, lines.data)
         if self._read_at_once(lines.data, start):
             return
-        for section in sections(self.header, lines.data, start):
-            self._read_section(section, lines.data, start)
+        for rows in headed_rows(self.header, lines.data, start):
+            self._read_rows(rows, lines.data, start)
         if self.ragged > _MANY_RAGGED:
             self.require_rows_of_one_width()
 
@@ -143,7 +123,9 @@ class _Reader:
         keys = {name: str(at) for name, at in self.header.position.items()}
         if start == len(data) or not all(self.types.get(name) for name in keys):
             return False
-        whole = Section(memoryview(data)[start:], len(self.header.names), self.header.position, 0)
+        whole = HeadedRows(
+            memoryview(data)[start:], len(self.header.names), self.header.position, 0
+        )
         try:
             types = {key: self.types[name][0] for name, key in keys.items()}
             table, ragged = self._parse(whole, types)
@@ -151,20 +133,20 @@ class _Reader:
             return False
         if ragged:
             return False
-        self._expect(table.num_rows, len(data))
-        self.rows += table.num_rows
+        self._count(table.num_rows, len(data))
         # In the parser's own blocks, which need no copy to be arrays.
         for batch in table.to_batches():
             self._add({name: pa.chunked_array([batch.column(key)]) for name, key in keys.items()})
         return True
 
-    def _expect(self, rows: int, size: int) -> None:
-        """Make room for the whole file, by the rows of its first piece."""
+    def _count(self, rows: int, size: int) -> None:
+        """Count rows; by those of the first piece, make room for the whole file."""
         if not self.rows and is_utf8(self.logs.encoding) and not is_packed(self.path):
             self.table.expect(int(_SLACK * rows * self.path.stat().st_size / size))
+        self.rows += rows
 
     def log(self) -> RawLog:
-        """What was read."""
+        """All that was read."""
         self.require_rows_of_one_width()
         ragged = "rows with too many or too few cells"
         if self.ragged:
@@ -203,20 +185,16 @@ class _Reader:
             last = lines.data
         return line
 
-    def _read_section(self, section: Section, data: bytes, start: int) -> None:
-        keys = {
-            name: str(section.position[name])
-            for name in self.columns.all
-            if name in section.position
-        }
+    def _read_rows(self, rows: HeadedRows, data: bytes, start: int) -> None:
+        keys = {name: str(at) for name, at in rows.position.items()}
         try:
-            table, ragged = self._parsed(section, keys)
+            table, ragged = self._parsed(rows, keys)
         except pa.ArrowInvalid as error:
             raise LogError(
                 "log_damaged",
                 self.path,
                 f"the rows cannot be told apart: {error}",
-                f"after line {section.line}" if section.line else None,
+                f"after line {rows.line}" if rows.line else None,
             ) from error
         swallowed = [row for row in ragged if "\n" in row.text.rstrip("\r\n")]
         if swallowed:
@@ -230,31 +208,30 @@ class _Reader:
         if ragged and not self.ragged:
             self.first_ragged = _first(ragged, data, start, self.pieces - 1)
         self.ragged += len(ragged)
-        self._expect(table.num_rows, len(section.body))
-        self.rows += table.num_rows
+        self._count(table.num_rows, len(rows.body))
         self._add({name: table.column(key) for name, key in keys.items()})
 
-    def _parsed(self, section: Section, keys: dict[str, str]) -> tuple[pa.Table, list[Any]]:
+    def _parsed(self, rows: HeadedRows, keys: dict[str, str]) -> tuple[pa.Table, list[Any]]:
         """The columns parsed at once, or as text where that cannot be."""
         types = {key: self.types.get(name) or () for name, key in keys.items()}
         while any(types.values()):
             first = {key: kinds[0] if kinds else pa.string() for key, kinds in types.items()}
             try:
-                return self._parse(section, first)
+                return self._parse(rows, first)
             except pa.ArrowInvalid:
-                failed = self._next_types(section, keys)
+                failed = self._next_types(rows, keys)
                 if not failed:
                     break
                 types = {key: self.types.get(name) or () for name, key in keys.items()}
-        return self._parse(section, dict.fromkeys(keys.values(), pa.string()))
+        return self._parse(rows, dict.fromkeys(keys.values(), pa.string()))
 
-    def _next_types(self, section: Section, keys: dict[str, str]) -> bool:
-        """Which of a section's columns are not what they were taken for; False: none."""
+    def _next_types(self, rows: HeadedRows, keys: dict[str, str]) -> bool:
+        """Try the next types of the columns that are not of their first; False: all are."""
         failed = False
         for name, key in keys.items():
             while kinds := self.types.get(name, ()):
                 try:
-                    self._parse(section, {key: kinds[0]})
+                    self._parse(rows, {key: kinds[0]})
                     break
                 except pa.ArrowInvalid:
                     self.types[name] = kinds[1:]
@@ -272,19 +249,19 @@ class _Reader:
             {name: cells[name] for name in self.columns.qualities},
         )
 
-    def _parse(self, section: Section, types: dict[str, pa.DataType]) -> tuple[pa.Table, list[Any]]:
-        """A section's columns, by position, and the rows that are left out."""
+    def _parse(self, rows: HeadedRows, types: dict[str, pa.DataType]) -> tuple[pa.Table, list[Any]]:
+        """Columns by position, and the rows that are left out."""
         if not self.columns.qualities:
-            return _parse(self.logs, section, types)
+            return _parse(self.logs, rows, types)
         # What means "no sample" in a column of readings is an answer in one of qualities.
-        table, ragged = _parse(self.logs, section, types, text_can_be_null=False)
-        kept = {str(section.position[name]) for name in self.columns.qualities}
+        table, ragged = _parse(self.logs, rows, types, text_can_be_null=False)
+        kept = {str(rows.position[name]) for name in self.columns.qualities}
         return csv_cells.with_missing_tokens(self.logs, table, kept), ragged
 
 
 def _parse(
     logs: Logs,
-    section: Section,
+    rows: HeadedRows,
     types: dict[str, pa.DataType],
     *,
     text_can_be_null: bool = True,
@@ -297,8 +274,8 @@ def _parse(
 
     # Columns go by position: names may repeat, or be those of no column that is wanted.
     table = arrow_csv.read_csv(
-        pa.BufferReader(pa.py_buffer(section.body)),
-        read_options=arrow_csv.ReadOptions(column_names=list(map(str, range(section.width)))),
+        pa.BufferReader(pa.py_buffer(rows.body)),
+        read_options=arrow_csv.ReadOptions(column_names=list(map(str, range(rows.width)))),
         parse_options=arrow_csv.ParseOptions(
             delimiter=logs.separator, invalid_row_handler=leave_out
         ),

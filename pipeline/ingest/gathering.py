@@ -24,12 +24,7 @@ _MOST_ROOM = 2**18
 class Growing(Generic[_T]):
     """An array that grows at its end, where it lies.
 
-    Parameters
-    ----------
-    dtype
-        Of its elements.
-    expected
-        How many there will be, roughly: of memory only what is written to is used.
+    Room is made for about as many elements as expected; memory is used by those that are written.
 
     Examples
     --------
@@ -63,13 +58,7 @@ class Growing(Generic[_T]):
 
 
 class GatheredStamps:
-    """Time stamps as they are written, piece after piece.
-
-    Parameters
-    ----------
-    expected
-        As of `Growing`.
-    """
+    """Time stamps as they are written, piece after piece."""
 
     def __init__(self, expected: int = 0) -> None:
         self._time_us = Growing(np.int64, expected)
@@ -88,15 +77,7 @@ class GatheredStamps:
 
 
 class GatheredReadings:
-    """Readings of a channel or field, piece after piece.
-
-    Parameters
-    ----------
-    convert
-        Brings a piece into the canonical unit, where it lies; None: readings stay as they stand.
-    expected
-        As of `Growing`.
-    """
+    """Readings of a channel or field, piece after piece, each converted where it then lies."""
 
     def __init__(
         self, convert: Callable[[NDArray[np.float64]], None] | None = None, expected: int = 0

@@ -13,9 +13,9 @@ import pyarrow as pa
 
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.time_stamps import (
-    from_text,
     placed,
     written_as_numbers,
+    written_as_text,
 )
 from pipeline.ingest.wall_clock import TimeStamps
 
@@ -209,7 +209,8 @@ def _clock_format(match: re.Match[str]) -> str:
 
 
 def _parsed(stamps: Sequence[str], form: str) -> TimeStamps:
-    return from_text(pa.chunked_array([pa.array([s.strip() for s in stamps])]), form, "UTC")
+    texts = pa.chunked_array([pa.array([stamp.strip() for stamp in stamps])])
+    return placed([written_as_text(texts, form)], "UTC")
 
 
 def _readable(stamps: Sequence[str], formats: Iterable[str]) -> list[str]:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import judged, judged_together, raw_channel, raw_log, span
+from pipeline.ingest.assembly import judged, raw_channel, raw_log, span
 from pipeline.ingest.contract import RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
@@ -109,7 +109,7 @@ def read_mcap_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
     content = _content(path, logs, wanted)
     _require_topics(path, wanted, content)
     placed_stamps = [_placed(parts, logs.time_zone) for parts in content.parts.values()]
-    stamps, refused = judged_together(path, placed_stamps, _time_name(logs))
+    stamps, refused = judged(path, placed_stamps, _time_name(logs))
     del placed_stamps
     found: dict[str, RawChannel] = {}
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
@@ -154,7 +154,7 @@ def mcap_time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int
         return summary_span
     pieces = read_messages(path, salvage=logs.salvage)
     times = np.concatenate([_times(messages, logs.time) for messages in pieces])
-    stamps, _ = judged(path, from_epoch(times, "epoch_ns"), _time_name(logs))
+    (stamps,), _ = judged(path, [from_epoch(times, "epoch_ns")], _time_name(logs))
     return span(path, [stamps.time_us[stamps.readable]])
 
 
@@ -172,7 +172,7 @@ def _summary_span(path: Path, logs: Logs) -> tuple[int, int] | None:
     log_times = [statistics.first_log_time, statistics.last_log_time]
     stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
     try:
-        good, refused = judged(path, stamps, _time_name(logs))
+        (good,), refused = judged(path, [stamps], _time_name(logs))
     except LogError:
         return None  # The messages themselves say how many of them have no good time.
     # A single stamp may be wrong that the messages themselves would show to be so.

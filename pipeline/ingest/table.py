@@ -1,4 +1,4 @@
-"""A table of samples, whatever its layout, gathered in pieces and given as channels."""
+"""Tables of samples in any layout, gathered in pieces and given as channels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pyarrow as pa
@@ -36,7 +35,6 @@ from pipeline.ingest.wall_clock import TimeStamps
 _MOST_NAMES = 2**15 - 1
 _MOST_EXPECTED = 2**24
 """Two days at 100 Hz; what a file claims beyond that is believed when it comes."""
-_NO_QUALITIES: Mapping[str, pa.ChunkedArray] = MappingProxyType({})
 
 _Quality = tuple[str, tuple[QualityValue, ...]]
 """A column of qualities, and what is good there."""
@@ -44,28 +42,16 @@ _Quality = tuple[str, tuple[QualityValue, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a table that are wanted.
+    """Columns of a table that are wanted, each once."""
 
-    Attributes
-    ----------
-    time
-        Of the time, or of date and time.
-    name
-        Of the channel's name; None where it is not in the rows.
-    numbers
-        Of readings, each once.
-    qualities
-        Of what the log says of its samples, each once.
-    """
-
-    time: tuple[str, ...]
-    name: str | None
-    numbers: tuple[str, ...]
-    qualities: tuple[str, ...] = ()
+    time: tuple[str, ...]  # of the time, or of date and time
+    name: str | None  # of the channel's name; None where it is not in the rows
+    numbers: tuple[str, ...]  # of readings
+    qualities: tuple[str, ...] = ()  # of what the log says of its samples
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All of them, each once."""
+        """All of them."""
         names = () if self.name is None else (self.name,)
         return tuple(dict.fromkeys((*self.time, *names, *self.numbers, *self.qualities)))
 
@@ -102,7 +88,7 @@ def _qualities(channels: Iterable[Channel]) -> tuple[str, ...]:
 
 
 def is_of_file(channel: Channel, path: Path) -> bool:
-    """Whether a file of one channel holds this one."""
+    """True if a file of one channel holds this one."""
     return fnmatchcase(path.name, channel.source)
 
 
@@ -115,13 +101,7 @@ def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArr
 
 
 class Table:
-    """Rows of a log, gathered in the order of the file; each piece is given up once joined.
-
-    Parameters
-    ----------
-    path, logs, channels
-        The log, and what is wanted of it.
-    """
+    """Rows of a log, gathered in the order of the file; each piece is given up once joined."""
 
     def __init__(self, path: Path, logs: Logs, channels: Channels) -> None:
         self.path = path
@@ -145,28 +125,15 @@ class Table:
         self,
         written: WrittenStamps,
         readings: Mapping[str, Readings],
-        names: pa.ChunkedArray | None = None,
-        qualities: Mapping[str, pa.ChunkedArray] = _NO_QUALITIES,
+        names: pa.ChunkedArray | None,
+        qualities: Mapping[str, pa.ChunkedArray],
     ) -> None:
-        """Add rows.
-
-        Parameters
-        ----------
-        written
-            Their times.
-        readings
-            By column.
-        names
-            Channels' names as they stand in the rows (layout "long").
-        qualities
-            Cells of the columns of qualities, by column.
-        """
+        """Add rows: their times, readings and qualities by column, and names in layout "long"."""
         self._written.add(written)
-        if names is not None:
-            self._gathered("", None).add(readings[self.logs.value_column])
-        else:
+        if names is None:
             self._add_by_channel(readings)
-        if names is not None:
+        else:
+            self._gathered("", None).add(readings[self.logs.value_column])
             self._names.append(self._codes(names))
         for column, good in dict.fromkeys(map(_quality_of, self.channels.values())):
             if column in qualities:
@@ -211,12 +178,7 @@ class Table:
         return span(self.path, [stamps.time_us[stamps.readable]])
 
     def log(self, refused: Mapping[str, int]) -> RawLog:
-        """All rows as a log; the table is empty afterwards.
-
-        Parameters
-        ----------
-        refused
-            Rows left out so far, by reason.
+        """All rows as a log, with counts of those left out before; the table is empty afterwards.
 
         Raises
         ------
@@ -286,4 +248,5 @@ class Table:
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
         stamps = placed([self._written.taken()], self.logs.time_zone)
-        return judged(self.path, stamps, time_name(self.logs, stamps.example))
+        (past,), refused = judged(self.path, [stamps], time_name(self.logs, stamps.example))
+        return past, refused

@@ -1,4 +1,4 @@
-"""Time stamps of every make to int64 microseconds since 1970, UTC.
+"""Time stamps of every make, as int64 microseconds since 1970, UTC.
 
 Nanoseconds are cut off to microseconds, never rounded up; seconds written as a floating-point
 number are rounded.
@@ -18,6 +18,7 @@ import pyarrow.compute as pc
 from numpy.typing import DTypeLike, NDArray
 
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
+from pipeline.ingest.arrow_types import is_text
 from pipeline.ingest.wall_clock import (
     EARLIEST_US,
     EPOCH,
@@ -40,20 +41,11 @@ class WrittenStamps:
 
     Where an hour comes twice only the stamps before it tell which pass it is, so that a log which
     is read in pieces is placed as a whole.
-
-    Attributes
-    ----------
-    time_us : (n,) int64
-        Microseconds since 1970, on the wall clock or in UTC.
-    kind : (n,) int8
-        0 no stamp, 1 on the wall clock, 2 in UTC.
-    example
-        The first cell that holds something and no stamp, for a message.
     """
 
-    time_us: NDArray[np.int64]
-    kind: NDArray[np.int8]
-    example: str | None = None
+    time_us: NDArray[np.int64]  # since 1970, on the wall clock or in UTC
+    kind: NDArray[np.int8]  # 0 no stamp, 1 on the wall clock, 2 in UTC
+    example: str | None = None  # the first cell that holds something and no stamp, for a message
 
 
 def example_of(time_format: str) -> str:
@@ -75,42 +67,36 @@ def example_of(time_format: str) -> str:
     return _EXAMPLE.replace(tzinfo=UTC).strftime(time_format)
 
 
-def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
-    """Time stamps written as text.
+def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStamps:
+    """Time stamps of a column of time, or of one of dates and one of times of day."""
+    column = columns[-1]
+    if len(columns) > 1:
+        date, clock = (pc.utf8_trim_whitespace(part.cast(pa.string())) for part in columns)
+        column = pc.binary_join_element_wise(date, clock, " ")
+    if pa.types.is_timestamp(column.type):
+        return written_as_timestamps(column)
+    if is_text(column.type):
+        return written_as_text(column.cast(pa.string()), time_format)
+    blank = np.nan if pa.types.is_floating(column.type) else 0
+    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), time_format)
 
-    Parameters
-    ----------
-    texts
-        Arrow strings; null where the cell is blank.
-    time_format
-        As in `logs.time_format`.
-    zone
-        Zone of stamps that carry none.
+
+def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
+    """Time stamps of a column of text, as they are written; a null is a blank cell.
 
     Examples
     --------
     >>> texts = pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]])
-    >>> stamps = from_text(texts, "iso8601", "UTC")
-    >>> stamps.time_us.tolist(), stamps.readable.tolist()
-    ([1740805200500000, 0], [True, False])
+    >>> stamps = placed([written_as_text(texts, "iso8601")], "UTC")
+    >>> stamps.time_us.tolist(), stamps.readable.tolist(), stamps.example
+    ([1740805200500000, 0], [True, False], '6 am')
     """
-    return placed([written_as_text(texts, time_format)], zone)
-
-
-def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
-    """Time stamps of a column of text, as they are written.
-
-    Parameters
-    ----------
-    texts, time_format
-        As for `from_text`.
-    """
-    written = _written_as_text(texts, time_format)
-    strange = np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]
+    stamps = _written_as_text(texts, time_format)
+    strange = np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]
     if not strange.size:
-        return written
+        return stamps
     cells = (cell for cell in texts.take(pa.array(strange)).to_pylist() if cell and cell.strip())
-    return replace(written, example=next(cells, None))
+    return replace(stamps, example=next(cells, None))
 
 
 def _written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
@@ -127,25 +113,20 @@ def _written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
 def written_as_numbers(
     numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
 ) -> WrittenStamps:
-    """Time stamps of a column of numbers, as they are written.
+    """Time stamps of a column of numbers, as they are written; a nan is a blank cell.
 
-    Parameters
-    ----------
-    numbers : (n,) integer or float64
-        nan where the cell is blank.
-    time_format
-        One of `EPOCH_UNITS`, or `EXCEL_DAYS`.
+    The format is one of `EPOCH_UNITS`, or `EXCEL_DAYS`.
 
     Examples
     --------
     >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
     [1740808800000000]
     """
-    written = _written_as_numbers(numbers, time_format)
-    strange = numbers[np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]].tolist()
+    stamps = _written_as_numbers(numbers, time_format)
+    strange = numbers[np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]].tolist()
     # Blank cells are 0 or nan by now.
     examples = (str(number) for number in strange if number and number == number)
-    return replace(written, example=next(examples, None))
+    return replace(stamps, example=next(examples, None))
 
 
 def _written_as_numbers(
@@ -161,15 +142,7 @@ def _written_as_numbers(
 
 
 def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
-    """Stamps of all pieces of a log in UTC, local ones from the wall clock of a zone.
-
-    Parameters
-    ----------
-    parts
-        In the order of the file.
-    zone
-        Zone of stamps that carry none.
-    """
+    """Stamps of all pieces of a log in UTC, in their order; local ones are of the zone."""
     stamps = _placed(parts, zone)
     example = next((part.example for part in parts if part.example is not None), None)
     return replace(stamps, example=example or _implausible(parts, stamps))
@@ -210,14 +183,7 @@ def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
 def from_epoch(
     numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
 ) -> TimeStamps:
-    """Time stamps counted in `time_format` units since 1970, UTC.
-
-    Parameters
-    ----------
-    numbers : (n,) integer or float64
-        nan where the cell is blank.
-    time_format
-        One of `EPOCH_UNITS`.
+    """Time stamps counted since 1970, UTC, in one of `EPOCH_UNITS`; a nan is a blank cell.
 
     Examples
     --------
@@ -248,28 +214,8 @@ def _from_iso8601(texts: pa.ChunkedArray) -> WrittenStamps:
     return _from_iso8601_cell_by_cell(texts.to_pylist())
 
 
-def from_arrow_timestamps(stamps: pa.ChunkedArray, zone: str) -> TimeStamps:
-    """Time stamps of an Arrow timestamp column, of any unit, with or without a zone.
-
-    Parameters
-    ----------
-    stamps
-        Column of a timestamp type; null where there is none. With a zone in its type it is in UTC
-        already.
-    zone
-        Zone of a column without one.
-    """
-    return placed([written_as_timestamps(stamps)], zone)
-
-
 def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
-    """Time stamps of an Arrow timestamp column, as they are written.
-
-    Parameters
-    ----------
-    stamps
-        As for `from_arrow_timestamps`.
-    """
+    """Time stamps of an Arrow timestamp column of any unit, in UTC where its type has a zone."""
     kind = WITH_ZONE if stamps.type.tz else _LOCAL
     whole = stamps.cast(pa.int64())
     counts = (pc.fill_null(whole, 0) if stamps.null_count else whole).to_numpy()

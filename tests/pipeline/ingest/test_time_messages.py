@@ -9,9 +9,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.errors import LogError
 from pipeline.ingest import read_log
-from pipeline.ingest.time_stamps import EPOCH_UNITS, example_of, from_text
+from pipeline.ingest.time_stamps import example_of, placed, written_as_text
 
 from .sources import Source, column
 
@@ -79,6 +80,7 @@ def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
     ["iso8601", *EPOCH_UNITS, "excel_days", "%d.%m.%Y %H:%M:%S,%f", "%Y-%j %H:%M %z"],
 )
 def test_the_example_is_read_in_its_format(time_format: str) -> None:
-    stamps = from_text(pa.chunked_array([[example_of(time_format)]]), time_format, "UTC")
+    cells = pa.chunked_array([[example_of(time_format)]])
+    stamps = placed([written_as_text(cells, time_format)], "UTC")
     assert stamps.readable.all()
     assert stamps.time_us[0] == datetime.fromisoformat("2025-03-01T06:00Z").timestamp() * 1e6
