@@ -5,7 +5,8 @@ Imports config, units and errors, nothing else of the pipeline.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
@@ -57,13 +58,8 @@ def read_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
     LogError
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
-    _require_file(path)
-    try:
+    with _readable(path):
         return _READERS[logs.format].read(path, logs, _in_order(channels))
-    except OSError as error:
-        raise _not_readable(path, error) from error
-    except MemoryError as error:
-        raise _too_large(path) from error
 
 
 def time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
@@ -87,17 +83,26 @@ def time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
     LogError
         As `read_log`; ``log_empty`` where the log holds no samples.
     """
-    _require_file(path)
-    try:
+    with _readable(path):
         return _READERS[logs.format].span(path, logs, _in_order(channels))
-    except OSError as error:
-        raise _not_readable(path, error) from error
-    except MemoryError as error:
-        raise _too_large(path) from error
 
 
 def _in_order(channels: Channels) -> Channels:
     return dict(sorted(channels.items(), key=lambda item: CHANNELS.index(item[0])))
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Refuse what is no file; errors of the disk, and of memory, become a `LogError`."""
+    try:
+        _require_file(path)
+        yield
+    except OSError as error:
+        how = f"the file cannot be read: {error.strerror}"
+        raise LogError("log_not_readable", path, how) from error
+    except MemoryError as error:
+        how = "it takes more memory than there is: split the log"
+        raise LogError("log_too_large", path, how) from error
 
 
 def _require_file(path: Path) -> None:
@@ -108,14 +113,5 @@ def _require_file(path: Path) -> None:
             raise LogError("log_not_readable", path, "this is no file")
         if not path.stat().st_size:
             raise LogError("log_empty", path, "the file has no bytes")
-    except (OSError, ValueError) as error:
-        raise _not_readable(path, error) from error
-
-
-def _too_large(path: Path) -> LogError:
-    return LogError("log_too_large", path, "it takes more memory than there is: split the log")
-
-
-def _not_readable(path: Path, error: Exception) -> LogError:
-    reason = error.strerror if isinstance(error, OSError) else str(error)
-    return LogError("log_not_readable", path, f"the file cannot be read: {reason}")
+    except ValueError as error:  # no file can have such a name
+        raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error

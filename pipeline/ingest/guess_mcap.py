@@ -127,7 +127,9 @@ def _readings(topic: Topic) -> Iterator[_Reading]:
         and not (is_time_name(_name(path)) and number_format(_finite(numbers)))
     ]
     for path in paths:
-        yield _Reading(topic, path, _channel(topic.name, path, len(paths) == 1))
+        has_reading = bool(_finite(topic.fields[path]))
+        channel = _channel(topic.name, path, len(paths) == 1) if has_reading else None
+        yield _Reading(topic, path, channel)
 
 
 def _name(path: FieldPath) -> str:

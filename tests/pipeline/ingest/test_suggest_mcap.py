@@ -239,7 +239,7 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
 
 
 def motor_class() -> tuple[Any, bytes]:
-    """A Protobuf message with a stamp, numbers, and a message of its own within."""
+    """A Protobuf message with a stamp, numbers, a message of its own within, and a map."""
     kinds = descriptor_pb2.FieldDescriptorProto
     stamps = descriptor_pb2.FileDescriptorProto()
     Timestamp.DESCRIPTOR.file.CopyToProto(stamps)
@@ -261,6 +261,12 @@ def motor_class() -> tuple[Any, bytes]:
         1,
     ):
         motor.field.add(name=name, number=number, type=kind, type_name=of or None, label=1)
+    entry = motor.nested_type.add(name="OilEntry")
+    entry.options.map_entry = True
+    entry.field.add(name="key", number=1, type=kinds.TYPE_STRING, label=1)
+    entry.field.add(name="value", number=2, type=kinds.TYPE_DOUBLE, label=1)
+    map_of = {"type": kinds.TYPE_MESSAGE, "type_name": ".plant.Motor.OilEntry", "label": 3}
+    motor.field.add(name="oil", number=6, **map_of)
     pool = descriptor_pool.DescriptorPool()
     for one in (stamps, file):
         pool.Add(one)
@@ -276,12 +282,15 @@ def test_protobuf_with_its_timestamp(tmp_path: Path) -> None:
         one.at.seconds, one.at.nanos = time_us // 10**6, time_us % 10**6 * 1000
         one.hydraulics.dp_bar = VALUES["pressure_difference"][i]
         one.hydraulics.drain_flow_lpm = VALUES["leakage_flow"][i]
+        one.oil["temp"] = 1.0
         messages.append(("/motor", time_us + 5, one.SerializeToString()))
     schema = ("plant.Motor", "protobuf", descriptors)
     toml = require_it_reads(tmp_path, write(tmp_path, messages, {"/motor": schema}, "protobuf"))
     found = tomllib.loads(toml)
     assert found["logs"]["stamp"] == "at"
     assert found["channels"]["leakage_flow"]["field"] == "hydraulics.drain_flow_lpm"
+    # The keys of a map are not in the schema.
+    assert found["channels"]["oil_temperature"]["field"] == "oil_temp_degC"
     assert "which is it?" not in toml
 
 
