@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.config.motors import Channel, Logs
@@ -38,6 +40,16 @@ class Readings:
         if kept.all():
             return self
         return Readings(self.raw[kept], self.missing[kept], self.unparsed[kept], self.example)
+
+
+def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
+    """Readings of a column of numbers; null where missing."""
+    # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
+    numbers = column.cast(pa.float64(), safe=False)
+    none = np.zeros(len(column), dtype=np.bool_)
+    if not column.null_count:
+        return Readings(np.asarray(numbers), none, none)
+    return Readings(np.asarray(pc.fill_null(numbers, np.nan)), np.asarray(column.is_null()), none)
 
 
 def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> None:

@@ -13,12 +13,11 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
 from pipeline.config.motors import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings
+from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
@@ -63,7 +62,7 @@ def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readi
         ``log_damaged``: a quotation mark is opened and not closed in its row.
     """
     if pa.types.is_floating(cells.type):
-        return _parsed(cells)
+        return readings_of(cells)
     trimmed = cells
     if logs.thousands:
         trimmed = _without_groups(logs, cells)
@@ -71,15 +70,9 @@ def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readi
         # A dot is then no decimal sign: 1.234 may be a thousand and more.
         trimmed = pc.replace_substring(pc.replace_substring(cells, ".", "_"), ",", ".")
     try:
-        return _parsed(trimmed.cast(pa.float64()))
+        return readings_of(trimmed.cast(pa.float64()))
     except pa.ArrowInvalid:
         return _cell_by_cell(path, logs, name, cells, trimmed)
-
-
-def _parsed(numbers: pa.ChunkedArray) -> Readings:
-    none = np.zeros(len(numbers), dtype=np.bool_)
-    missing = numbers.is_null().to_numpy() if numbers.null_count else none
-    return Readings(_floats(numbers), missing, none)
 
 
 def _without_groups(logs: Logs, cells: pa.ChunkedArray) -> pa.ChunkedArray:
@@ -115,10 +108,5 @@ def _cell_by_cell(
     missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
     unparsed = missing & texts.is_valid().to_numpy() & np.logical_not(blank.to_numpy())
     example = texts[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
-    return Readings(_floats(unsigned.cast(pa.float64())), missing, unparsed, example)
-
-
-def _floats(numbers: pa.ChunkedArray) -> NDArray[np.float64]:
-    filled = pc.fill_null(numbers, np.nan) if numbers.null_count else numbers
-    floats: NDArray[np.float64] = filled.to_numpy()
-    return floats
+    raw = readings_of(unsigned.cast(pa.float64())).raw
+    return Readings(raw, missing, unparsed, example)

@@ -18,11 +18,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as arrow_json
-from numpy.typing import NDArray
 
 from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings
+from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.mcap_messages import read_messages
 from pipeline.ingest.mcap_payloads import (
     NANOSECONDS,
@@ -156,7 +155,7 @@ def _at_once(
     table = _table(payloads, {**types, **quality_types})
     if table is None:
         return None
-    readings = {field: _readings(_column(table, field)) for field in fields}
+    readings = {field: readings_of(_column(table, field)) for field in fields}
     parts = [_column(table, part) for part in stamp_types]
     qualities = {path: _column(table, path) for path in quality_types}
     return Decoded(readings, _stamps(parts, time_format) if parts else None, qualities)
@@ -227,13 +226,6 @@ def _element(lists: pa.ListArray, position: int) -> pa.Array:
     length = pc.fill_null(pc.list_value_length(lists), 0).to_numpy()
     at = lists.offsets.to_numpy()[:-1] + position
     return lists.values.take(pa.array(at, mask=length <= position))
-
-
-def _readings(column: pa.Array) -> Readings:
-    missing = column.is_null().to_numpy(zero_copy_only=False)
-    numbers = pc.fill_null(column.cast(pa.float64(), safe=False), np.nan)
-    raw: NDArray[np.float64] = numbers.to_numpy(zero_copy_only=False)
-    return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
 
 
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:

@@ -57,7 +57,7 @@ class Schema(NamedTuple):
 
 
 class Statistics(NamedTuple):
-    """What the writer says it has written, log times in ns."""
+    """The writer's own count of its messages, log times in ns."""
 
     message_count: int
     first_log_time: int
@@ -66,26 +66,16 @@ class Statistics(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What stands behind the data section.
+    """The part behind the data section."""
 
-    Attributes
-    ----------
-    start
-        Where the data section ends, in bytes.
-    channels, schemas
-        By id; a writer may leave them out.
-    statistics
-        None where the writer left them out.
-    """
-
-    start: int
-    channels: Mapping[int, ChannelRecord]
+    start: int  # where the data section ends, in bytes
+    channels: Mapping[int, ChannelRecord]  # by id; a writer may leave them out
     schemas: Mapping[int, Schema]
-    statistics: Statistics | None
+    statistics: Statistics | None  # None where the writer left them out
 
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
-    """Where the records begin that lie whole in a buffer, and where the last of them ends.
+    """Begins of the records that lie whole in a buffer, and the end of the last of them.
 
     Examples
     --------
@@ -118,13 +108,7 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
 
 
 def read_channel(path: Path, content: bytes) -> tuple[int, ChannelRecord]:
-    """Id and content of a channel record.
-
-    Raises
-    ------
-    LogError
-        ``log_damaged``.
-    """
+    """Id and content of a channel record."""
     try:
         channel_id, schema_id = _CHANNEL_HEAD.unpack_from(content)
         topic, at = _text(content, _CHANNEL_HEAD.size)
@@ -135,13 +119,7 @@ def read_channel(path: Path, content: bytes) -> tuple[int, ChannelRecord]:
 
 
 def read_schema(path: Path, content: bytes) -> tuple[int, Schema]:
-    """Id and content of a schema record.
-
-    Raises
-    ------
-    LogError
-        ``log_damaged``.
-    """
+    """Id and content of a schema record."""
     try:
         (schema_id,) = _SCHEMA_HEAD.unpack_from(content)
         name, at = _text(content, _SCHEMA_HEAD.size)
@@ -153,13 +131,7 @@ def read_schema(path: Path, content: bytes) -> tuple[int, Schema]:
 
 
 def read_summary(path: Path, file: BinaryIO) -> Summary:
-    """Footer and summary section of an open file.
-
-    Raises
-    ------
-    LogError
-        ``log_not_mcap``, ``log_truncated`` or ``log_damaged``.
-    """
+    """Footer and summary section of an open file, after its first bytes."""
     if file.read(len(MAGIC)) != MAGIC:
         raise LogError("log_not_mcap", path, "the file does not begin as MCAP does")
     footer_start = file.seek(0, 2) - len(MAGIC) - _FOOTER.size

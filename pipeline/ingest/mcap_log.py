@@ -50,7 +50,7 @@ _Quality = tuple[FieldPath, tuple[QualityValue, ...]]
 
 
 class _Fields(NamedTuple):
-    """What is wanted of each message of a topic: readings, and what it says of them."""
+    """Wanted fields of each message of a topic: readings, and what it says of them."""
 
     readings: tuple[FieldPath, ...]
     qualities: tuple[_Quality, ...]
@@ -65,7 +65,7 @@ _Key = tuple[str, Schema, _Fields]
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """What the pieces hold of one topic, in the order of the file."""
+    """The messages of one topic, in the order of the file."""
 
     stamps: GatheredStamps
     fields: dict[FieldPath, GatheredReadings]
@@ -74,7 +74,7 @@ class _Parts:
 
 @dataclass(slots=True)
 class _Decoders:
-    """Which topic and which decoder a channel id has; -1 for what is not wanted."""
+    """Topic and decoder by channel id; -1 for what is not wanted."""
 
     topic: NDArray[np.int16]
     number: NDArray[np.int16]
@@ -83,7 +83,7 @@ class _Decoders:
 
 @dataclass(slots=True)
 class _Content:
-    """What a file holds: parts by topic, and what was lost."""
+    """The content of a file: parts by topic, and what was lost."""
 
     parts: dict[str, _Parts]
     topics: tuple[str, ...] = ()
@@ -91,20 +91,7 @@ class _Content:
 
 
 def read_mcap_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
-    """Read the wanted topics of an MCAP file, chunked or not.
-
-    Parameters
-    ----------
-    path
-        An existing file.
-    logs, channels
-        How it is written; its topics and fields.
-
-    Raises
-    ------
-    LogError
-        As listed in `pipeline.ingest.contract`.
-    """
+    """Read the wanted topics of an MCAP file, chunked or not."""
     wanted = _wanted(channels)
     content = _content(path, logs, wanted)
     _require_topics(path, wanted, content)
@@ -139,11 +126,6 @@ def mcap_time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int
 
     Where the stamps stand within the messages, only those of the wanted topics are looked at, and
     the file is read.
-
-    Raises
-    ------
-    LogError
-        As `read_mcap_log`; ``log_empty`` where there is no message.
     """
     if logs.stamp:
         log = read_mcap_log(path, logs, channels)
@@ -203,7 +185,7 @@ def _fields(channels: Channels, topic: str) -> _Fields:
 
 
 def _quality_of(channel: Channel) -> _Quality:
-    """Where a channel's quality is, and what is good there."""
+    """Path of a channel's quality, and what is good there."""
     named = channel.quality_source
     return field_path(named, channel.source) if named else (), channel.quality_good
 
@@ -211,7 +193,7 @@ def _quality_of(channel: Channel) -> _Quality:
 def _states(
     path: Path, logs: Logs, topic: str, parts: _Parts, readable: NDArray[np.bool_]
 ) -> dict[_Quality, NDArray[np.uint8]]:
-    """What the messages of a topic with a good time say of their samples."""
+    """The qualities of a topic's messages with a good time."""
     found: dict[_Quality, NDArray[np.uint8]] = {}
     for quality, pieces in parts.states.items():
         states = np.concatenate([np.empty(0, np.uint8), *pieces])
@@ -249,16 +231,18 @@ def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
             times = _times(messages, logs.time)
             stretches = held.setdefault(number, [])
             stretches.append(payloads_of(messages, chosen, topic, times))
-            if (
-                sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in stretches)
-                >= _PIECE
-            ):
+            if sum(map(_cost, stretches)) >= _PIECE:
                 _decode(path, decoders, number, held.pop(number), names, content)
         content.topics = tuple(sorted({one.topic for one in messages.channels.values()}))
         content.loss = messages.loss
     for number, stretches in held.items():
         _decode(path, decoders, number, stretches, names, content)
     return content
+
+
+def _cost(payloads: Payloads) -> int:
+    """Bytes that payloads take while they are decoded."""
+    return payloads.text.size + _COST_OF_MESSAGE * payloads.start.size
 
 
 def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, NDArray[np.intp]]]:
@@ -274,7 +258,7 @@ def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, N
 
 
 def _is_shared(decoders: _Decoders) -> bool:
-    """Whether some topic has messages of more than one decoder."""
+    """True if some topic has messages of more than one decoder."""
     pairs = set(zip(decoders.topic.tolist(), decoders.number.tolist(), strict=True))
     return len(pairs) > len({topic for topic, _ in pairs})
 

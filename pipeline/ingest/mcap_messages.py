@@ -1,4 +1,4 @@
-"""The messages of an MCAP file, as arrays of what their heads say and where their payloads lie.
+"""The messages of an MCAP file: arrays of their times, channels, and places of their payloads.
 
 Messages stand bare in the data section, or in compressed chunks, which hold records again. Only
 stepping from length to length is done record by record, and that only where no index tells the
@@ -53,35 +53,18 @@ _ANYWHERE = "data section"
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages that lie in one buffer, in the order of the file.
+    """Messages that lie in one buffer, in the order of the file."""
 
-    Attributes
-    ----------
-    buffer
-        Records, of which these messages are some.
-    channels, schemas
-        Declared so far, by id.
-    channel_id : (n,) uint16
-    log_time, publish_time : (n,) uint64
-        [ns]
-    payload_start, payload_end : (n,) int64
-        Positions in the buffer.
-    read_to
-        Position in the file up to which it has been read.
-    loss
-        What was lost to damage, in words; in the last piece only.
-    """
-
-    buffer: memoryview
-    channels: Mapping[int, ChannelRecord]
+    buffer: memoryview  # records, of which these messages are some
+    channels: Mapping[int, ChannelRecord]  # declared so far, by id
     schemas: Mapping[int, Schema]
     channel_id: NDArray[np.uint16]
-    log_time: NDArray[np.uint64]
+    log_time: NDArray[np.uint64]  # [ns]
     publish_time: NDArray[np.uint64]
-    payload_start: NDArray[np.int64]
+    payload_start: NDArray[np.int64]  # in the buffer
     payload_end: NDArray[np.int64]
-    read_to: int
-    loss: str = ""
+    read_to: int  # position in the file up to which it has been read
+    loss: str = ""  # what was lost to damage, in words; in the last piece only
 
 
 def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
@@ -91,14 +74,9 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     chunks, data section and summary are checked where they are not zero, and the number of messages
     against what the summary says.
 
-    Parameters
-    ----------
-    path
-        An existing file.
-    salvage
-        Whether a truncated or damaged file gives the messages before the damage, as far as that has
-        a place: a wrong checksum of the whole data section, or a wrong number of messages, has
-        none. Damaged chunks are lost whole.
+    With `salvage`, a truncated or damaged file gives the messages before the damage, as far as that
+    has a place: a wrong checksum of the whole data section, or a wrong number of messages, has
+    none. Damaged chunks are lost whole.
 
     Raises
     ------
@@ -200,7 +178,7 @@ def _data_section(
 
 
 def _sound_records(block: memoryview, offsets: list[int], is_chunked: bool) -> int:
-    """How many records go up to the end of the data section, or to what is no record of it.
+    """Number of records up to the end of the data section, or to what is no record of it.
 
     Without a summary nothing else tells a chunk whose opcode is damaged from a private record, or
     its index from a message that stands bare behind it.

@@ -10,17 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from pipeline.config.motors import Channels, Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
-from pipeline.ingest.assembly import Readings
+from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.contract import RawLog
 from pipeline.ingest.parquet_file import Place, opened, place_of, text_paths, within
 from pipeline.ingest.table import Columns, Table, wanted_columns
@@ -70,7 +67,7 @@ def _gather(path: Path, columns: Columns, table: Table) -> None:
             }
             table.add(
                 _stamps(path, table.logs, [found[name] for name in columns.time]),
-                {name: _readings(found[name]) for name in columns.numbers},
+                {name: readings_of(found[name]) for name in columns.numbers},
                 None if columns.name is None else found[columns.name].cast(pa.string()),
                 {name: found[name] for name in columns.qualities},
             )
@@ -163,11 +160,3 @@ def _stamps(path: Path, logs: Logs, columns: Sequence[pa.ChunkedArray]) -> Writt
             logs.time,
         )
     return written(columns, logs.time_format)
-
-
-def _readings(column: pa.ChunkedArray) -> Readings:
-    missing = column.is_null().to_numpy()
-    # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
-    numbers = pc.fill_null(column.cast(pa.float64(), safe=False), np.nan)
-    raw: NDArray[np.float64] = numbers.to_numpy()
-    return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
