@@ -1,4 +1,4 @@
-"""How time stamps seem to be written. The reader's own parser is the judge of every guess."""
+"""Guesses at the format of time stamps, each judged by the reader's own parser."""
 
 from __future__ import annotations
 
@@ -48,26 +48,19 @@ _DAY = timedelta(days=1)
 
 @dataclass(frozen=True, slots=True)
 class TimeGuess:
-    """How stamps are written.
+    """Formats of time stamps, as in `logs.time_format`.
 
-    Attributes
-    ----------
-    formats
-        As in `logs.time_format`, the likeliest first; more than one where the stamps can be
-        read in several ways, empty where in none.
-    has_zone
-        Whether the stamps say their zone, or are counted from 1970.
-    readings
-        What the first stamp is in each format, for a person to choose by.
+    There are several where the stamps can be read in several ways, the likeliest first, and none
+    where in none; `readings` are what the first stamp is in each, for a person to choose by.
     """
 
     formats: tuple[str, ...]
-    has_zone: bool = False
+    has_zone: bool = False  # the stamps say their zone, or are counted from 1970
     readings: tuple[str, ...] = ()
 
 
 def is_time_name(name: str) -> bool:
-    """Whether a column's name is that of a time.
+    """True if a column's name is that of a time.
 
     Examples
     --------
@@ -78,7 +71,7 @@ def is_time_name(name: str) -> bool:
 
 
 def is_stamp(cell: str) -> bool:
-    """Whether a cell is a whole time stamp, not a count."""
+    """True if a cell is a whole time stamp, not a count."""
     text = cell.strip()
     if _STAMP.fullmatch(text):
         return True
@@ -92,27 +85,20 @@ def is_stamp(cell: str) -> bool:
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell is a date alone."""
+    """True if a cell is a date alone."""
     return bool(_DATE_ONLY.fullmatch(cell.strip())) and not _NUMBER.fullmatch(cell.strip())
 
 
 def is_clock(cell: str) -> bool:
-    """Whether a cell is a time of day alone."""
+    """True if a cell is a time of day alone."""
     text = cell.strip()
     return ":" in text and bool(_CLOCK_ONLY.fullmatch(text))
 
 
 def guess_time(stamps: Sequence[str], decimal: str = ".", file_name: str = "") -> TimeGuess:
-    """How time stamps in text seem to be written.
+    """Formats of time stamps in text, some of a log in its order, none of them blank.
 
-    Parameters
-    ----------
-    stamps
-        Some of a log, in its order; none is blank.
-    decimal
-        Decimal mark of the log, for stamps that are counts.
-    file_name
-        A date in it tells day from month.
+    The decimal mark is for stamps that are counts; a date in the file's name tells day from month.
 
     Examples
     --------
@@ -219,8 +205,10 @@ def _readable(stamps: Sequence[str], formats: Iterable[str]) -> list[str]:
 
 
 def _likeliest(stamps: Sequence[str], formats: Sequence[str], file_name: str) -> list[str]:
-    """Of formats that all fit, those in which the log is as logs are: no steps of months, nothing
-    in the future, and on the date that the file is named after."""
+    """Of formats that all fit, those in which the log is as logs are.
+
+    It has no steps of months, nothing in the future, and is of the date that the file is named for.
+    """
     kept = list(dict.fromkeys(formats))
     now_us = (time.time_ns() // 1000) + _DAY // timedelta(microseconds=1)
     times = {form: _parsed(stamps, form).time_us for form in kept}

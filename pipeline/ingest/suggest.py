@@ -1,4 +1,4 @@
-"""How a log seems to be written: the TOML to paste into a motor's file.
+"""Suggestion of the TOML that reads a log, to paste into a motor's file.
 
 A guess from the first lines, rows or messages; the reader judges it in the end. What cannot be told
 is a comment beside what was assumed, or a question.
@@ -179,7 +179,7 @@ def _time_lines(times: Times) -> Iterator[str]:
 
 
 def _other_readings(times: Times) -> str:
-    """What else stamps can mean of which day and month cannot be told apart."""
+    """Other meanings of stamps of which day and month cannot be told apart."""
     formats, readings = times.guess.formats, times.guess.readings
     if len(formats) < 2:
         return ""
