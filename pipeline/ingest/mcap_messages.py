@@ -32,12 +32,11 @@ from pipeline.ingest.mcap_layout import (
     PREFIX,
     SCHEMA,
     ChannelRecord,
+    Declared,
     Schema,
     Statistics,
     Summary,
     fields_at,
-    read_channel,
-    read_schema,
     read_summary,
     record_offsets,
 )
@@ -85,12 +84,11 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
         ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
-    channels: dict[int, ChannelRecord] = {}
-    schemas: dict[int, Schema] = {}
+    declared = Declared()
     read_to = len(MAGIC)
     with path.open("rb") as file:
         summary, damage = _summary(path, file, salvage=salvage)
-        pieces = _data_section(path, file, summary.start, channels, schemas, damage is None)
+        pieces = _data_section(path, file, summary.start, declared, damage is None)
         try:
             for messages in pieces:
                 of_channels = np.bincount(messages.channel_id)
@@ -104,9 +102,9 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     if summary.statistics is not None and damage is None:
         _require_counts(path, summary.statistics, counts)
     yield replace(
-        _messages(path, memoryview(b""), np.empty(0, np.int64), channels, schemas, read_to),
-        channels={**summary.channels, **channels},
-        schemas={**summary.schemas, **schemas},
+        _messages(path, memoryview(b""), np.empty(0, np.int64), declared, read_to),
+        channels={**summary.declared.channels, **declared.channels},
+        schemas={**summary.declared.schemas, **declared.schemas},
         loss="" if damage is None else _loss(path, damage, read_to, summary, int(counts.sum())),
     )
 
@@ -122,7 +120,7 @@ def _summary(path: Path, file: BinaryIO, *, salvage: bool) -> tuple[Summary, Log
     except LogError as error:
         if not salvage or not _has_place(error):
             raise
-        return Summary(file.seek(0, 2), {}, {}, None), error
+        return Summary(file.seek(0, 2), Declared(), None), error
 
 
 def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:
@@ -150,8 +148,7 @@ def _data_section(
     path: Path,
     file: BinaryIO,
     end: int,
-    channels: dict[int, ChannelRecord],
-    schemas: dict[int, Schema],
+    declared: Declared,
     end_is_known: bool,
 ) -> Iterator[Messages]:
     """Messages of the data section, the last record of which has to be its end record."""
@@ -166,7 +163,7 @@ def _data_section(
             _require_checksum(path, block[last:stop], zlib.crc32(block[:last], checksum))
         checksum = zlib.crc32(block[:stop], checksum)
         wanted = np.array(offsets[:kept], np.int64)
-        yield from _messages_of_block(path, block[:stop], wanted, channels, schemas, place)
+        yield from _messages_of_block(path, block[:stop], wanted, declared, place)
         place += stop
         is_chunked |= bool((np.frombuffer(block, np.uint8)[offsets] == CHUNK).any())
         if stop < len(block) or (last_opcode == DATA_END and not end_is_known):
@@ -235,8 +232,7 @@ def _messages_of_block(
     path: Path,
     block: memoryview,
     offsets: NDArray[np.int64],
-    channels: dict[int, ChannelRecord],
-    schemas: dict[int, Schema],
+    declared: Declared,
     place: int,
 ) -> Iterator[Messages]:
     """Messages that stand bare, and those of chunks, in the order of the file."""
@@ -250,7 +246,7 @@ def _messages_of_block(
     for before, chunk in pairwise([-1, *chunks, len(offsets)]):
         stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
         kept = offsets[before + 1 : chunk]
-        yield _messages(path, block, kept, channels, schemas, place + stop)
+        yield _messages(path, block, kept, declared, place + stop)
         if chunk == len(offsets):
             return
         where = f"chunk at byte {place + offsets[chunk]}"
@@ -259,32 +255,35 @@ def _messages_of_block(
         inside, end = offsets_in_chunk(records, indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
-        yield _messages(path, records, inside, channels, schemas, place + stops[chunk])
+        yield _messages(path, records, inside, declared, place + stops[chunk])
 
 
 def _messages(
     path: Path,
     buffer: memoryview,
     offsets: NDArray[np.int64],
-    channels: dict[int, ChannelRecord],
-    schemas: dict[int, Schema],
+    declared: Declared,
     read_to: int,
 ) -> Messages:
     """The messages among records, whose channels are added to those known so far."""
     opcodes = np.frombuffer(buffer, np.uint8)[offsets]
-    _declare(path, buffer, offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)], channels, schemas)
+    for start in offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)].tolist():
+        opcode, length = PREFIX.unpack_from(buffer, start)
+        declared.add(path, opcode, bytes(buffer[start + PREFIX.size :][:length]))
     starts = offsets[opcodes == MESSAGE]
     ends = starts + PREFIX.size + fields_at(buffer, starts + 1, "<u8").astype(np.int64)
     if (ends - starts < _MESSAGE_HEAD).any():
         raise LogError("log_damaged", path, "a message is shorter than its own head")
     channel_id_of_each = fields_at(buffer, starts + 9, "<u2")
-    unknown = set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - channels.keys()
+    unknown = (
+        set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - declared.channels.keys()
+    )
     if unknown:
         raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
     return Messages(
         buffer=buffer,
-        channels=channels,
-        schemas=schemas,
+        channels=declared.channels,
+        schemas=declared.schemas,
         channel_id=channel_id_of_each,
         log_time=fields_at(buffer, starts + 15, "<u8"),
         publish_time=fields_at(buffer, starts + 23, "<u8"),
@@ -292,24 +291,3 @@ def _messages(
         payload_end=ends,
         read_to=read_to,
     )
-
-
-def _declare(
-    path: Path,
-    buffer: memoryview,
-    starts: NDArray[np.int64],
-    channels: dict[int, ChannelRecord],
-    schemas: dict[int, Schema],
-) -> None:
-    """Add channels and schemas, which may be repeated but not changed."""
-    for start in starts.tolist():
-        opcode, length = PREFIX.unpack_from(buffer, start)
-        content = bytes(buffer[start + PREFIX.size :][:length])
-        if opcode == CHANNEL:
-            channel_id, channel = read_channel(path, content)
-            if channels.setdefault(channel_id, channel) != channel:
-                raise LogError("log_damaged", path, f"channel {channel_id} is declared twice over")
-        else:
-            schema_id, schema = read_schema(path, content)
-            if schemas.setdefault(schema_id, schema) != schema:
-                raise LogError("log_damaged", path, f"schema {schema_id} is declared twice over")

@@ -49,13 +49,13 @@ def read_topics(path: Path) -> list[Topic]:
     topics: dict[str, Topic] = {}
     schemas: dict[str, Schema] = {}
     for messages in read_messages(path):
-        for channel in {**summary.channels, **messages.channels}.values():
-            schema = {**summary.schemas, **messages.schemas}.get(channel.schema_id)
+        for channel in {**summary.declared.channels, **messages.channels}.values():
+            schema = {**summary.declared.schemas, **messages.schemas}.get(channel.schema_id)
             schemas.setdefault(channel.topic, schema or Schema("", "", b""))
             topics.setdefault(channel.topic, _topic(channel, schema, summary))
         _take(messages, topics, payloads)
         whole = all(len(one.log_ns) >= MESSAGES_READ for one in topics.values())
-        if (whole and summary.channels) or messages.read_to > _MOST_BYTES:
+        if (whole and summary.declared.channels) or messages.read_to > _MOST_BYTES:
             break
     for name, found in payloads.items():
         _decode(path, topics[name], schemas[name], stacked(found))
@@ -65,7 +65,7 @@ def read_topics(path: Path) -> list[Topic]:
 def _topic(channel: ChannelRecord, schema: Schema | None, summary: Summary) -> Topic:
     count = None
     if summary.statistics is not None:
-        same = [i for i, one in summary.channels.items() if one.topic == channel.topic]
+        same = [i for i, one in summary.declared.channels.items() if one.topic == channel.topic]
         count = sum(summary.statistics.counts_by_channel.get(i, 0) for i in same)
     return Topic(channel.topic, channel.encoding, "" if schema is None else schema.name, count)
 
