@@ -57,24 +57,12 @@ REPEATED_SHARE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """The look of a channel.
+    """The look of a channel."""
 
-    Attributes
-    ----------
-    kind
-        "unknown" where nothing can be told.
-    period_s
-        Typical distance of two samples; None for fewer than two.
-    longest_silence_s
-        Longest distance of two samples, but for the longest hundredth.
-    share_repeated
-        Of the samples, those that repeat the one before.
-    """
-
-    kind: Kind
-    period_s: float | None = None
-    longest_silence_s: float | None = None
-    share_repeated: float = 0.0
+    kind: Kind  # "unknown" where nothing can be told
+    period_s: float | None = None  # typical distance of two samples; None for fewer than two
+    longest_silence_s: float | None = None  # but for the longest hundredth
+    share_repeated: float = 0.0  # of the samples, those that repeat the one before
 
 
 def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) -> Look:

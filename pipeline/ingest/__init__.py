@@ -5,15 +5,13 @@ Imports config, units and errors, nothing else of the pipeline.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
 from pipeline.config.motors import Channels, Logs
-from pipeline.errors import LogError
-from pipeline.ingest.contract import RawChannel, RawLog
+from pipeline.ingest.contract import RawChannel, RawLog, readable
 from pipeline.ingest.csv_log import csv_time_span, read_csv_log
 from pipeline.ingest.mcap_log import mcap_time_span, read_mcap_log
 from pipeline.ingest.parquet_log import parquet_time_span, read_parquet_log
@@ -58,7 +56,7 @@ def read_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
     LogError
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
-    with _readable(path):
+    with readable(path):
         return _READERS[logs.format].read(path, logs, _in_order(channels))
 
 
@@ -83,35 +81,9 @@ def time_span(path: Path, logs: Logs, channels: Channels) -> tuple[int, int]:
     LogError
         As `read_log`; ``log_empty`` where the log holds no samples.
     """
-    with _readable(path):
+    with readable(path):
         return _READERS[logs.format].span(path, logs, _in_order(channels))
 
 
 def _in_order(channels: Channels) -> Channels:
     return dict(sorted(channels.items(), key=lambda item: CHANNELS.index(item[0])))
-
-
-@contextmanager
-def _readable(path: Path) -> Iterator[None]:
-    """Refuse what is no file; errors of the disk, and of memory, become a `LogError`."""
-    try:
-        _require_file(path)
-        yield
-    except OSError as error:
-        how = f"the file cannot be read: {error.strerror}"
-        raise LogError("log_not_readable", path, how) from error
-    except MemoryError as error:
-        how = "it takes more memory than there is: split the log"
-        raise LogError("log_too_large", path, how) from error
-
-
-def _require_file(path: Path) -> None:
-    try:
-        if not path.exists():
-            raise LogError("log_missing", path, "there is no such file")
-        if not path.is_file():
-            raise LogError("log_not_readable", path, "this is no file")
-        if not path.stat().st_size:
-            raise LogError("log_empty", path, "the file has no bytes")
-    except ValueError as error:  # no file can have such a name
-        raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error

@@ -25,11 +25,15 @@ Codes of the `LogError` that readers raise:
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.errors import LogError
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,3 +139,29 @@ def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
     """
     arrays = {(part.time_us.ctypes.data, part.time_us.size): part.time_us for part in channels}
     return [time_us for time_us in arrays.values() if time_us.size]
+
+
+@contextmanager
+def readable(path: Path) -> Iterator[None]:
+    """Refuse what is no file; errors of the disk, and of memory, become a `LogError`."""
+    try:
+        _require_file(path)
+        yield
+    except OSError as error:
+        how = f"the file cannot be read: {error.strerror}"
+        raise LogError("log_not_readable", path, how) from error
+    except MemoryError as error:
+        how = "it takes more memory than there is: split the log"
+        raise LogError("log_too_large", path, how) from error
+
+
+def _require_file(path: Path) -> None:
+    try:
+        if not path.exists():
+            raise LogError("log_missing", path, "there is no such file")
+        if not path.is_file():
+            raise LogError("log_not_readable", path, "this is no file")
+        if not path.stat().st_size:
+            raise LogError("log_empty", path, "the file has no bytes")
+    except ValueError as error:  # no file can have such a name
+        raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error

@@ -121,7 +121,7 @@ class _Marks(Generic[_T]):
         self._size += marks.size
 
     def taken(self) -> NDArray[_T]:
-        """Where all are the same they cannot be written."""
+        """All of them, to be given up; they cannot be written where all are the same."""
         if self._marks is not None:
             return self._marks.taken()
         return np.broadcast_to(self._usual, self._size)

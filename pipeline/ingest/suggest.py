@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pipeline.config.motors import MISSING_TOKENS
 from pipeline.errors import LogError
+from pipeline.ingest.contract import readable
 from pipeline.ingest.guess_cells import Marks, as_number, marks_of, strange_tokens
 from pipeline.ingest.guess_channels import likely_units
 from pipeline.ingest.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
@@ -38,27 +39,17 @@ _NEEDED = ("oil_temperature", "speed", "leakage_flow")
 
 
 def suggest(path: Path) -> str:
-    """TOML of ``[logs]`` and ``[channels]`` for a log file.
+    """TOML of ``[logs]`` and ``[channels]`` for a log file: tables to paste.
 
-    Parameters
-    ----------
-    path
-        A CSV (plain, gzip or Zstandard), a Parquet file or an MCAP. In the layout of a file a
-        channel, any of them; the others lie beside it.
-
-    Returns
-    -------
-    str
-        Tables to paste; what is a guess or missing has a comment.
+    Whatever is a guess or missing has a comment. Of a log of a file a channel, the other channels
+    lie beside this one.
 
     Raises
     ------
     LogError
         The file cannot be read, or its lines are no table.
     """
-    if not path.exists():
-        raise LogError("log_missing", path, "there is no such file")
-    try:
+    with readable(path):
         with path.open("rb") as file:
             magic = file.read(8)
         if magic.startswith(b"PAR1"):
@@ -68,10 +59,6 @@ def suggest(path: Path) -> str:
         else:
             lines = _csv_lines(path, csv_head(path))
         return "\n".join(lines) + "\n"
-    except OSError as error:
-        raise LogError("log_not_readable", path, f"the file cannot be read: {error}") from error
-    except MemoryError as error:
-        raise LogError("log_too_large", path, "it takes more memory than there is") from error
 
 
 def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:
