@@ -64,21 +64,14 @@ def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> N
             convert_to_canonical(name, raw, channel.unit)
 
 
-def raw_channel(
-    path: Path,
-    name: str,
-    channel: Channel,
-    time_us: NDArray[np.int64],
-    readings: Readings,
-    quality: NDArray[np.uint8] | None = None,
-) -> RawChannel:
-    """Channel of readings as they stand in the log; otherwise as `canonical_channel`."""
+def converted(name: str, channel: Channel, readings: Readings) -> Readings:
+    """Readings of a channel in its canonical unit."""
     raw = readings.raw.copy()
     convert_in_place(name, channel, raw)
-    return canonical_channel(path, name, channel, time_us, replace(readings, raw=raw), quality)
+    return replace(readings, raw=raw)
 
 
-def canonical_channel(
+def raw_channel(
     path: Path,
     name: str,
     channel: Channel,

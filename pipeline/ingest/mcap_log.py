@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import judged, raw_channel, raw_log, span
+from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span
 from pipeline.ingest.contract import RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
@@ -110,7 +110,12 @@ def read_mcap_log(path: Path, logs: Logs, channels: Channels) -> RawLog:
                 _require_field(path, logs, topic, one)
             found |= {
                 name: raw_channel(
-                    path, name, channel, time_us, readings, states.get(_quality_of(channel))
+                    path,
+                    name,
+                    channel,
+                    time_us,
+                    converted(name, channel, readings),
+                    states.get(_quality_of(channel)),
                 )
                 for name, channel in channels.items()
                 if channel.source == topic and field_path(channel.field, topic) == one

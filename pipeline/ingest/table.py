@@ -17,8 +17,8 @@ from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
-    canonical_channel,
     convert_in_place,
+    converted,
     judged,
     raw_channel,
     raw_log,
@@ -200,7 +200,7 @@ class Table:
             if self._column(channel) is not None:
                 readings, here = readings.rows(stamps.readable), time_us
                 quality = _of_rows(states.get(_quality_of(channel)), stamps.readable)
-            channels[name] = canonical_channel(self.path, name, channel, here, readings, quality)
+            channels[name] = raw_channel(self.path, name, channel, here, readings, quality)
         if self.logs.layout == "wide":
             columns: dict[str, str] = {
                 name: channel.source for name, channel in self.channels.items()
@@ -232,7 +232,7 @@ class Table:
                 name,
                 channel,
                 stamps.time_us[rows],
-                readings.rows(rows),
+                converted(name, channel, readings.rows(rows)),
                 _of_rows(states.get(_quality_of(channel)), rows),
             )
         sources = [channel.source for channel in self.channels.values()]
