@@ -6,8 +6,7 @@ from __future__ import annotations
 import gzip
 import os
 import random
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,63 +28,13 @@ from .writers import CHANNELS, FORMATS, T0_US, Format, Row
 
 NAMES = ("dp", "T", "q")
 GOOD = {"dp": 200.0, "T": 50.0, "q": 1.0}
-# The year 2150.
-FUTURE_US = 5_680_281_600_000_000
 LONG = Source.of("csv", CHANNELS, layout="long")
 PRESSURE: Channels = {"pressure_difference": CHANNELS["pressure_difference"]}
 OF_A_CHANNEL = LONG.but({"pressure_difference": column("log*", "bar")}, layout="file_per_channel")
 
 
-@dataclass(frozen=True)
-class Kind:
-    """A kind of bad input: what is written, the code of both reads, and what the message says.
-
-    Attributes
-    ----------
-    rows
-        Rows to write in the format's own way.
-    code, says
-        Of `read_log`; an empty code where it reads.
-    span_code
-        Of `time_span`, which looks at less.
-    """
-
-    rows: Sequence[Row]
-    code: str
-    says: str
-    span_code: str = ""
-
-
 def rows_of(count: int, **cells: Any) -> list[Row]:
     return [Row(T0_US + i * 100_000, GOOD | cells) for i in range(count)]
-
-
-KINDS: Mapping[str, Kind] = {
-    "header only": Kind([], "", "", "log_empty"),
-    "all in the future": Kind(
-        [Row(FUTURE_US + i, GOOD) for i in range(5)], "log_time", "in the future", "log_time"
-    ),
-    "clock never set": Kind(
-        [Row(i * 1_000_000, GOOD) for i in range(5)], "log_time", "1990", "log_time"
-    ),
-}
-
-
-@pytest.mark.parametrize(
-    ("form", "kind"),
-    [
-        pytest.param(form, kind, id=f"{form.name}-{name}")
-        for form in FORMATS
-        for name, kind in KINDS.items()
-        # Without samples a log of some kinds does not say which channels it has.
-        if kind.span_code != "log_empty" or form.names_channels
-    ],
-)
-def test_a_code_the_file_and_the_place(form: Format, kind: Kind, tmp_path: Path) -> None:
-    path = tmp_path / f"CB560-01.{form.source.logs.format}"
-    form.write(path, kind.rows, NAMES)
-    check(path, form.source, kind.code, kind.says)
-    check(path, form.source, kind.span_code, "", time_span)
 
 
 def check(
@@ -102,20 +51,6 @@ def check(
         read(path, *source)
     assert raised.value.code == code
     assert says in raised.value.message
-
-
-@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
-def test_some_rows_in_the_future_are_left_out_and_counted(form: Format, tmp_path: Path) -> None:
-    path = tmp_path / f"log.{form.source.logs.format}"
-    rows = [*rows_of(7), Row(FUTURE_US, GOOD), Row(FUTURE_US + 1, GOOD)]
-    form.write(path, rows, NAMES)
-    log = read_log(path, *form.source)
-    left_out = 2 if form.wide else 6
-    assert log.refused_rows == left_out
-    assert any(
-        note.startswith(f"{left_out} ") and "a day in the future" in note for note in log.notes
-    )
-    assert log.last_us == T0_US + 600_000
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)

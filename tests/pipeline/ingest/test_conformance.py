@@ -254,6 +254,7 @@ def test_a_clock_that_was_never_set_at_all_is_an_error_of_time(
         with pytest.raises(LogError, match="1990") as error:
             read(path, *form.source)
         assert error.value.code == "log_time"
+        assert path.name in error.value.message
 
 
 @every_format
@@ -274,9 +275,10 @@ def test_stamps_in_the_future_are_left_out_and_most_of_them_an_error(
     assert time_span(path, *form.source) == (T0_US, T0_US + 6 * STEP_US)
     path = written(form, tmp_path, [*good[:2], *ahead])
     for read in (read_log, time_span):
-        with pytest.raises(LogError, match="future") as error:
+        with pytest.raises(LogError, match="in the future") as error:
             read(path, *form.source)
         assert error.value.code == "log_time"
+        assert path.name in error.value.message
 
 
 @every_format

@@ -12,38 +12,18 @@ import pytest
 import zstandard
 
 import pipeline.ingest.csv_text
-from pipeline.errors import LogError
-from pipeline.ingest import RawLog, read_log, time_span
+from pipeline.ingest import RawLog, time_span
 
-from .sources import Source, column
+from .csv_files import DAY, SOURCE, error, read
+from .sources import column
 from .writers import T0_US
 
-SOURCE = Source.of(
-    "csv",
-    {"pressure_difference": column("dp", "bar"), "speed": column("n", "rpm")},
-)
-DAY = "2025-03-01T06:00:0"
 ROWS = "".join(f"{DAY}{i}Z,{i},{10 * i}\n" for i in range(5))
-
-
-def read(folder: Path, data: bytes | str, source: Source = SOURCE, name: str = "log.csv") -> RawLog:
-    path = folder / name
-    path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return read_log(path, *source)
 
 
 def values(log: RawLog, channel: str = "pressure_difference") -> list[float]:
     raw = log.channels[channel]
     return [float(value) for value in raw.value[~raw.missing]]
-
-
-def error(
-    folder: Path, data: bytes | str, source: Source = SOURCE, name: str = "log.csv"
-) -> LogError:
-    with pytest.raises(LogError) as raised:
-        read(folder, data, source, name)
-    assert name in raised.value.message
-    return raised.value
 
 
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
@@ -307,21 +287,3 @@ def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
 )
 def test_each_damage_has_its_code(tmp_path: Path, data: bytes, code: str) -> None:
     assert error(tmp_path, data).code == code
-
-
-def test_header_only_and_null_throughout_are_no_damage(tmp_path: Path) -> None:
-    assert read(tmp_path, "time,dp,n\n").rows == 0
-    log = read(tmp_path, f"time,dp,n\n{DAY}0Z,,---\n{DAY}1Z,NA,\n")
-    assert all(channel.missing.all() for channel in log.channels.values())
-
-
-def test_a_file_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    path = tmp_path / "log.csv"
-    path.write_text("time,dp,n\n")
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(LogError, match="Permission denied") as raised:
-        read_log(path, *SOURCE)
-    assert raised.value.code == "log_not_readable"

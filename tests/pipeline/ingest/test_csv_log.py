@@ -16,30 +16,13 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.csv_text import read_lines
 
-from .sources import Source, column
+from .csv_files import DAY, SOURCE, error, read
+from .sources import column
 from .writers import T0_US
-
-SOURCE = Source.of(
-    "csv",
-    {"pressure_difference": column("dp", "bar"), "speed": column("n", "rpm")},
-)
-DAY = "2025-03-01T06:00:0"
-
-
-def read(folder: Path, data: bytes | str, source: Source = SOURCE) -> RawLog:
-    path = folder / "log.csv"
-    path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return read_log(path, *source)
 
 
 def pressure(log: RawLog) -> RawChannel:
     return log.channels["pressure_difference"]
-
-
-def error(folder: Path, data: bytes | str, source: Source = SOURCE) -> LogError:
-    with pytest.raises(LogError) as raised:
-        read(folder, data, source)
-    return raised.value
 
 
 def test_a_last_row_without_line_end_is_left_out_and_noted(tmp_path: Path) -> None:

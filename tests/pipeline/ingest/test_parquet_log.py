@@ -279,14 +279,6 @@ def test_days_of_a_spreadsheet(tmp_path: Path) -> None:
     assert log.first_us == T0_US
 
 
-def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
-    # The year 2150.
-    times = pa.array([T0_US, T0_US + 1, 5_680_281_600_000_000], pa.timestamp("us", "UTC"))
-    log = read(tmp_path, pa.array([1.0, 2.0, 3.0]), times)
-    assert log.rows == 2
-    assert log.notes == ("1 rows with a time more than a day in the future",)
-
-
 def test_pandas_index_columns_and_other_company_do_not_matter(tmp_path: Path) -> None:
     company = {"__index_level_0__": [0, 1, 2], "note": ["a", "b", "c"], "x": [[1], [2], []]}
     path = written(tmp_path, {**company, "dp": [1.0, 2.0, 3.0], "time": TIMES})
