@@ -122,7 +122,7 @@ def _cases(folder: Path) -> list[Case]:
         name: load_fleet(make_fleet(folder / "day", folder / name, name, 1)) for name in MOTORS
     }
     (spec,) = fleets["parquet"].motors
-    content = read_log(logs["parquet"], spec.file.log_source())
+    content = read_log(logs["parquet"], spec.file.logs, spec.file.channels)
     channels = slice_night([content], night(NIGHT, spec.settings.nights))
     rows = content.rows
     matrix = np.random.default_rng(1).normal(size=(rows, 6))
@@ -142,7 +142,7 @@ def _cases(folder: Path) -> list[Case]:
 
     def reading(name: str) -> Callable[[], object]:
         (one,) = fleets[name].motors
-        return lambda: read_log(logs[name], one.file.log_source())
+        return lambda: read_log(logs[name], one.file.logs, one.file.channels)
 
     def fastest(reader: str, name: str) -> Callable[[], object]:
         read = READERS[reader]()

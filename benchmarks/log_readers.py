@@ -42,16 +42,17 @@ def _duckdb_csv() -> Reader:
 
 
 def _batch_mcap() -> Reader:
+    from pipeline.config.motors import Channel, Channels, Logs
     from pipeline.ingest import read_log
-    from pipeline.ingest.contract import ChannelSource, LogSource
 
-    channels = (
-        ChannelSource("pressure_difference", "/mill/motor_1/pressure_difference", "bar"),
-        ChannelSource("oil_temperature", "/mill/motor_1/oil_temperature", "degC"),
-        ChannelSource("speed", "/mill/motor_1/speed", "rpm"),
-        ChannelSource("leakage_flow", "/mill/motor_1/drain_flow", "l/min"),
-    )
-    return lambda path: read_log(path, LogSource("mcap", channels, "publish_time"))
+    channels: Channels = {
+        "pressure_difference": Channel(source="/mill/motor_1/pressure_difference", unit="bar"),
+        "oil_temperature": Channel(source="/mill/motor_1/oil_temperature", unit="degC"),
+        "speed": Channel(source="/mill/motor_1/speed", unit="rpm"),
+        "leakage_flow": Channel(source="/mill/motor_1/drain_flow", unit="l/min"),
+    }
+    logs = Logs(format="mcap", files=("*.mcap",), time="publish_time")
+    return lambda path: read_log(path, logs, channels)
 
 
 def _official_mcap() -> Reader:

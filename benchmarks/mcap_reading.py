@@ -34,7 +34,8 @@ from mcap_protobuf.writer import Writer as ProtobufWriter
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
 from benchmarks.results_file import write_results
-from pipeline.ingest import ChannelSource, LogSource, read_log
+from pipeline.config.motors import Channel, Channels, Logs
+from pipeline.ingest import read_log
 from pipeline.units import CHANNELS, canonical_unit
 
 T0_NS = 1_740_808_800_000_000_000
@@ -53,11 +54,12 @@ MSG: builtin_interfaces/Time
 int32 sec
 uint32 nanosec
 """
-TOPICS = {"dp": "pressure_difference", "q": "leakage_flow", "n": "speed"}
-UNITS = {"pressure_difference": "bar", "leakage_flow": "l/min", "speed": "rpm"}
-JSON_SOURCE = LogSource(
-    "mcap", tuple(ChannelSource(name, topic, UNITS[name]) for topic, name in TOPICS.items())
-)
+LOGS = Logs(format="mcap", files=("*.mcap",))
+JSON_CHANNELS: Channels = {
+    "pressure_difference": Channel(source="dp", unit="bar"),
+    "leakage_flow": Channel(source="q", unit="l/min"),
+    "speed": Channel(source="n", unit="rpm"),
+}
 DAYS = {
     "a topic of 4 readings": (1, 4),
     "a topic of 8 readings": (1, 8),
@@ -113,7 +115,7 @@ def _speed(name: str, path: Path, ours: Reader, officially: Reader) -> list[str]
 
 def ours_json(path: Path) -> float:
     """Three topics."""
-    return float(read_log(path, JSON_SOURCE).channels["speed"].value.sum())
+    return float(read_log(path, LOGS, JSON_CHANNELS).channels["speed"].value.sum())
 
 
 def officially_json(path: Path) -> float:
@@ -132,8 +134,8 @@ def officially_json(path: Path) -> float:
 
 
 def _ours(field: str) -> Reader:
-    source = LogSource("mcap", (ChannelSource("speed", "motor", "rpm", field=field),))
-    return lambda path: float(read_log(path, source).channels["speed"].value.sum())
+    channels: Channels = {"speed": Channel(source="motor", unit="rpm", field=field)}
+    return lambda path: float(read_log(path, LOGS, channels).channels["speed"].value.sum())
 
 
 def _officially(factory: type[DecoderFactory], field: str) -> Reader:
@@ -167,7 +169,9 @@ def write_json(path: Path, count: int) -> None:
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
-        ids = [writer.register_channel(topic, "json", 0) for topic in TOPICS]
+        ids = [
+            writer.register_channel(channel.source, "json", 0) for channel in JSON_CHANNELS.values()
+        ]
         for i, value in enumerate(_values(count)):
             payload = json.dumps({"sensor": i % 3, "unit": "bar", "value": value}).encode()
             writer.add_message(ids[i % 3], T0_NS + i * 3_333_333, payload, T0_NS)
@@ -222,13 +226,15 @@ def _values(count: int) -> Iterator[float]:
 def _read_day(path: str, topics: str, readings: str) -> None:
     fields = CHANNELS[: int(readings)]
     names = CHANNELS[: int(readings) * int(topics)]
-    sources = (
-        ChannelSource(
-            name, f"motor {i // len(fields)}", canonical_unit(name), fields[i % len(fields)]
+    channels: Any = {
+        name: Channel(
+            source=f"motor {i // len(fields)}",
+            unit=canonical_unit(name),
+            field=fields[i % len(fields)],
         )
         for i, name in enumerate(names)
-    )
-    read_log(Path(path), LogSource("mcap", tuple(sources)))
+    }
+    read_log(Path(path), LOGS, channels)
 
 
 def _print_peak() -> None:

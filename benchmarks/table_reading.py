@@ -24,14 +24,18 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from benchmarks.results_file import write_results
-from pipeline.ingest import ChannelSource, LogSource, read_log
+from pipeline.config.motors import Channel, Channels, LogFormat, Logs
+from pipeline.ingest import read_log
 
 ROWS = 1_000_000
 DAY_ROWS = 24 * 3600 * 100
 ROUNDS = 25
-UNITS = {"pressure_difference": "bar", "oil_temperature": "degC", "speed": "rpm"}
-UNITS |= {"leakage_flow": "l/min"}
-CHANNELS = tuple(ChannelSource(name, name, unit) for name, unit in UNITS.items())
+CHANNELS: Channels = {
+    "pressure_difference": Channel(source="pressure_difference", unit="bar"),
+    "oil_temperature": Channel(source="oil_temperature", unit="degC"),
+    "speed": Channel(source="speed", unit="rpm"),
+    "leakage_flow": Channel(source="leakage_flow", unit="l/min"),
+}
 
 
 def main() -> None:
@@ -92,29 +96,33 @@ def _ratio(ours: list[float], others: list[float]) -> float:
     return statistics.median(one / other for one, other in zip(ours, others, strict=True))
 
 
+def _logs(log_format: LogFormat) -> Logs:
+    return Logs(format=log_format, files=("*",))
+
+
 def _ours(path: Path) -> object:
-    return read_log(path, LogSource("csv", CHANNELS))
+    return read_log(path, _logs("csv"), CHANNELS)
 
 
 def _pyarrow(path: Path) -> object:
-    types = {"time": pa.timestamp("us", "UTC"), **dict.fromkeys(UNITS, pa.float64())}
+    types = {"time": pa.timestamp("us", "UTC"), **dict.fromkeys(CHANNELS, pa.float64())}
     return arrow_csv.read_csv(path, convert_options=arrow_csv.ConvertOptions(column_types=types))
 
 
 def _duckdb(path: Path) -> object:
-    columns = {"time": "TIMESTAMPTZ", **dict.fromkeys(UNITS, "DOUBLE")}
+    columns = {"time": "TIMESTAMPTZ", **dict.fromkeys(CHANNELS, "DOUBLE")}
     return duckdb.read_csv(str(path), header=True, columns=columns).fetchnumpy()
 
 
 def _polars(path: Path) -> object:
-    frame = pl.read_csv(path, schema_overrides=dict.fromkeys(UNITS, pl.Float64))
+    frame = pl.read_csv(path, schema_overrides=dict.fromkeys(CHANNELS, pl.Float64))
     stamp = pl.col("time").str.to_datetime("%Y-%m-%dT%H:%M:%S%.fZ", time_unit="us")
     return frame.with_columns(stamp)
 
 
 if __name__ == "__main__":
     log = Path(sys.argv[1])
-    read_log(log, LogSource("csv" if log.suffix == ".csv" else "parquet", CHANNELS))
+    read_log(log, _logs("csv" if log.suffix == ".csv" else "parquet"), CHANNELS)
     # Not `ru_maxrss`: it begins with the peak of the process that started this one.
     status = Path("/proc/self/status").read_text("ascii")
     sys.stdout.write(status.split("VmHWM:")[1].split()[0])

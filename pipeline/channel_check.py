@@ -1,4 +1,4 @@
-"""What a motor's channels look like in one log: rate, sampling, what is missing or refused."""
+"""Channels of a motor in one log: rate, sampling, shares that are missing or refused."""
 
 from __future__ import annotations
 
@@ -17,8 +17,7 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.ledger import FileRecord
 from pipeline.logs import labels_of
-from pipeline.sampling_look import look_of
-from pipeline.sampling_remark import configured, remark, words
+from pipeline.sampling_look import configured, look_of, remark, words
 from pipeline.unit_look import suspect_units
 
 # Larger logs are not read for a look: a check answers in seconds.
@@ -27,40 +26,19 @@ LARGEST_LOG_BYTES = 200 << 20
 
 @dataclass(frozen=True, slots=True)
 class ChannelCheck:
-    """A channel in one log.
-
-    Attributes
-    ----------
-    channel, unit
-        Name, and unit as configured.
-    n_samples
-        Samples, missing ones included.
-    rate_hz
-        Typical rate; None for fewer than two samples.
-    median
-        Median of what was kept, in the unit of the tables; None where nothing was.
-    share_missing, share_refused
-        Of the samples; refused by any rule, missing ones included.
-    refused_by
-        Share by rule, of those that refused any.
-    configured, looks
-        What its sampling is configured as and what it looks like, in words; the latter is empty
-        where nothing can be told.
-    remarks
-        What does not look as configured, in words: sampling, unit.
-    """
+    """A channel in one log."""
 
     channel: str
-    unit: str
-    n_samples: int
-    rate_hz: float | None
-    median: float | None
+    unit: str  # as configured
+    n_samples: int  # missing ones included
+    rate_hz: float | None  # typical; None for fewer than two samples
+    median: float | None  # of what was kept, in the unit of the tables; None where nothing was
     share_missing: float
-    share_refused: float
-    refused_by: Mapping[str, float]
-    configured: str
-    looks: str
-    remarks: tuple[str, ...]
+    share_refused: float  # by any rule, missing ones included
+    refused_by: Mapping[str, float]  # share by rule, of those that refused any
+    configured: str  # its sampling, in words
+    looks: str  # its sampling by its looks, in words; empty where nothing can be told
+    remarks: tuple[str, ...]  # what does not look as configured: sampling, unit
 
 
 def check_channels(
@@ -68,20 +46,8 @@ def check_channels(
 ) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...]]:
     """Look into the newest log of a motor that can be read and is not too large.
 
-    Parameters
-    ----------
-    spec
-        The motor.
-    records
-        What is known of its logs, by name.
-    path_of
-        Where a log lies.
-
-    Returns
-    -------
-    tuple of ChannelCheck, tuple of str
-        One a configured channel, empty where there is no such log; and the fault, where the log
-        looks sound from outside and cannot be read.
+    Returned are its configured channels, none where there is no such log, and the fault of a log
+    that looks sound from outside and cannot be read.
     """
     readable = [
         name
@@ -92,7 +58,7 @@ def check_channels(
         return (), ()
     newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
     try:
-        log = read_log(path_of(newest), spec.file.log_source())
+        log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
         return (), (f"{error.code}: {error.message}",)
     suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)

@@ -19,35 +19,19 @@ OPENED = 3
 
 @dataclass(frozen=True, slots=True)
 class MotorCheck:
-    """What a motor's logs look like from outside.
-
-    Attributes
-    ----------
-    n_files, n_nights
-        Log files found, and nights that they cover.
-    first, last
-        Labels of the first and last night; None without a readable file.
-    faults
-        Files that cannot be read, and files that are named but absent.
-    placeholders
-        Paths of the type, and oils of the motor, whose values are placeholders.
-    channels
-        What each channel looks like in the newest log.
-    notes
-        What is no fault and yet worth a look.
-    """
+    """A motor's logs from outside, and the channels of the newest."""
 
     motor_id: str
     motor_type: str
     log_format: str
     n_files: int
-    n_nights: int
-    first: str | None
+    n_nights: int  # that the files cover
+    first: str | None  # label of the first night; None without a readable file
     last: str | None
-    faults: tuple[str, ...]
-    placeholders: tuple[str, ...]
+    faults: tuple[str, ...]  # files that cannot be read, or are named but absent
+    placeholders: tuple[str, ...]  # paths of the type, and oils, whose values are placeholders
     channels: tuple[ChannelCheck, ...]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # no faults, and yet worth a look
 
 
 def check_motor(spec: MotorSpec) -> MotorCheck:

@@ -24,7 +24,6 @@ from pipeline.logs import (
     place_failed,
     reaches_us,
     require_answer,
-    source_of,
 )
 from pipeline.night_rows import utc
 from pipeline.nights import Night, night_of, nights_between
@@ -213,10 +212,10 @@ class LogShelf:
             return None
         content: RawLog | None = None
         try:
-            source, path = source_of(self._spec, self._latest_us), self._source.path(name)
+            file, path = self._spec.file, self._source.path(name)
             require_answer(name, path)
             with reading(name):
-                content = read_log(path, source)
+                content = read_log(path, file.logs, file.channels, self._latest_us)
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError, one_line
-from pipeline.ingest import LogSource, RawChannel, RawLog, read_log, time_span
+from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.wall_clock import LATEST_US
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
@@ -228,12 +228,12 @@ def spanned(
     record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
     """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
-    source = source_of(spec, latest_us)
+    file = spec.file
     try:
-        first, last = time_span(path, source)
+        first, last = time_span(path, file.logs, file.channels, latest_us)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
-            return covered(record, read_log(path, source), spec)
+            return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
     except LogError as error:
         return failed(record, error)
     nights = spec.settings.nights
@@ -241,11 +241,6 @@ def spanned(
     return replace(
         record, first_us=first, last_us=last, nights=tuple(map(dt.date.isoformat, labels))
     )
-
-
-def source_of(spec: MotorSpec, latest_us: int | None) -> LogSource:
-    """Dialect and channels of a motor's logs, without samples after a time [µs since 1970]."""
-    return replace(spec.file.log_source(), latest_us=latest_us)
 
 
 def failed(record: FileRecord, error: LogError) -> FileRecord:

@@ -1,12 +1,10 @@
-"""What a channel's samples look like: readings, changes, what a historian left, means, or counts.
+"""The look of a channel's sampling, and a remark where its config says something else.
 
 Never certain: the tests go by the spacing of the stamps and by which changes occur and which do
-not, whatever the channel's magnitude. Three facts carry them:
+not, whatever the channel's magnitude. Two facts carry them:
 
-- Changes between readings are distributed about zero, those next to zero the most frequent. Where
-  changes below some size are absent, samples are sent on change.
-- Where samples are lost at random, the value has changed more the longer the silence was. Where
-  what is sent depends on the value, it has not.
+- Samples that a clock writes lie evenly; those sent on change, or left by a historian's
+  compression, leave silences. Which of the two it was makes no difference to the config.
 - First differences of the means of adjoining periods of a random walk have a correlation of 1/4
   from one to the next and none beyond [1]_; those of readings have none, or are negative.
 
@@ -23,15 +21,13 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import binom, spearmanr
 
+from pipeline.config import Channel
 from pipeline.ingest import RawChannel
 
 Values = NDArray[np.float64]
 
-Kind = Literal[
-    "periodic", "on_change", "compressed", "irregular", "mean", "cumulative", "pulses", "unknown"
-]
+Kind = Literal["periodic", "irregular", "mean", "cumulative", "pulses", "unknown"]
 
 # Samples of the head of a log that are looked at, and fewest that tell anything.
 HEAD = 20_000
@@ -43,15 +39,6 @@ LARGEST = 1e100
 SILENCE_STEPS = 3.5
 SILENT_STEPS_SHARE = 0.02
 SILENT_TIME_SHARE = 0.2
-# Changes next to zero are absent where they are so many times rarer than the smallest ones, and
-# chance makes them so rare less often than this.
-ABSENT = 6.0
-CHANCE = 1e-5
-# Rank correlation of silence and change at which what is sent depends on the value.
-DRIVEN_BY_VALUE = -0.1
-# Tenth percentile over median of how far samples lie off the line between their neighbours: 0.19
-# of a normal distribution; a historian leaves out what lies near that line.
-OFF_THE_LINE = 0.3
 # A running total may be reset or roll over so often; below, it rises all the time.
 FALLS_SHARE = 0.005
 FEWEST_RISES = 20
@@ -64,41 +51,27 @@ FEWEST_PULSES = 20
 SHORTEST_MEAN_S = 4.0
 FEWEST_MEANS = 150
 SHARE_OFF_THE_STEPS = 0.5
+# How far the period of means may be from the one stated, and how often a sample sent on change may
+# repeat the one before, as where some are sent after a longest silence.
+PERIOD_TOLERANCE = 0.2
+REPEATED_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """What a channel looks like.
+    """The look of a channel."""
 
-    Attributes
-    ----------
-    kind
-        "unknown" where nothing can be told.
-    period_s
-        Typical distance of two samples; None for fewer than two.
-    longest_silence_s
-        Longest distance of two samples, but for the longest hundredth.
-    share_repeated
-        Of the samples, those that repeat the one before.
-    """
-
-    kind: Kind
-    period_s: float | None = None
-    longest_silence_s: float | None = None
-    share_repeated: float = 0.0
+    kind: Kind  # "unknown" where nothing can be told
+    period_s: float | None = None  # typical distance of two samples; None for fewer than two
+    longest_silence_s: float | None = None  # but for the longest hundredth
+    share_repeated: float = 0.0  # of the samples, those that repeat the one before
 
 
 def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) -> Look:
     """Tell the sampling of a channel from the head of its log.
 
-    Parameters
-    ----------
-    raw
-        Samples as read.
-    is_flow
-        Whether it may hold counts of a volume.
-    resolution
-        Stated step of the sensor, in the unit of the samples; 0: none stated.
+    Only a flow can be counts of a volume; `resolution` is the sensor's stated step in the unit of
+    the samples, 0 where none is stated.
 
     Examples
     --------
@@ -118,7 +91,7 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
     elif is_flow and _counts(value, changes):
         kind = "pulses"
     elif _is_irregular(steps):
-        kind = _irregular(steps, changes)
+        kind = "irregular"
     elif _is_mean(steps, value, resolution):
         kind = "mean"
     else:
@@ -128,6 +101,78 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
         _typical(time_s),
         float(np.quantile(steps, 0.99, method="higher")),
         float(np.mean(changes == 0)),
+    )
+
+
+def words(look: Look) -> str:
+    """The look in words; empty where nothing can be told.
+
+    Examples
+    --------
+    >>> words(Look("periodic", 0.2)), words(Look("mean", 10.0))
+    ('periodic', 'like means of 10 s')
+    """
+    period = "" if look.period_s is None else f"{look.period_s:.3g} s"
+    long = look.period_s is not None and look.period_s >= SHORTEST_MEAN_S
+    return {
+        "periodic": f"periodic, or like means of {period}" if long else "periodic",
+        "irregular": "sent on change, compressed, or lost in part",
+        "mean": f"like means of {period}",
+        "cumulative": "like a running total",
+        "pulses": "like counts since the sample before",
+        "unknown": "",
+    }[look.kind]
+
+
+def configured(channel: Channel) -> str:
+    """A channel's sampling as configured, in words."""
+    if channel.counts is not None:
+        total = channel.counts == "cumulative"
+        return "a running total" if total else "counts since the sample before"
+    if channel.sampling == "mean":
+        return f"means of {channel.mean_of_s:g} s"
+    return "periodic" if channel.sampling == "periodic" else "sent on change or compressed"
+
+
+def remark(channel: Channel, look: Look) -> str:
+    """The difference between a channel's look and its config, in words; empty for none."""
+    if _agrees(channel, look):
+        return ""
+    advice = _advice(look)
+    if channel.counts == "cumulative":
+        advice = "it falls again and again"
+    return f"configured as {configured(channel)}, looks {words(look)}: {advice}"
+
+
+def _agrees(channel: Channel, look: Look) -> bool:
+    if look.kind == "unknown":
+        return True
+    if channel.counts is not None:
+        # Many counts a sample look like readings, but a total looks like nothing else.
+        return (look.kind == "cumulative") == (channel.counts == "cumulative")
+    if channel.sampling == "on_change":
+        regular = look.kind == "periodic" and look.share_repeated > REPEATED_SHARE
+        return not regular and look.kind not in ("cumulative", "pulses")
+    if channel.sampling == "mean":
+        off = abs((look.period_s or 0.0) / (channel.mean_of_s or 1.0) - 1.0)
+        return look.kind in ("mean", "periodic") and off < PERIOD_TOLERANCE
+    return look.kind == "periodic"
+
+
+def _advice(look: Look) -> str:
+    """The keys to write into the config, if it is so."""
+    if look.kind in ("cumulative", "pulses"):
+        return f'then counts = "{look.kind}", unit = "count" and volume_per_count_cm3'
+    if look.kind == "mean":
+        return f'then sampling = "mean" and mean_of_s = {look.period_s:.3g}'
+    if look.kind == "periodic":
+        return (
+            f"a sample every {look.period_s:.3g} s, {100 * look.share_repeated:.0f} % of them as "
+            'the one before; then sampling = "periodic"'
+        )
+    return (
+        'then sampling = "on_change" and longest_silence_s; silences here reach '
+        f"{look.longest_silence_s:.3g} s"
     )
 
 
@@ -143,47 +188,11 @@ def _typical(time_s: Values) -> float | None:
     return float(np.median(np.diff(time_s))) if time_s.size > 1 else None
 
 
-def _silent(steps: Values) -> NDArray[np.bool_]:
-    silent: NDArray[np.bool_] = steps > SILENCE_STEPS * np.quantile(steps, 0.1)
-    return silent
-
-
 def _is_irregular(steps: Values) -> bool:
-    silent = _silent(steps)
+    """Silences are frequent and take up much of the time: a clock did not write these samples."""
+    silent = steps > SILENCE_STEPS * np.quantile(steps, 0.1)
     in_silence = steps[silent].sum() / steps.sum()
     return bool(silent.mean() >= SILENT_STEPS_SHARE and in_silence >= SILENT_TIME_SHARE)
-
-
-def _irregular(steps: Values, changes: Values) -> Kind:
-    sizes = np.abs(changes)
-    if _small_ones_absent(sizes) or _small_ones_absent(sizes[_silent(steps)]):
-        return "on_change"
-    if float(spearmanr(steps, sizes).statistic) < DRIVEN_BY_VALUE:
-        never_repeats = float(np.mean(sizes == 0)) < FALLS_SHARE
-        return "on_change" if never_repeats and _step(changes) else "compressed"
-    return "compressed" if _bends_everywhere(steps, changes) else "irregular"
-
-
-def _bends_everywhere(steps: Values, changes: Values) -> bool:
-    """Whether hardly a sample lies near the line between its neighbours."""
-    slopes = changes / steps
-    off = np.abs(np.diff(slopes)) * steps[1:] * steps[:-1] / (steps[1:] + steps[:-1])
-    median = float(np.median(off))
-    return bool(median > 0 and np.quantile(off, 0.1) > OFF_THE_LINE * median)
-
-
-def _small_ones_absent(sizes: Values) -> bool:
-    """Whether changes next to zero are absent, though slightly larger ones are not.
-
-    Of a density that falls from zero, [0, m/2) holds at least half of what [m/2, 3m/2) holds.
-    """
-    if not sizes.size:
-        return False
-    edge = float(np.quantile(sizes, 0.03))
-    below = int(np.sum(sizes < 0.5 * edge))
-    around = int(np.sum((sizes >= 0.5 * edge) & (sizes < 1.5 * edge)))
-    by_chance = float(binom.cdf(below, below + around, 1 / 3))
-    return edge > 0 and ABSENT * below < around and by_chance < CHANCE
 
 
 def _step(changes: Values) -> float:
@@ -200,7 +209,7 @@ def _step(changes: Values) -> float:
 
 
 def _rises(value: Values, changes: Values) -> bool:
-    """Whether values only rise, resets and roll-overs apart."""
+    """True if values only rise, resets and roll-overs apart."""
     falls = changes < 0
     rises = int(np.sum(changes > 0))
     if rises < FEWEST_RISES or float(np.mean(falls)) > FALLS_SHARE:
@@ -211,7 +220,7 @@ def _rises(value: Values, changes: Values) -> bool:
 
 
 def _counts(value: Values, changes: Values) -> bool:
-    """Whether values are counts since the sample before.
+    """True if values are counts since the sample before.
 
     What a count has too much its neighbour has too little: with rounding errors e of a running
     total, a count's error is a difference of two of them, and the differences of counts have the
@@ -229,7 +238,7 @@ def _counts(value: Values, changes: Values) -> bool:
 
 
 def _evenly_spaced(higher: NDArray[np.bool_]) -> bool:
-    """Whether the rarer of two values comes as regularly as a steady flow fills a volume."""
+    """True if the rarer of two values comes as regularly as a steady flow fills a volume."""
     rarer = higher if float(higher.mean()) < 0.5 else ~higher
     intervals = np.diff(np.flatnonzero(rarer))
     if intervals.size < FEWEST_PULSES:

@@ -11,18 +11,11 @@ import numpy as np
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.ingest import RawChannel
+from pipeline.ingest.guess_channels import LOW_SIDE, USUAL
 from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
-# Upper quartile of the magnitude that a motor at work shows, in the units of the tables.
-USUAL: Mapping[str, tuple[float, float]] = {
-    "pressure": (5.0, 450.0),
-    "temperature": (5.0, 95.0),
-    "speed": (0.5, 400.0),
-}
 # A drain flow this many times off the configured model's is of another unit sooner than worn.
 UNUSUAL_FLOW = 8.0
-# Pressures that say nothing of the load.
-LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
 FLOW = "leakage_flow"
 
 Typical = Mapping[str, float]
@@ -35,21 +28,7 @@ def suspect_units(
 
     Pressure, temperature and speed are judged by what motors show; the flow by what the configured
     model has at their typical values, in whatever units make these usual: a wrong unit of theirs is
-    theirs alone to be told.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    night
-        Night of the log.
-    channels
-        Its channels as read.
-
-    Returns
-    -------
-    dict of str to str
-        What is unusual, and which units would mend it, by channel; nothing of the others.
+    theirs alone to be told. Returned is what is unusual, and which units would mend it, by channel.
     """
     typical = {
         str(name): value
@@ -58,8 +37,8 @@ def suspect_units(
     }
     found: dict[str, str] = {}
     for name, value in typical.items():
-        limits = USUAL.get(QUANTITIES[name])
-        if limits and name not in LOW_SIDE and not limits[0] <= value <= limits[1]:
+        low, high = USUAL.get(QUANTITIES[name], (0.0, float("inf")))
+        if name not in (*LOW_SIDE, FLOW) and not low <= value <= high:
             units = [unit for unit, _ in _usual_values(spec, name, value)]
             found[name] = f"{_unusual(name, value)}{_mended(units)}"
     flow = _unusual_flow(spec, night, typical, set(found))
@@ -78,7 +57,7 @@ def _unusual(name: str, value: float) -> str:
 
 
 def _mended(units: list[str], others: list[str] | None = None) -> str:
-    """What would make a magnitude usual."""
+    """The units that would make a magnitude usual, in words."""
     choices = [f"the log's unit were {' or '.join(units[:2])}"] if units else []
     choices += [f"that of {other}" for other in others or []]
     return f"; it would be usual if {', or '.join(choices)}" if choices else ""
@@ -102,7 +81,7 @@ def _usual_values(spec: MotorSpec, name: str, value: float) -> Iterator[tuple[st
 def _unusual_flow(
     spec: MotorSpec, night: dt.date, typical: Typical, unusual: set[str]
 ) -> str | None:
-    """What is unusual about the flow; None: nothing, or it cannot be judged."""
+    """A flow that is unusual, in words; None: it is usual, or cannot be judged."""
     pressure = "pressure_difference" if "pressure_difference" in typical else "high_port_pressure"
     inputs = (pressure, "oil_temperature", "speed")
     if FLOW not in typical or not set(inputs) <= typical.keys():

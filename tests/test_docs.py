@@ -23,8 +23,8 @@ from pipeline.ingest import (
     csv_text,
     mcap_cdr_walk,
     mcap_layout,
+    parquet_file,
     parquet_log,
-    parquet_text,
 )
 from pipeline.telling.delivery import Delivery
 from pipeline.telling.web_hook import WebHook
@@ -94,7 +94,7 @@ def test_the_limits_of_the_page_on_security_are_those_of_the_code() -> None:
     assert f",{csv_header.MOST_HEADERS}|" in text
     assert parquet_log.MOST_ROWS == 2**27
     assert f"{parquet_log.MOST_ROWS_A_BYTE}abyte" in text
-    assert f"{parquet_text.MOST_TEXT_A_ROW}bytesarow" in text
+    assert f"{parquet_file.MOST_TEXT_A_ROW}bytesarow" in text
     assert f"{mcap_layout.LARGEST_CHUNK // mib}MiB;{mcap_layout.LONGEST_RECORD // mib}MiB" in text
     assert f"{mcap_cdr_walk.MOST_STEPS}|" in text
     assert f"{sys.get_int_max_str_digits()},byPython" in text

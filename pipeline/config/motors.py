@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import datetime as dt
 from collections.abc import Iterator, Mapping
 from itertools import chain, pairwise
@@ -11,14 +12,11 @@ from pydantic import AwareDatetime, Field, field_validator, model_validator
 
 from leakage import Constant, Parameter
 from pipeline.config.faults import Place, refuse
+from pipeline.config.field_paths import field_path
 from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
-from pipeline.errors import UsageError
-from pipeline.ingest import ChannelSource, LogSource
-from pipeline.ingest.contract import GOOD_QUALITY, MISSING_TOKENS, QualityValue
-from pipeline.ingest.mcap_paths import field_path
-from pipeline.ingest.time_stamps import require_time_format
-from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
+from pipeline.config.time_formats import require_time_format
+from pipeline.units import QUANTITIES, UNITS
 
 MotorId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 ChannelName = Literal[
@@ -32,6 +30,16 @@ ChannelName = Literal[
     "leakage_flow",
     "running_hours",
 ]
+LogFormat = Literal["csv", "parquet", "mcap"]
+LogLayout = Literal["wide", "long", "file_per_channel"]
+# Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
+MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
+# Marks that may stand between groups of three digits.
+THOUSANDS = (".", ",", "'", "’", " ", "\u00a0", "\u202f", "_")
+QualityValue = str | int | float | bool
+# What historians write beside a good sample: the word, or OPC DA's code without any remark. 0 is
+# good in OPC UA and bad in OPC DA, so whoever has it says which it is.
+GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
 COUNTED = "leakage_flow"
@@ -158,10 +166,7 @@ class Channel(Section):
     @field_validator("field")
     @classmethod
     def _path(cls, field: str) -> str:
-        try:
-            field_path(field)
-        except UsageError as error:
-            raise ValueError(error.message) from error
+        field_path(field)
         return field
 
     @field_validator("quality_good", mode="before")
@@ -185,6 +190,9 @@ class Channel(Section):
         if limits is not None and not limits[0] < limits[1]:
             raise ValueError("expected [lowest, highest]")
         return limits
+
+
+Channels = Mapping[ChannelName, Channel]
 
 
 def _quality_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
@@ -216,7 +224,7 @@ def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
 class Logs(Section):
     """The motor's log files and their dialect."""
 
-    format: Literal["csv", "parquet", "mcap"] = Field(description="Format of the files")
+    format: LogFormat = Field(description="Format of the files")
     files: tuple[str, ...] = Field(
         min_length=1,
         description="Paths or globs below the log root; a path named and absent is an error",
@@ -233,7 +241,7 @@ class Logs(Section):
     date_column: str = Field(
         "", description="Column of the date, where the time has one of its own; read as `date time`"
     )
-    layout: Literal["wide", "long", "file_per_channel"] = Field(
+    layout: LogLayout = Field(
         "wide",
         description="CSV, Parquet: a column a channel, a row a sample with the channel's name in "
         "it, or a file a channel",
@@ -288,34 +296,48 @@ class Logs(Section):
     @field_validator("time_format")
     @classmethod
     def _known_format(cls, time_format: str) -> str:
-        try:
-            require_time_format(time_format)
-        except UsageError as error:
-            raise ValueError(error.message) from error
+        require_time_format(time_format)
         return time_format
 
     @field_validator("encoding")
     @classmethod
     def _known_encoding(cls, encoding: str) -> str:
         try:
-            b"x".decode(encoding, "ignore")  # an empty text asks no codec
+            codecs.getincrementaldecoder(encoding)()
+            " ".encode(encoding)  # an empty text asks no codec
         except (LookupError, ValueError):
             raise ValueError("expected a text encoding, such as utf-8 or cp1252") from None
         return encoding
 
+    @field_validator("stamp")
+    @classmethod
+    def _path(cls, stamp: str) -> str:
+        if stamp:
+            field_path(stamp)
+        return stamp
+
     @model_validator(mode="after")
-    def _readable(self) -> Logs:
-        # The reader's own judgement of the dialect; the channel only stands in.
-        try:
-            self.source((ChannelSource("speed", "speed", "rpm"),))
-        except UsageError as error:
-            raise ValueError(error.message) from error
+    def _marks_apart(self) -> Logs:
+        refuse("logs", _mark_faults(self))
         return self
 
-    def source(self, channels: tuple[ChannelSource, ...]) -> LogSource:
-        """What the reader is told, with the channels that it is to read."""
-        dialect = self.model_dump(exclude={"files", "time", "settle_s"})
-        return LogSource(channels=channels, time_source=self.time, **dialect)
+
+def _mark_faults(logs: Logs) -> Iterator[tuple[Place, str, object]]:
+    """Marks of a CSV that cannot stand beside one another."""
+    if not logs.separator.isascii() or logs.separator in '"\r\n':
+        yield (
+            ("separator",),
+            "expected a character of ASCII that is no quotation mark",
+            logs.separator,
+        )
+    if logs.separator == logs.decimal:
+        yield ("separator",), "expected another mark than the decimal mark", logs.separator
+    if logs.thousands and logs.thousands not in THOUSANDS:
+        message = f"expected one of {', '.join(map(repr, THOUSANDS))}"
+        yield ("thousands",), message, logs.thousands
+    if logs.thousands and logs.thousands in (logs.decimal, logs.separator):
+        message = "expected another mark than the decimal mark and the separator"
+        yield ("thousands",), message, logs.thousands
 
 
 def _fault_of_pattern(pattern: str) -> str | None:
@@ -448,35 +470,14 @@ class MotorFile(Section):
         changes = [event for event in self.events if event.oil and event.date <= night]
         return max(changes, key=lambda event: event.date).oil or self.oil if changes else self.oil
 
-    def log_source(self) -> LogSource:
-        """What the reader is told."""
-        channels = tuple(
-            ChannelSource(
-                channel=name,
-                source=self.channels[name].source,
-                # Counts are read as they are; cleaning makes a flow of them.
-                unit=canonical_unit(name)
-                if self.channels[name].counts
-                else self.channels[name].unit,
-                field=self.channels[name].field,
-                scale=self.channels[name].scale,
-                offset=self.channels[name].offset,
-                quality_source=self.channels[name].quality_source,
-                quality_good=self.channels[name].quality_good,
-            )
-            for name in CHANNELS
-            if name in self.channels
-        )
-        return self.logs.source(channels)
-
 
 def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Place, str, object]]:
     """Paths of qualities that lead to no field of an MCAP message."""
     for name, channel in channels.items():
         try:
             field_path(channel.quality_source or "none")
-        except UsageError as error:
-            yield ("channels", name, "quality_source"), error.message, channel.quality_source
+        except ValueError as error:
+            yield ("channels", name, "quality_source"), str(error), channel.quality_source
 
 
 def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:

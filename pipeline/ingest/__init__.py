@@ -1,8 +1,6 @@
 """Files of logs to raw channels: one contract, three readers.
 
->>> from pipeline.ingest import ChannelSource, LogSource
->>> LogSource("csv", (ChannelSource("speed", "n", "rpm"),)).time_format
-'iso8601'
+Imports config, units and errors, nothing else of the pipeline.
 """
 
 from __future__ import annotations
@@ -12,17 +10,19 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pipeline.ingest.contract import ChannelSource, LogSource, RawChannel, RawLog, reading
+from pipeline.config.motors import Channels, Logs
+from pipeline.ingest.contract import RawChannel, RawLog, readable
 from pipeline.ingest.csv_log import csv_time_span, read_csv_log
 from pipeline.ingest.mcap_log import mcap_time_span, read_mcap_log
 from pipeline.ingest.parquet_log import parquet_time_span, read_parquet_log
+from pipeline.units import CHANNELS
 
-__all__ = ["ChannelSource", "LogSource", "RawChannel", "RawLog", "read_log", "time_span"]
+__all__ = ["RawChannel", "RawLog", "read_log", "time_span"]
 
 
 class _Reader(NamedTuple):
-    read: Callable[[Path, LogSource], RawLog]
-    span: Callable[[Path, LogSource], tuple[int, int]]
+    read: Callable[[Path, Logs, Channels, int | None], RawLog]
+    span: Callable[[Path, Logs, Channels, int | None], tuple[int, int]]
 
 
 _READERS: Mapping[str, _Reader] = MappingProxyType(
@@ -34,15 +34,19 @@ _READERS: Mapping[str, _Reader] = MappingProxyType(
 )
 
 
-def read_log(path: Path, source: LogSource) -> RawLog:
+def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None = None) -> RawLog:
     """Read the channels of a log.
 
     Parameters
     ----------
     path
         The file.
-    source
-        How it is written, and which channels are wanted.
+    logs
+        How it is written.
+    channels
+        What is wanted of it, by channel; at least one.
+    latest_us
+        Samples after this time lie in the future [µs since 1970]; None: a day from now.
 
     Returns
     -------
@@ -54,11 +58,13 @@ def read_log(path: Path, source: LogSource) -> RawLog:
     LogError
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
-    with reading(path):
-        return _READERS[source.format].read(path, source)
+    with readable(path):
+        return _READERS[logs.format].read(path, logs, _in_order(channels), latest_us)
 
 
-def time_span(path: Path, source: LogSource) -> tuple[int, int]:
+def time_span(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> tuple[int, int]:
     """Time from which and until which a log goes, without reading it whole if that can be.
 
     A CSV is taken to be in order, its first and last rows are looked at; a Parquet file says it in
@@ -66,7 +72,7 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
 
     Parameters
     ----------
-    path, source
+    path, logs, channels, latest_us
         As for `read_log`.
 
     Returns
@@ -79,5 +85,9 @@ def time_span(path: Path, source: LogSource) -> tuple[int, int]:
     LogError
         As `read_log`; ``log_empty`` where the log holds no samples.
     """
-    with reading(path):
-        return _READERS[source.format].span(path, source)
+    with readable(path):
+        return _READERS[logs.format].span(path, logs, _in_order(channels), latest_us)
+
+
+def _in_order(channels: Channels) -> Channels:
+    return dict(sorted(channels.items(), key=lambda item: CHANNELS.index(item[0])))

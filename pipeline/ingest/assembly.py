@@ -1,26 +1,24 @@
-"""The last steps that all readers share: a channel's readings are judged, converted and kept."""
+"""Steps that all readers share: a channel's readings are judged, converted and kept."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.clock import latest_us
+from pipeline.clock import latest_us as latest_by_clock
+from pipeline.config.motors import Channel, Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import (
-    ChannelSource,
-    LogSource,
-    RawChannel,
-    RawLog,
-    different_stamps,
-)
+from pipeline.ingest.contract import RawChannel, RawLog, different_stamps
 from pipeline.ingest.quality import is_bad
-from pipeline.ingest.time_stamps import TimeStamps, example_of
+from pipeline.ingest.time_stamps import example_of
+from pipeline.ingest.wall_clock import TimeStamps
 from pipeline.units import convert_to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
@@ -28,23 +26,12 @@ _T = TypeVar("_T", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Raw figures of one channel, before scale, offset and unit.
+    """Raw figures of one channel, before scale, offset and unit."""
 
-    Attributes
-    ----------
-    raw : (n,) float64
-        nan where missing.
-    missing : (n,) bool
-    unparsed : (n,) bool
-        Part of `missing`: there was something, and it is no number.
-    example
-        The first thing that is no number, for a message.
-    """
-
-    raw: NDArray[np.float64]
+    raw: NDArray[np.float64]  # nan where missing
     missing: NDArray[np.bool_]
-    unparsed: NDArray[np.bool_]
-    example: str | None = None
+    unparsed: NDArray[np.bool_]  # part of `missing`: there was something, and it is no number
+    example: str | None = None  # the first of these, for a message
 
     def rows(self, kept: NDArray[np.bool_]) -> Readings:
         """The readings of some rows."""
@@ -52,70 +39,51 @@ class Readings:
             return self
         return Readings(self.raw[kept], self.missing[kept], self.unparsed[kept], self.example)
 
-    @staticmethod
-    def joined(parts: Sequence[Readings]) -> Readings:
-        """Readings one after the other."""
-        examples = (part.example for part in parts if part.example is not None)
-        return Readings(
-            np.concatenate([np.empty(0), *(part.raw for part in parts)]),
-            _joined_marks([part.missing for part in parts]),
-            _joined_marks([part.unparsed for part in parts]),
-            next(examples, None),
-        )
+
+def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
+    """Readings of a column of numbers; null where missing."""
+    # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
+    numbers = column.cast(pa.float64(), safe=False)
+    none = np.zeros(len(column), dtype=np.bool_)
+    if not column.null_count:
+        return Readings(np.asarray(numbers), none, none)
+    return Readings(np.asarray(pc.fill_null(numbers, np.nan)), np.asarray(column.is_null()), none)
+
+
+def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> None:
+    """Scale, offset and unit of a channel applied to figures that are the caller's own."""
+    # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
+    with np.errstate(over="ignore", invalid="ignore"):
+        if channel.scale != 1.0 or channel.offset != 0.0:
+            raw *= channel.scale
+            raw += channel.offset
+        # Counts are read as they are; cleaning makes a flow of them.
+        if channel.counts is None:
+            convert_to_canonical(name, raw, channel.unit)
+
+
+def converted(name: str, channel: Channel, readings: Readings) -> Readings:
+    """Readings of a channel in its canonical unit."""
+    raw = readings.raw.copy()
+    convert_in_place(name, channel, raw)
+    return replace(readings, raw=raw)
 
 
 def raw_channel(
     path: Path,
-    source: ChannelSource,
+    name: str,
+    channel: Channel,
     time_us: NDArray[np.int64],
     readings: Readings,
     quality: NDArray[np.uint8] | None = None,
 ) -> RawChannel:
-    """Channel in its canonical unit.
-
-    Parameters
-    ----------
-    path, source
-        The log, and where the channel is in it.
-    time_us : (n,) int64
-    readings
-        As they stand in the log.
-    quality : (n,) uint8
-        Of `quality_states`; None: the log says nothing of its samples.
+    """Channel of readings in its canonical unit, with their `quality_states` if the log has them.
 
     Raises
     ------
     LogError
         ``log_type``: the channel holds something, but not one number.
     """
-    return canonical_channel(path, source, time_us, in_canonical_unit(source, readings), quality)
-
-
-def in_canonical_unit(source: ChannelSource, readings: Readings) -> Readings:
-    """Readings of a channel after scale, offset and unit."""
-    raw = readings.raw.copy()
-    convert_in_place(source, raw)
-    return replace(readings, raw=raw)
-
-
-def convert_in_place(source: ChannelSource, raw: NDArray[np.float64]) -> None:
-    """Scale, offset and unit of a channel applied to figures that are the caller's own."""
-    # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
-    with np.errstate(over="ignore", invalid="ignore"):
-        if source.scale != 1.0 or source.offset != 0.0:
-            raw *= source.scale
-            raw += source.offset
-        convert_to_canonical(source.channel, raw, source.unit)
-
-
-def canonical_channel(
-    path: Path,
-    source: ChannelSource,
-    time_us: NDArray[np.int64],
-    readings: Readings,
-    quality: NDArray[np.uint8] | None = None,
-) -> RawChannel:
-    """Channel whose readings are in its canonical unit already; otherwise as `raw_channel`."""
     bad = None if quality is None else is_bad(quality, readings.missing)
     unparsed = int(np.count_nonzero(readings.unparsed))
     told = bad is not None and bool(bad[readings.unparsed].all())
@@ -123,54 +91,34 @@ def canonical_channel(
         raise LogError(
             "log_type",
             path,
-            f"{source.source} (channel {source.channel}) holds no number in {unparsed} cells, such "
+            f"{channel.source} (channel {name}) holds no number in {unparsed} cells, such "
             f"as {readings.example!r}: give the right column, decimal sign or missing_tokens",
-            source.source,
+            channel.source,
         )
-    return RawChannel(
-        _frozen(time_us),
-        _frozen(readings.raw),
-        _frozen(readings.missing),
-        unparsed,
-        None if bad is None else _frozen(bad),
-    )
+    return _frozen(RawChannel(time_us, readings.raw, readings.missing, unparsed, bad))
 
 
-def time_name(source: LogSource, example: str | None = None) -> str:
-    """How the time column of a table is named in messages, with a stamp that is not readable."""
-    form = source.time_format
+def time_name(logs: Logs, example: str | None = None) -> str:
+    """Name of a table's time column in messages, with a stamp that is not readable."""
+    form = logs.time_format
     here = f"; here is {example[:40]!r}" if example else ""
-    return f"{source.time_source!r} in format {form} (such as {example_of(form)}{here})"
+    return f"{logs.time!r} in format {form} (such as {example_of(form)}{here})"
 
 
 def judged(
-    path: Path, source: LogSource, stamps: TimeStamps, name: str
-) -> tuple[TimeStamps, dict[str, int]]:
-    """Stamps without those in the future, and how many rows have no good time, by reason.
+    path: Path, parts: Sequence[TimeStamps], name: str, latest_us: int | None
+) -> tuple[list[TimeStamps], dict[str, int]]:
+    """Stamps of a log without those in the future; counts of rows without a good time, by reason.
 
-    Parameters
-    ----------
-    path, source
-        The log; the source says what the future is.
-    stamps
-        As they are written.
-    name
-        What the stamps are called and how they were read.
+    The parts are judged together; `name` says what the stamps are called and how they were read.
+    The future begins after `latest_us` [µs since 1970], None: a day from now.
 
     Raises
     ------
     LogError
         ``log_time``: more than half of the rows have no good time.
     """
-    (past,), refused = judged_together(path, source, [stamps], name)
-    return past, refused
-
-
-def judged_together(
-    path: Path, source: LogSource, parts: Sequence[TimeStamps], name: str
-) -> tuple[list[TimeStamps], dict[str, int]]:
-    """Stamps of a log that come in parts, judged as one; otherwise as `judged`."""
-    latest = latest_us() if source.latest_us is None else source.latest_us
+    latest = latest_by_clock() if latest_us is None else latest_us
     rows = sum(part.readable.size for part in parts)
     ahead = sum(int(np.count_nonzero(_future(part, latest))) for part in parts)
     skipped = sum(part.skipped for part in parts)
@@ -224,14 +172,7 @@ def without_rows_of_others(
 
     Where each channel is logged at times of its own, a table has a row for each of them, which is
     blank for the others. So is a channel most of whose readings stand alone in their rows; one that
-    shares them was to have a reading there.
-
-    Parameters
-    ----------
-    channels
-        By name, all of the same rows.
-    columns
-        Column of each channel; several may have the same.
+    shares them was to have a reading there. Several channels may be of one column.
 
     Examples
     --------
@@ -253,24 +194,11 @@ def without_rows_of_others(
         of_its_rows = readings[~channel.missing]
         alone = 2 * np.count_nonzero(of_its_rows == 1) > of_its_rows.size
         # What a row says of a reading's quality counts though the reading is blank.
-        told = (
-            ~channel.missing
-            if channel.bad_quality is None
-            else (~channel.missing | channel.bad_quality)
-        )
-        apart[name] = _rows(channel, told) if alone else channel
+        told = ~channel.missing
+        if channel.bad_quality is not None:
+            told |= channel.bad_quality
+        apart[name] = _frozen(channel.rows(told)) if alone else channel
     return apart
-
-
-def _rows(channel: RawChannel, kept: NDArray[np.bool_]) -> RawChannel:
-    """Some rows of everything that a channel has of each."""
-    values = {one.name: getattr(channel, one.name) for one in fields(channel)}
-    chosen: dict[str, Any] = {
-        name: _frozen(value[kept])
-        for name, value in values.items()
-        if isinstance(value, np.ndarray)
-    }
-    return replace(channel, **chosen)
 
 
 def raw_log(
@@ -300,14 +228,18 @@ def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
 
 
-def _joined_marks(parts: Sequence[NDArray[np.bool_]]) -> NDArray[np.bool_]:
-    # Zeros that are never written take no memory.
-    if not any(part.any() for part in parts):
-        return np.zeros(sum(part.size for part in parts), dtype=np.bool_)
-    return np.concatenate(parts)
+def _frozen(channel: RawChannel) -> RawChannel:
+    bad = channel.bad_quality
+    return RawChannel(
+        _view(channel.time_us),
+        _view(channel.value),
+        _view(channel.missing),
+        channel.unparsed,
+        None if bad is None else _view(bad),
+    )
 
 
-def _frozen(values: NDArray[_T]) -> NDArray[_T]:
+def _view(values: NDArray[_T]) -> NDArray[_T]:
     view = values.view()
     view.flags.writeable = False
     return view

@@ -13,62 +13,38 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-from numpy.typing import NDArray
 
+from pipeline.config.motors import Logs
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings
-from pipeline.ingest.contract import LogSource
-from pipeline.ingest.time_stamps import (
-    EPOCH_UNITS,
-    EXCEL_DAYS,
-    WrittenStamps,
-    written_as_numbers,
-    written_as_text,
-    written_as_timestamps,
-)
+from pipeline.ingest.assembly import Readings, readings_of
+from pipeline.ingest.time_stamps import WrittenStamps, written
 
 _NUMBER = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$|^[+-]?(?i:nan|inf|infinity)$"
 
 
-def stamps(source: LogSource, columns: list[pa.ChunkedArray]) -> WrittenStamps:
-    """Time stamps of a column of time, or of one of dates and one of times.
-
-    Parameters
-    ----------
-    source
-        The log's.
-    columns
-        Text, or what Arrow made of it.
-    """
-    column = columns[-1]
-    if len(columns) > 1:
-        date, clock = (pc.utf8_trim_whitespace(part) for part in columns)
-        column = pc.binary_join_element_wise(date, clock, " ")
-    if pa.types.is_timestamp(column.type):
-        return written_as_timestamps(column)
-    if not pa.types.is_string(column.type):
-        blank = np.nan if pa.types.is_floating(column.type) else 0
-        return written_as_numbers(pc.fill_null(column, blank).to_numpy(), source.time_format)
-    numeric = source.time_format in EPOCH_UNITS or source.time_format == EXCEL_DAYS
-    if source.decimal == "," and numeric:
-        column = pc.replace_substring(column, ",", ".")
-    return written_as_text(column, source.time_format)
+def stamps(logs: Logs, columns: list[pa.ChunkedArray]) -> WrittenStamps:
+    """Time stamps of a column of time, or of one of dates and one of times."""
+    numeric = logs.time_format in EPOCH_UNITS or logs.time_format == EXCEL_DAYS
+    if logs.decimal == "," and numeric and pa.types.is_string(columns[-1].type):
+        columns = [*columns[:-1], pc.replace_substring(columns[-1], ",", ".")]
+    return written(columns, logs.time_format)
 
 
-def time_types(source: LogSource) -> tuple[pa.DataType, ...]:
-    """Types that Arrow may find a time column to be, to be tried in turn; then comes text."""
-    if source.date_column:
+def time_types(logs: Logs) -> tuple[pa.DataType, ...]:
+    """Types of a time column that Arrow may parse, to be tried in turn; then comes text."""
+    if logs.date_column:
         return ()
-    if source.time_format == "iso8601":
+    if logs.time_format == "iso8601":
         return (pa.timestamp("us", "UTC"), pa.timestamp("us"))
-    if source.time_format in EPOCH_UNITS:
+    if logs.time_format in EPOCH_UNITS:
         return (pa.int64(),)
-    return (pa.float64(),) if source.time_format == EXCEL_DAYS else ()
+    return (pa.float64(),) if logs.time_format == EXCEL_DAYS else ()
 
 
-def with_missing_tokens(source: LogSource, table: pa.Table, kept: Collection[str]) -> pa.Table:
-    """A table in whose columns of text, but for some, the tokens of a missing sample are null."""
-    tokens = pa.array(source.missing_tokens, pa.string())
+def with_missing_tokens(logs: Logs, table: pa.Table, kept: Collection[str]) -> pa.Table:
+    """A table with null for the tokens of a missing sample in its columns of text, but for some."""
+    tokens = pa.array(logs.missing_tokens, pa.string())
     for at, name in enumerate(table.column_names):
         column = table.column(at)
         if name not in kept and pa.types.is_string(column.type):
@@ -77,17 +53,8 @@ def with_missing_tokens(source: LogSource, table: pa.Table, kept: Collection[str
     return table
 
 
-def readings(path: Path, source: LogSource, name: str, cells: pa.ChunkedArray) -> Readings:
-    """Numbers of a column of text, or of one that Arrow could parse.
-
-    Parameters
-    ----------
-    path, source
-        The log.
-    name
-        The column.
-    cells
-        Text or float64.
+def readings(path: Path, logs: Logs, name: str, cells: pa.ChunkedArray) -> Readings:
+    """Numbers of a column of text, or of one that Arrow could parse as float64.
 
     Raises
     ------
@@ -95,42 +62,36 @@ def readings(path: Path, source: LogSource, name: str, cells: pa.ChunkedArray) -
         ``log_damaged``: a quotation mark is opened and not closed in its row.
     """
     if pa.types.is_floating(cells.type):
-        return _parsed(cells)
+        return readings_of(cells)
     trimmed = cells
-    if source.thousands:
-        trimmed = _without_groups(source, cells)
-    elif source.decimal == ",":
+    if logs.thousands:
+        trimmed = _without_groups(logs, cells)
+    elif logs.decimal == ",":
         # A dot is then no decimal sign: 1.234 may be a thousand and more.
         trimmed = pc.replace_substring(pc.replace_substring(cells, ".", "_"), ",", ".")
     try:
-        return _parsed(trimmed.cast(pa.float64()))
+        return readings_of(trimmed.cast(pa.float64()))
     except pa.ArrowInvalid:
-        return _cell_by_cell(path, source, name, cells, trimmed)
+        return _cell_by_cell(path, logs, name, cells, trimmed)
 
 
-def _parsed(numbers: pa.ChunkedArray) -> Readings:
-    none = np.zeros(len(numbers), dtype=np.bool_)
-    missing = numbers.is_null().to_numpy() if numbers.null_count else none
-    return Readings(_floats(numbers), missing, none)
-
-
-def _without_groups(source: LogSource, cells: pa.ChunkedArray) -> pa.ChunkedArray:
+def _without_groups(logs: Logs, cells: pa.ChunkedArray) -> pa.ChunkedArray:
     """Numbers without marks between their thousands; a mark elsewhere stays, and is no number."""
-    mark, decimal = re.escape(source.thousands), re.escape(source.decimal)
+    mark, decimal = re.escape(logs.thousands), re.escape(logs.decimal)
     trimmed = pc.utf8_trim_whitespace(cells)
     grouped = rf"^[+-]?[0-9]{{1,3}}({mark}[0-9]{{3}})+({decimal}[0-9]*)?$"
     plain = pc.if_else(
         pc.match_substring_regex(trimmed, grouped),
-        pc.replace_substring(trimmed, source.thousands, ""),
-        pc.replace_substring(trimmed, source.thousands, "_"),
+        pc.replace_substring(trimmed, logs.thousands, ""),
+        pc.replace_substring(trimmed, logs.thousands, "_"),
     )
-    if source.decimal == ".":
+    if logs.decimal == ".":
         return plain
     return pc.replace_substring(pc.replace_substring(plain, ".", "_"), ",", ".")
 
 
 def _cell_by_cell(
-    path: Path, source: LogSource, name: str, texts: pa.ChunkedArray, dotted: pa.ChunkedArray
+    path: Path, logs: Logs, name: str, texts: pa.ChunkedArray, dotted: pa.ChunkedArray
 ) -> Readings:
     """Slower, for a column in which some cell is no bare number."""
     if pc.any(pc.match_substring_regex(texts, r"[\r\n]")).as_py():
@@ -142,15 +103,10 @@ def _cell_by_cell(
     # The grammar lets through one sign at most; the cast below knows no plus.
     unsigned = pc.utf8_ltrim(pc.if_else(is_number, trimmed, None), "+")
     blank = pc.is_in(
-        pc.utf8_trim_whitespace(texts), value_set=pa.array(source.missing_tokens, pa.string())
+        pc.utf8_trim_whitespace(texts), value_set=pa.array(logs.missing_tokens, pa.string())
     )
     missing = np.logical_not(pc.fill_null(is_number, False).to_numpy())
     unparsed = missing & texts.is_valid().to_numpy() & np.logical_not(blank.to_numpy())
     example = texts[int(np.argmax(unparsed))].as_py() if unparsed.any() else None
-    return Readings(_floats(unsigned.cast(pa.float64())), missing, unparsed, example)
-
-
-def _floats(numbers: pa.ChunkedArray) -> NDArray[np.float64]:
-    filled = pc.fill_null(numbers, np.nan) if numbers.null_count else numbers
-    floats: NDArray[np.float64] = filled.to_numpy()
-    return floats
+    raw = readings_of(unsigned.cast(pa.float64())).raw
+    return Readings(raw, missing, unparsed, example)

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.config.motors import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogSource
 
 _HEAD = 2**20
 
@@ -20,41 +20,21 @@ MOST_HEADERS = 2**16
 
 
 @dataclass(frozen=True, slots=True)
-class Section:
-    """Rows below one header.
+class HeadedRows:
+    """Rows below one header."""
 
-    Attributes
-    ----------
-    body
-        Their text.
-    width
-        Cells of the header.
-    position
-        Column of each wanted name, from 0.
-    line
-        Number of the header's line; 0 where it is not counted.
-    """
-
-    body: memoryview
-    width: int
-    position: Mapping[str, int]
-    line: int
+    body: memoryview  # their text
+    width: int  # cells of the header
+    position: Mapping[str, int]  # column of each wanted name, from 0
+    line: int  # number of the header's line; 0 where it is not counted
 
 
 class Header:
-    """The header that holds at a place of a file.
+    """The header that holds at a place of a file; each must have all wanted columns."""
 
-    Parameters
-    ----------
-    path, source
-        The log.
-    wanted
-        Names of the columns that each header must have.
-    """
-
-    def __init__(self, path: Path, source: LogSource, wanted: Sequence[str]) -> None:
+    def __init__(self, path: Path, logs: Logs, wanted: Sequence[str]) -> None:
         self.path = path
-        self.source = source
+        self.logs = logs
         self.wanted = wanted
         self.names: tuple[str, ...] = ()
         self.position: Mapping[str, int] = {}
@@ -63,18 +43,7 @@ class Header:
         self.unit_rows_left = 0
 
     def require(self, *, torn: int) -> None:
-        """Refuse a file that has ended without a header.
-
-        Raises
-        ------
-        LogError
-            ``log_empty``, ``log_truncated`` or ``log_not_csv``.
-
-        Parameters
-        ----------
-        torn
-            Bytes behind the last line end.
-        """
+        """Refuse a file that has ended without a header, `torn` bytes behind its last line end."""
         if self.names:
             return
         if torn > _HEAD:
@@ -82,13 +51,13 @@ class Header:
         if torn:
             raise LogError("log_truncated", self.path, "the header has no line end")
         raise LogError(
-            "log_empty", self.path, f"no header after {self.source.skip_rows} skipped lines"
+            "log_empty", self.path, f"no header after {self.logs.skip_rows} skipped lines"
         )
 
     def take_first(self, data: bytes) -> int:
         """Read the first header; returns where the rows begin."""
         lines = data[:_HEAD].splitlines(keepends=True)
-        at = self.source.skip_rows
+        at = self.logs.skip_rows
         while at < len(lines) and not lines[at].strip():
             at += 1
         if at >= len(lines):
@@ -105,7 +74,7 @@ class Header:
         """Cells of a line, without blanks around them."""
         text = line.decode().strip("\r\n").removeprefix("\ufeff")
         try:
-            row = next(csv.reader([text], delimiter=self.source.separator), [])
+            row = next(csv.reader([text], delimiter=self.logs.separator), [])
         except csv.Error as error:
             raise LogError(
                 "log_not_csv", self.path, f"the header cannot be read: {error}"
@@ -130,9 +99,9 @@ class Header:
         self._take(names)
 
     def _take(self, names: tuple[str, ...]) -> None:
-        self.unit_rows_left = self.source.unit_rows
+        self.unit_rows_left = self.logs.unit_rows
         if names != self.names:
-            self.position = _positions(self.path, self.source, names, self.wanted)
+            self.position = _positions(self.path, self.logs, names, self.wanted)
             self.names = names
 
     def is_again(self, line: bytes) -> tuple[str, ...] | None:
@@ -145,53 +114,38 @@ class Header:
 
 
 def rows_begin(header: Header, data: bytes) -> int:
-    """Where the rows of a piece begin, below the file's header and its lines of units.
+    """Begin of the rows of a piece of whole lines, below the file's header and lines of units.
 
-    Parameters
-    ----------
-    header
-        As the piece before has left it; it is moved on.
-    data
-        Whole lines.
+    The header is as the piece before has left it, and is moved on.
     """
     start = 0 if header.names else header.take_first(data)
     return _below_units(header, data, start, len(data))
 
 
-def sections(header: Header, data: bytes, start: int) -> Iterator[Section]:
-    """Rows of a piece of a file, each with the header that holds for it.
-
-    Parameters
-    ----------
-    header
-        As the piece before has left it; it is moved on.
-    data
-        Whole lines.
-    start
-        Where its rows begin.
-    """
+def headed_rows(header: Header, data: bytes, start: int) -> Iterator[HeadedRows]:
+    """Rows of a piece from `start` on, each with the header that holds for them."""
     parts: list[memoryview] = []
     for begin, end in [*_headers_again(header, data, start), (len(data), len(data))]:
         start = _below_units(header, data, start, begin)
         parts.append(memoryview(data)[start:begin])
         names = header.is_again(data[begin:end]) if end > begin else None
         if names != header.names:
-            yield from _section(header, parts)
+            yield from _headed(header, parts)
             parts = []
         if names is not None:
             header.take_again(names)
         start = end
 
 
-def _section(header: Header, parts: list[memoryview]) -> Iterator[Section]:
+def _headed(header: Header, parts: list[memoryview]) -> Iterator[HeadedRows]:
     filled = [part for part in parts if len(part)]
     if filled:
         body = filled[0] if len(filled) == 1 else memoryview(b"".join(filled))
-        yield Section(body, len(header.names), header.position, header.line)
+        yield HeadedRows(body, len(header.names), header.position, header.line)
 
 
 def _below_units(header: Header, data: bytes, start: int, end: int) -> int:
-    """Where the rows begin below the lines of units that are still to come."""
+    """Begin of the rows below the lines of units that are still to come."""
     while header.unit_rows_left and start < end:
         stop = _end_of_line(data, start, end)
         header.unit_rows_left -= bool(data[start:stop].strip())
@@ -223,7 +177,7 @@ def _headers_again(header: Header, data: bytes, start: int) -> Iterator[tuple[in
 
 
 def _positions(
-    path: Path, source: LogSource, names: Sequence[str], wanted: Sequence[str]
+    path: Path, logs: Logs, names: Sequence[str], wanted: Sequence[str]
 ) -> dict[str, int]:
     for name in wanted:
         count = names.count(name)
@@ -237,6 +191,6 @@ def _positions(
             raise LogError(
                 "log_column_missing",
                 path,
-                f"no column {name!r}; separated by {source.separator!r} there are {there}{hint}",
+                f"no column {name!r}; separated by {logs.separator!r} there are {there}{hint}",
             )
     return {name: names.index(name) for name in wanted}

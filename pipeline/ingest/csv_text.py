@@ -41,41 +41,24 @@ _OTHER_PACKERS = {
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """A piece of a text: UTF-8, whole lines only.
+    """A piece of a text: UTF-8, whole lines only."""
 
-    Attributes
-    ----------
-    data
-        Without a byte order mark at the file's begin.
-    torn
-        Bytes behind the file's last line end; 0 in all pieces but the last.
-    """
-
-    data: bytes
-    torn: int = 0
+    data: bytes  # without a byte order mark at the file's begin
+    torn: int = 0  # bytes behind the file's last line end; 0 in all pieces but the last
 
 
 def is_utf8(encoding: str) -> bool:
-    """Whether text in an encoding is UTF-8 as it stands."""
+    """True if text in an encoding is UTF-8 as it stands."""
     return codecs.lookup(encoding).name in {"utf-8", "utf-8-sig", "ascii"}
 
 
 def is_packed(path: Path) -> bool:
-    """Whether a file is compressed in a way that can be unpacked here, by its first bytes."""
+    """True if a file is compressed in a way that can be unpacked here, by its first bytes."""
     return _packing(path) is not None
 
 
 def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[Lines]:
-    """Text of a file as pieces of whole lines, at least one.
-
-    Parameters
-    ----------
-    path
-        Plain text, or gzip or Zstandard of it.
-    encoding
-        Of the text.
-    piece
-        Bytes to read at a time.
+    """Text of a file, plain or packed, as pieces of whole lines, at least one; `piece` in bytes.
 
     Raises
     ------
@@ -108,7 +91,7 @@ def read_lines(path: Path, encoding: str, piece: int = PIECE) -> Iterator[Lines]
 
 
 def repaired(data: bytes) -> bytes:
-    """What is not UTF-8 gets a mark in its place, and a cell with a mark is no number."""
+    """Text with a mark in the place of what is not UTF-8; a cell with a mark is no number."""
     return data if data.isascii() else data.decode(errors="replace").encode()
 
 

@@ -6,13 +6,13 @@ in the memory behind them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.ingest.assembly import Readings, convert_in_place
-from pipeline.ingest.contract import ChannelSource
+from pipeline.ingest.assembly import Readings
 from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
 
 _T = TypeVar("_T", bound=np.generic)
@@ -24,12 +24,7 @@ _MOST_ROOM = 2**18
 class Growing(Generic[_T]):
     """An array that grows at its end, where it lies.
 
-    Parameters
-    ----------
-    dtype
-        Of its elements.
-    expected
-        How many there will be, roughly: of memory only what is written to is used.
+    Room is made for about as many elements as expected; memory is used by those that are written.
 
     Examples
     --------
@@ -63,13 +58,7 @@ class Growing(Generic[_T]):
 
 
 class GatheredStamps:
-    """Time stamps as they are written, piece after piece.
-
-    Parameters
-    ----------
-    expected
-        As of `Growing`.
-    """
+    """Time stamps as they are written, piece after piece."""
 
     def __init__(self, expected: int = 0) -> None:
         self._time_us = Growing(np.int64, expected)
@@ -88,18 +77,12 @@ class GatheredStamps:
 
 
 class GatheredReadings:
-    """Readings of a channel or field, piece after piece.
+    """Readings of a channel or field, piece after piece, each converted where it then lies."""
 
-    Parameters
-    ----------
-    channel
-        Into whose canonical unit they are converted; None: they stay as they stand.
-    expected
-        As of `Growing`.
-    """
-
-    def __init__(self, channel: ChannelSource | None = None, expected: int = 0) -> None:
-        self._channel = channel
+    def __init__(
+        self, convert: Callable[[NDArray[np.float64]], None] | None = None, expected: int = 0
+    ) -> None:
+        self._convert = convert
         self._raw = Growing(np.float64, expected)
         self._missing: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
         self._unparsed: _Marks[np.bool_] = _Marks(np.bool_(False), expected)
@@ -108,8 +91,8 @@ class GatheredReadings:
     def add(self, part: Readings) -> None:
         """Add a piece."""
         raw = self._raw.append(part.raw)
-        if self._channel is not None:
-            convert_in_place(self._channel, raw)
+        if self._convert is not None:
+            self._convert(raw)
         self._missing.append(part.missing)
         self._unparsed.append(part.unparsed)
         self._example = self._example or part.example
@@ -138,7 +121,7 @@ class _Marks(Generic[_T]):
         self._size += marks.size
 
     def taken(self) -> NDArray[_T]:
-        """Where all are the same they cannot be written."""
+        """All of them, to be given up; they cannot be written where all are the same."""
         if self._marks is not None:
             return self._marks.taken()
         return np.broadcast_to(self._usual, self._size)

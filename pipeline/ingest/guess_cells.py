@@ -1,4 +1,4 @@
-"""What cells of text seem to be: numbers, with which marks in them, or nothing."""
+"""Guesses at cells of text: numbers, with which marks in them, or nothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from pipeline.ingest.contract import MISSING_TOKENS, THOUSANDS
+from pipeline.config.motors import MISSING_TOKENS, THOUSANDS
 
 _GROUP = "[" + "".join(map(re.escape, THOUSANDS)) + "]"
 _NUMBER = re.compile(
@@ -20,23 +20,15 @@ _MOST_TOKENS = 5
 
 @dataclass(frozen=True, slots=True)
 class Marks:
-    """Marks that numbers have.
-
-    Attributes
-    ----------
-    decimal, thousands
-        Decimal mark, and mark between groups of three digits or nothing.
-    is_certain
-        False where every mark could be either.
-    """
+    """Marks that numbers have."""
 
     decimal: str = "."
-    thousands: str = ""
-    is_certain: bool = True
+    thousands: str = ""  # between groups of three digits; empty for none
+    is_certain: bool = True  # False where every mark could be either
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell is a number in some dialect.
+    """True if a cell is a number in some dialect.
 
     Examples
     --------
@@ -47,7 +39,7 @@ def is_number(cell: str) -> bool:
 
 
 def is_missing(cell: str) -> bool:
-    """Whether a cell says that there is no sample."""
+    """True if a cell says that there is no sample."""
     return cell in MISSING_TOKENS
 
 

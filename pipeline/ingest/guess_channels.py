@@ -1,4 +1,4 @@
-"""Which channel a name in a log seems to mean, and in which unit.
+"""Guesses at the channel that a name in a log means, and at its unit.
 
 Names of columns, topics and files are taken apart into words. A whole word decides before a single
 letter does, and a unit only where no word does.
@@ -9,8 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
+from typing import TypeVar
 
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
+
+_T = TypeVar("_T")
 
 # English, German and Swedish, as loggers are labelled; by quantity, the first that fits counts.
 _WORDS: Mapping[str, set[str]] = {
@@ -43,6 +46,7 @@ _PRESSURES = (
     ("low_port_pressure", {"low", "lp", "niederdruck", "nd", "låg", "return", "b", "2"}),
     ("high_port_pressure", {"high", "hp", "hochdruck", "hd", "hög", "supply", "a", "1"}),
 )
+_PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
 _PORTS = {"a", "b", "1", "2"}
 _BESIDE_A_PORT = {"p", "pressure", "press", "port", "druck", "tryck", "anschluss"}
 _PREFERRED: Mapping[str, set[str]] = {
@@ -71,13 +75,15 @@ _UNIT_NAMES = {
     **dict.fromkeys(("gpm", "gal/min", "usgpm"), "us_gal/min"),
 }
 # Upper quartile of the magnitude that a motor at work shows, in the units of the tables.
-_USUAL = {
+USUAL: Mapping[str, tuple[float, float]] = {
     "pressure": (5.0, 450.0),
-    "temperature": (5.0, 110.0),
-    "speed": (1.0, 400.0),
+    "temperature": (5.0, 95.0),
+    "speed": (0.5, 400.0),
     "flow": (0.05, 100.0),
 }
 _USUAL_LOW_SIDE = (0.2, 60.0)
+# Pressures that say nothing of the load.
+LOW_SIDE = ("low_port_pressure", "charge_pressure", "case_pressure")
 # Units in the order in which they are met; the others after them.
 _COMMON = ("bar", "kPa", "MPa", "psi", "l/min", "ml/min", "m3/h", "us_gal/min", "l/h")
 
@@ -100,14 +106,7 @@ def words_of(name: str) -> tuple[str, ...]:
 
 
 def channel_of(name: str, unit: str = "") -> str | None:
-    """Channel that a name seems to mean; None: none.
-
-    Parameters
-    ----------
-    name
-        Of a column, of a topic with its field, or of a file.
-    unit
-        What stands beside it as a unit.
+    """Channel that a name seems to mean, with what stands beside it as a unit; None: none.
 
     Examples
     --------
@@ -153,8 +152,25 @@ def _quantity_of(words: Sequence[str], name: str, unit: str) -> str | None:
 
 
 def preference(channel: str, name: str) -> int:
-    """How well a name fits a channel that it seems to mean: more is better."""
+    """Degree to which a name fits a channel that it seems to mean."""
     return len(_PREFERRED.get(channel, set()) & set(words_of(name)))
+
+
+def best_by_channel(
+    candidates: Iterable[tuple[str | None, tuple[int, ...], _T]],
+) -> dict[str, _T]:
+    """The candidate of most merit for each channel, the first of equals."""
+    best: dict[str, tuple[tuple[int, ...], _T]] = {}
+    for channel, merit, candidate in candidates:
+        if channel is not None and (channel not in best or merit > best[channel][0]):
+            best[channel] = merit, candidate
+    # A motor's file has the difference or both ports.
+    without = _PORT_PRESSURES if "pressure_difference" in best else ()
+    return {
+        channel: best[channel][1]
+        for channel in CHANNELS
+        if channel in best and channel not in without
+    }
 
 
 def unit_of(channel: str, name: str) -> str | None:
@@ -186,14 +202,7 @@ def _unit_named(channel: str, text: str) -> str | None:
 
 
 def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
-    """Units in which numbers are such as a motor at work shows, the commonest first.
-
-    Parameters
-    ----------
-    channel
-        Name of the channel.
-    values
-        Some readings.
+    """Units in which readings are such as a motor at work shows, the commonest first.
 
     Examples
     --------
@@ -206,8 +215,7 @@ def likely_units(channel: str, values: Iterable[float]) -> tuple[str, ...]:
     if not found:
         return ()
     quantity = QUANTITIES[channel]
-    low_side = channel in ("low_port_pressure", "charge_pressure", "case_pressure")
-    low, high = _USUAL_LOW_SIDE if low_side else _USUAL[quantity]
+    low, high = _USUAL_LOW_SIDE if channel in LOW_SIDE else USUAL[quantity]
     typical = found[(3 * len(found)) // 4]
     units = [unit for unit in _COMMON if unit in UNITS[quantity]]
     return tuple(

@@ -32,37 +32,26 @@ Cells = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True)
 class CsvHead:
-    """What the first lines of a CSV tell.
-
-    Attributes
-    ----------
-    skip_rows, unit_rows
-        Lines before the header, and lines below it without samples.
-    names, units
-        Cells of the header and of the line of units below it, if there is one.
-    rows
-        First rows, all as wide as the header.
-    """
+    """The head of a CSV, as its first lines tell it."""
 
     encoding: str
     separator: str
-    skip_rows: int
-    unit_rows: int
+    skip_rows: int  # lines before the header
+    unit_rows: int  # lines below it without samples
     names: Cells
-    units: Cells
-    rows: tuple[Cells, ...]
+    units: Cells  # cells of the line of units below the header, if there is one
+    rows: tuple[Cells, ...]  # the first ones, all as wide as the header
 
 
 @dataclass(frozen=True, slots=True)
 class _Table:
-    """Lines taken apart by one separator, the first row of samples among them, and how well it all
-    fits together."""
+    """Lines taken apart by one separator."""
 
     separator: str
     lines: tuple[Cells, ...]
     width: int
-    first: int
-    fit: tuple[bool, float, int]
+    first: int  # the first row of samples
+    fit: tuple[bool, float, int]  # how well it all fits together
 
 
 def csv_head(path: Path) -> CsvHead:
@@ -181,7 +170,7 @@ def _table(lines: Sequence[str], separator: str) -> _Table:
 
 
 def _header(table: _Table) -> tuple[int | None, Cells]:
-    """Which line has the names, and the cells of a line of units below it."""
+    """The line that has the names, and the cells of a line of units below it."""
     block: list[int] = []
     for at in range(table.first - 1, -1, -1):
         if len(table.lines[at]) != table.width and any(table.lines[at]):

@@ -33,18 +33,10 @@ def suffix_of(path: Path) -> str:
 
 
 def files_by_channel(path: Path) -> dict[str, tuple[str, Path]]:
-    """Patterns of the files of each channel, of which this log is one; empty where it is of none.
+    """Pattern of the names of each channel's files, and one of them; empty if this log is of none.
 
-    Parameters
-    ----------
-    path
-        A log; its neighbours of the same ending are those of the other channels.
-
-    Returns
-    -------
-    dict of str to (str, Path)
-        By channel: pattern of its files' names, which fits no file of another channel, and one of
-        the files.
+    The neighbours of a log with the same ending are those of the other channels; a pattern fits no
+    file of another channel.
     """
     suffix = suffix_of(path)
     folder = path.resolve().parent
@@ -78,6 +70,6 @@ def _pattern(own: list[str], others: Iterable[str]) -> str:
 
 
 def _begin(texts: Sequence[str]) -> str:
-    """What all texts begin with."""
+    """The letters that all texts begin with."""
     same = takewhile(lambda letters: len(set(letters)) == 1, zip(*texts, strict=False))
     return "".join(letters[0] for letters in same)

@@ -1,4 +1,4 @@
-"""What the columns of a table hold: times, channels, or names of channels; whatever the format."""
+"""Guesses at the columns of a table in any format: times, channels, or names of channels."""
 
 from __future__ import annotations
 
@@ -7,9 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pipeline.ingest.contract import LogLayout
+from pipeline.config.motors import LogLayout
 from pipeline.ingest.guess_cells import Marks, as_number, is_missing, is_number
-from pipeline.ingest.guess_channels import channel_of, preference, unit_of, words_of
+from pipeline.ingest.guess_channels import (
+    best_by_channel,
+    channel_of,
+    preference,
+    unit_of,
+    words_of,
+)
 from pipeline.ingest.guess_files import files_by_channel
 from pipeline.ingest.guess_times import (
     TimeGuess,
@@ -20,7 +26,6 @@ from pipeline.ingest.guess_times import (
     is_time_name,
     number_format,
 )
-from pipeline.units import CHANNELS
 
 Kind = Literal["timestamp", "stamp", "date", "clock", "number", "text", "nothing"]
 Scan = Callable[[Sequence[str]], Iterable[tuple[str, ...]]]
@@ -29,7 +34,6 @@ Scan = Callable[[Sequence[str]], Iterable[tuple[str, ...]]]
 SAMPLES = 50
 """Cells of a channel that are looked at."""
 
-_PORTS = ("high_port_pressure", "low_port_pressure")
 _NAME_COLUMNS = {
     *("channel", "tag", "tagname", "name", "signal", "variable", "sensor", "point", "parameter"),
     *("item", "quantity", "measurement", "kanal", "signalname", "messstelle", "messgröße"),
@@ -40,22 +44,12 @@ _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A column of a table.
-
-    Attributes
-    ----------
-    unit
-        What is written beside the name as a unit; empty for nothing.
-    kind
-        What its cells are; "timestamp" where the file's own type says so.
-    cells
-        The first ones, as text.
-    """
+    """A column of a table."""
 
     name: str
-    unit: str
-    kind: Kind
-    cells: tuple[str, ...]
+    unit: str  # what is written beside the name as a unit; empty for nothing
+    kind: Kind  # of its cells; "timestamp" where the file's own type says so
+    cells: tuple[str, ...]  # the first ones, as text
 
     @property
     def filled(self) -> tuple[str, ...]:
@@ -65,7 +59,7 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Times:
-    """Where the time stands, and how; `date` is empty where it has no column of its own."""
+    """Columns of the time; `date` is empty where it has no column of its own."""
 
     time: str
     date: str
@@ -75,45 +69,29 @@ class Times:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """Where a channel stands.
-
-    Attributes
-    ----------
-    unit
-        Its unit; None where the log does not say it.
-    samples
-        Some of its cells.
-    """
+    """The place of a channel, with some of its cells."""
 
     channel: str
     source: str
-    unit: str | None
+    unit: str | None  # None where the log does not say it
     samples: tuple[str, ...]
     field: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
-    """How channels lie in a table.
-
-    Attributes
-    ----------
-    unused
-        Names that no channel was found for, with samples.
-    files
-        Layout "file_per_channel": patterns of the files' names.
-    """
+class TableLayout:
+    """Layout of the channels in a table."""
 
     kind: LogLayout
     sources: tuple[Source, ...]
-    unused: Mapping[str, tuple[str, ...]]
+    unused: Mapping[str, tuple[str, ...]]  # samples by name that no channel was found for
     channel_column: str = ""
     value_column: str = ""
-    files: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()  # patterns of the files' names, of a file a channel
 
 
 def kind_of(cells: Sequence[str]) -> Kind:
-    """What most cells of text are.
+    """Kind of most cells of text.
 
     Examples
     --------
@@ -134,18 +112,9 @@ def kind_of(cells: Sequence[str]) -> Kind:
 
 
 def find_times(columns: Sequence[Column], marks: Marks, path: Path, last: Scan) -> Times:
-    """The column of the time, or those of date and time.
+    """The column of the time, or those of date and time; `marks` are those of numbers.
 
-    Parameters
-    ----------
-    columns
-        All of the table.
-    marks
-        Of its numbers.
-    path
-        The log.
-    last
-        Rows from its end, which help to tell day from month.
+    The last rows of the log help to tell day from month.
     """
     named = sorted(columns, key=lambda one: not is_time_name(one.name))
     of_kind = {kind: [one for one in named if one.kind == kind] for kind in KINDS_OF_TIME}
@@ -178,21 +147,11 @@ def find_layout(
     path: Path,
     scan: Scan,
     read: Callable[[Path], Sequence[Column]],
-) -> Layout:
-    """Which layout a table has, and where its channels are.
+) -> TableLayout:
+    """Layout of a table, and the places of its channels.
 
-    Parameters
-    ----------
-    columns
-        All of the table.
-    times
-        Where its time is.
-    path
-        The log.
-    scan
-        Reads on, for names of channels that come later.
-    read
-        Gives the columns of another log of the same make.
+    `scan` reads on, for names of channels that come later; `read` gives the columns of another log
+    of the same make.
     """
     rest = [
         one
@@ -215,7 +174,7 @@ def find_layout(
         [(one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable]
     )
     unused |= {one.name: one.filled[:SAMPLES] for one in texts}
-    return Layout("wide", sources, unused)
+    return TableLayout("wide", sources, unused)
 
 
 def _value_column(numbers: Sequence[Column]) -> Column | None:
@@ -226,7 +185,7 @@ def _value_column(numbers: Sequence[Column]) -> Column | None:
     return named[0] if len(named) == 1 else None
 
 
-def _long(value: Column, texts: Sequence[Column], scan: Scan) -> Layout | None:
+def _long(value: Column, texts: Sequence[Column], scan: Scan) -> TableLayout | None:
     units = [one for one in texts if _UNIT_COLUMNS & set(words_of(one.name))][:1]
     names = [one for one in texts if one not in units]
     if not names:
@@ -246,12 +205,12 @@ def _long(value: Column, texts: Sequence[Column], scan: Scan) -> Layout | None:
     sources, unused = _assigned(
         [(name, name, unit, tuple(samples)) for name, (samples, unit) in seen.items()]
     )
-    return Layout("long", sources, unused, channel_column=column.name, value_column=value.name)
+    return TableLayout("long", sources, unused, channel_column=column.name, value_column=value.name)
 
 
 def _file_per_channel(
     value: str, path: Path, read: Callable[[Path], Sequence[Column]]
-) -> Layout | None:
+) -> TableLayout | None:
     """The layout of a file a channel; None where the files are not all alike."""
     sources, files = [], []
     for channel, (pattern, example) in files_by_channel(path).items():
@@ -264,7 +223,9 @@ def _file_per_channel(
         files.append(pattern)
     if not sources:
         return None
-    return Layout("file_per_channel", tuple(sources), {}, value_column=value, files=tuple(files))
+    return TableLayout(
+        "file_per_channel", tuple(sources), {}, value_column=value, files=tuple(files)
+    )
 
 
 Candidate = tuple[str, str, str, tuple[str, ...]]
@@ -275,21 +236,12 @@ def _assigned(
     candidates: Sequence[Candidate],
 ) -> tuple[tuple[Source, ...], dict[str, tuple[str, ...]]]:
     """Channels among candidates, each once, and the samples of those that are none."""
-    best: dict[str, Candidate] = {}
-    for candidate in candidates:
-        channel = channel_of(candidate[0], candidate[2])
-        if channel is None:
-            continue
-        other = best.get(channel)
-        if other is None or preference(channel, candidate[0]) > preference(channel, other[0]):
-            best[channel] = candidate
-    if "pressure_difference" in best:
-        # A motor's file has the difference or both ports.
-        best = {channel: one for channel, one in best.items() if channel not in _PORTS}
+    named = ((channel_of(one[0], one[2]), one) for one in candidates)
+    best = best_by_channel(
+        (channel, (preference(channel or "", one[0]),), one) for channel, one in named
+    )
     sources = tuple(
-        Source(channel, best[channel][1], _unit(channel, best[channel]), best[channel][3])
-        for channel in CHANNELS
-        if channel in best
+        Source(channel, one[1], _unit(channel, one), one[3]) for channel, one in best.items()
     )
     used = {source.source for source in sources}
     return sources, {one[1]: one[3] for one in candidates if one[1] not in used}

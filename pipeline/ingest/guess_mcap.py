@@ -1,4 +1,4 @@
-"""Which topics and fields of an MCAP file are likely channels, and which time they go by."""
+"""Guesses at the channels among the topics and fields of an MCAP file, and at their time."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.ingest.guess_channels import channel_of, preference, unit_of, words_of
+from pipeline.config.field_paths import FieldPath, path_text
+from pipeline.ingest.guess_channels import (
+    best_by_channel,
+    channel_of,
+    preference,
+    unit_of,
+    words_of,
+)
 from pipeline.ingest.guess_layout import VALUE_WORDS, Source
 from pipeline.ingest.guess_times import (
     TimeGuess,
@@ -17,14 +24,12 @@ from pipeline.ingest.guess_times import (
     is_time_name,
     number_format,
 )
-from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import NANOSECONDS, SECONDS
 from pipeline.ingest.mcap_topics import Topic, read_topics
-from pipeline.units import CHANNELS, QUANTITIES
+from pipeline.units import QUANTITIES
 
 _FIELDS_SHOWN = 40
 _SAMPLES_SHOWN = 3
-_PORTS = ("high_port_pressure", "low_port_pressure")
 # Fields beside a reading that are none.
 _NO_READINGS = {
     *("seq", "sequence", "sec", "secs", "nanosec", "nsec", "nsecs", "nanos", "seconds"),
@@ -39,28 +44,15 @@ _STANDARD_UNITS = {
 
 @dataclass(frozen=True, slots=True)
 class McapGuess:
-    """How an MCAP file seems to be read.
+    """Channels and time of an MCAP file."""
 
-    Attributes
-    ----------
-    listing
-        What is there: a line a topic, and one a field of it.
-    time, remark
-        Time of the messages to go by, and what speaks for another.
-    stamp, stamp_format
-        Path of a stamp in all messages of the channels, or nothing; how it is written, where it is
-        no pair of seconds and nanoseconds.
-    unused
-        Fields that no channel was found for, with samples.
-    """
-
-    listing: tuple[str, ...]
-    time: str
-    remark: str
-    stamp: str
-    stamp_format: TimeGuess | None
+    listing: tuple[str, ...]  # a line a topic, and one a field of it
+    time: str  # of the messages, to go by
+    remark: str  # what speaks for another time
+    stamp: str  # path of a stamp in all messages of the channels, or nothing
+    stamp_format: TimeGuess | None  # None for a pair of seconds and nanoseconds
     sources: tuple[Source, ...]
-    unused: Mapping[str, tuple[str, ...]]
+    unused: Mapping[str, tuple[str, ...]]  # samples of fields that no channel was found for
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,23 +73,10 @@ class _Reading:
 
 
 def guess_mcap(path: Path) -> McapGuess:
-    """Topics of a file and what they seem to be.
-
-    Raises
-    ------
-    LogError
-        As `pipeline.ingest.mcap_messages.read_messages`.
-    """
+    """Topics of a file, and the channels that they seem to be."""
     topics = read_topics(path)
     readings = [one for topic in topics for one in _readings(topic)]
-    best: dict[str, _Reading] = {}
-    for one in readings:
-        other = best.get(one.channel or "")
-        if one.channel and (other is None or _merit(one) > _merit(other)):
-            best[one.channel] = one
-    if "pressure_difference" in best:
-        best = {channel: one for channel, one in best.items() if channel not in _PORTS}
-    chosen = [best[channel] for channel in CHANNELS if channel in best]
+    chosen = best_by_channel((one.channel, _merit(one), one) for one in readings).values()
     of_channels = list({one.topic.name: one.topic for one in chosen}.values())
     stamp, stamp_format = _stamp(of_channels)
     time, remark = ("log_time", "") if stamp else _time(of_channels)
@@ -127,7 +106,9 @@ def _readings(topic: Topic) -> Iterator[_Reading]:
         and not (is_time_name(_name(path)) and number_format(_finite(numbers)))
     ]
     for path in paths:
-        yield _Reading(topic, path, _channel(topic.name, path, len(paths) == 1))
+        has_reading = bool(_finite(topic.fields[path]))
+        channel = _channel(topic.name, path, len(paths) == 1) if has_reading else None
+        yield _Reading(topic, path, channel)
 
 
 def _name(path: FieldPath) -> str:

@@ -1,4 +1,4 @@
-"""How time stamps seem to be written. The reader's own parser is the judge of every guess."""
+"""Guesses at the format of time stamps, each judged by the reader's own parser."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.clock import latest_us
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.ingest.time_stamps import (
-    EPOCH_UNITS,
-    EXCEL_DAYS,
-    TimeStamps,
-    from_text,
     placed,
     written_as_numbers,
+    written_as_text,
 )
+from pipeline.ingest.wall_clock import TimeStamps
 
 _TIME_NAME = re.compile(
     r"(?i)^\W*(date.?time|time.?stamp|time|zeit(stempel)?|uhrzeit|datum|date|tid(sstämpel)?|"
@@ -48,26 +47,19 @@ _MONTH_US = 20 * 86_400_000_000
 
 @dataclass(frozen=True, slots=True)
 class TimeGuess:
-    """How stamps are written.
+    """Formats of time stamps, as in `logs.time_format`.
 
-    Attributes
-    ----------
-    formats
-        As in `LogSource.time_format`, the likeliest first; more than one where the stamps can be
-        read in several ways, empty where in none.
-    has_zone
-        Whether the stamps say their zone, or are counted from 1970.
-    readings
-        What the first stamp is in each format, for a person to choose by.
+    There are several where the stamps can be read in several ways, the likeliest first, and none
+    where in none; `readings` are what the first stamp is in each, for a person to choose by.
     """
 
     formats: tuple[str, ...]
-    has_zone: bool = False
+    has_zone: bool = False  # the stamps say their zone, or are counted from 1970
     readings: tuple[str, ...] = ()
 
 
 def is_time_name(name: str) -> bool:
-    """Whether a column's name is that of a time.
+    """True if a column's name is that of a time.
 
     Examples
     --------
@@ -78,7 +70,7 @@ def is_time_name(name: str) -> bool:
 
 
 def is_stamp(cell: str) -> bool:
-    """Whether a cell is a whole time stamp, not a count."""
+    """True if a cell is a whole time stamp, not a count."""
     text = cell.strip()
     if _STAMP.fullmatch(text):
         return True
@@ -92,27 +84,20 @@ def is_stamp(cell: str) -> bool:
 
 
 def is_date(cell: str) -> bool:
-    """Whether a cell is a date alone."""
+    """True if a cell is a date alone."""
     return bool(_DATE_ONLY.fullmatch(cell.strip())) and not _NUMBER.fullmatch(cell.strip())
 
 
 def is_clock(cell: str) -> bool:
-    """Whether a cell is a time of day alone."""
+    """True if a cell is a time of day alone."""
     text = cell.strip()
     return ":" in text and bool(_CLOCK_ONLY.fullmatch(text))
 
 
 def guess_time(stamps: Sequence[str], decimal: str = ".", file_name: str = "") -> TimeGuess:
-    """How time stamps in text seem to be written.
+    """Formats of time stamps in text, some of a log in its order, none of them blank.
 
-    Parameters
-    ----------
-    stamps
-        Some of a log, in its order; none is blank.
-    decimal
-        Decimal mark of the log, for stamps that are counts.
-    file_name
-        A date in it tells day from month.
+    The decimal mark is for stamps that are counts; a date in the file's name tells day from month.
 
     Examples
     --------
@@ -209,7 +194,8 @@ def _clock_format(match: re.Match[str]) -> str:
 
 
 def _parsed(stamps: Sequence[str], form: str) -> TimeStamps:
-    return from_text(pa.chunked_array([pa.array([s.strip() for s in stamps])]), form, "UTC")
+    texts = pa.chunked_array([pa.array([stamp.strip() for stamp in stamps])])
+    return placed([written_as_text(texts, form)], "UTC")
 
 
 def _readable(stamps: Sequence[str], formats: Iterable[str]) -> list[str]:
@@ -218,8 +204,10 @@ def _readable(stamps: Sequence[str], formats: Iterable[str]) -> list[str]:
 
 
 def _likeliest(stamps: Sequence[str], formats: Sequence[str], file_name: str) -> list[str]:
-    """Of formats that all fit, those in which the log is as logs are: no steps of months, nothing
-    in the future, and on the date that the file is named after."""
+    """Of formats that all fit, those in which the log is as logs are.
+
+    It has no steps of months, nothing in the future, and is of the date that the file is named for.
+    """
     kept = list(dict.fromkeys(formats))
     latest = latest_us()
     times = {form: _parsed(stamps, form).time_us for form in kept}

@@ -8,23 +8,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap_cdr_walk import HEAD, ORDERS, Found, TooManySteps, walked
-from pipeline.ingest.mcap_fields import number_kind, stamp_parts
+from pipeline.ingest.mcap_fields import wanted_kinds
 from pipeline.ingest.mcap_layout import Schema
-from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import (
     Decoded,
     Decoder,
     Payloads,
-    stamps_of_numbers,
-    stamps_of_seconds,
+    stamps_of_parts,
 )
-from pipeline.ingest.mcap_ros2_types import Definitions, Message, Ros2Place
+from pipeline.ingest.mcap_ros2_types import Message, Ros2Place
 from pipeline.ingest.mcap_ros2idl import ros2idl_definitions
 from pipeline.ingest.mcap_ros2msg import ros2msg_definitions
-from pipeline.ingest.time_stamps import WrittenStamps
 
 ROS2_LANGUAGES = {"ros2msg": ros2msg_definitions, "ros2idl": ros2idl_definitions}
 """Readers of definitions by the schema's encoding."""
@@ -48,39 +46,23 @@ def cdr_decoder(
     stamp: FieldPath | None,
     time_format: str,
 ) -> Decoder:
-    """Decoder of the messages of a schema.
-
-    Parameters
-    ----------
-    path, topic
-        For messages of errors.
-    schema
-        Its record, in one of `ROS2_LANGUAGES`.
-    fields
-        What is wanted of each message.
-    stamp
-        Where its time stamp is: a number, or a message of seconds and nanoseconds.
-    time_format
-        How a stamp is written that is one number.
+    """Decoder of the messages of a schema in one of `ROS2_LANGUAGES`.
 
     Raises
     ------
     LogError
-        ``log_damaged``, ``log_encoding``; ``log_column_missing`` or ``log_type`` where a path leads
-        nowhere, or to something else than a number. The decoder raises ``log_encoding`` where all
-        messages are in another representation of DDS, and ``log_too_large`` where they have no end
-        of fields.
+        As `ros2_root` and `wanted_kinds`. The decoder raises ``log_encoding`` where all messages
+        are in another representation of DDS, and ``log_too_large`` where they have no end of
+        fields.
     """
-    definitions = ros2_definitions(path, topic, schema)
-    root = Ros2Place(definitions, Message(definitions.root))
-    stamps = [] if stamp is None else stamp_parts(root, stamp)
-    kinds = {one: number_kind(path, topic, root, one) for one in (*fields, *stamps)}
+    root = ros2_root(path, topic, schema)
+    kinds, parts = wanted_kinds(path, topic, root, fields, stamp)
 
     def decode(payloads: Payloads) -> Decoded:
         identifier = _identifiers(payloads)
         _require_plain(path, topic, identifier)
         try:
-            found = walked(payloads, identifier, definitions, kinds)
+            found = walked(payloads, identifier, root.definitions, kinds)
         except TooManySteps as error:
             raise LogError(
                 "log_too_large",
@@ -89,13 +71,14 @@ def cdr_decoder(
                 topic,
             ) from error
         readings = {one: _readings(found, one) for one in fields}
-        return Decoded(readings, _stamps(found, stamps, time_format) if stamps else None)
+        stamps = [(found.values[one], found.there[one] & found.sound) for one in parts]
+        return Decoded(readings, stamps_of_parts(stamps, time_format) if stamps else None)
 
     return decode
 
 
-def ros2_definitions(path: Path, topic: str, schema: Schema) -> Definitions:
-    """A message and those it is made of, in the language that its schema is written in.
+def ros2_root(path: Path, topic: str, schema: Schema) -> Ros2Place:
+    """A message, as its schema lays it out.
 
     Raises
     ------
@@ -103,7 +86,8 @@ def ros2_definitions(path: Path, topic: str, schema: Schema) -> Definitions:
         ``log_encoding`` for a type that is not read, ``log_damaged`` for a definition that is none.
     """
     try:
-        return ROS2_LANGUAGES[schema.encoding](schema)
+        definitions = ROS2_LANGUAGES[schema.encoding](schema)
+        return Ros2Place(definitions, Message(definitions.root))
     except NotImplementedError as error:
         raise LogError(
             "log_encoding", path, f"messages of topic {topic!r} have {error}", topic
@@ -115,7 +99,7 @@ def ros2_definitions(path: Path, topic: str, schema: Schema) -> Definitions:
 
 
 def _identifiers(payloads: Payloads) -> NDArray[np.int64]:
-    """What each message says of its representation; -1 where it is too short to."""
+    """Representation that each message says it is in; -1 where it is too short to."""
     head = payloads.start
     text = payloads.text
     long_enough = payloads.length >= HEAD
@@ -141,11 +125,3 @@ def _readings(found: Found, path: FieldPath) -> Readings:
     raw = np.where(there, found.values[path].astype(np.float64), np.nan)
     example = None if found.sound.all() else "a message that is cut or not in CDR"
     return Readings(raw, ~there, ~found.sound, example)
-
-
-def _stamps(found: Found, parts: Sequence[FieldPath], time_format: str) -> WrittenStamps:
-    there = found.there[parts[0]] & found.sound
-    if len(parts) == 2:
-        return stamps_of_seconds(found.values[parts[0]], found.values[parts[1]], there)
-    # Nothing is before 1990, so that a missing one is not readable.
-    return stamps_of_numbers(np.where(there, found.values[parts[0]], 0), time_format)

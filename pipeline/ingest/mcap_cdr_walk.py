@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
 from pipeline.ingest.mcap_layout import fields_at
-from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import Payloads
 from pipeline.ingest.mcap_ros2_types import Array, Definitions, Message, Number, Text, Type
 
@@ -46,24 +46,12 @@ class TooManySteps(Exception):  # noqa: N818 - it says what there is
 
 @dataclass(slots=True)
 class Found:
-    """What was found in messages.
+    """Numbers found in messages, by path."""
 
-    Attributes
-    ----------
-    values
-        Numbers by path, in their own type.
-    there
-        By path, in which messages they were.
-    sound : (n,) bool
-        Messages that have all that they say they have.
-    steps_left
-        How many fields may still be gone past.
-    """
-
-    values: dict[FieldPath, NDArray[Any]]
-    there: dict[FieldPath, NDArray[np.bool_]]
-    sound: NDArray[np.bool_]
-    steps_left: int = MOST_STEPS
+    values: dict[FieldPath, NDArray[Any]]  # in their own type
+    there: dict[FieldPath, NDArray[np.bool_]]  # messages that have them
+    sound: NDArray[np.bool_]  # messages that have all that they say they have
+    steps_left: int = MOST_STEPS  # fields that may still be gone past
 
     def step(self) -> None:
         """Count a field that is gone past."""
@@ -74,7 +62,7 @@ class Found:
 
 @dataclass(slots=True)
 class _Walk:
-    """Where some messages of one byte order have been read to.
+    """Places up to which some messages of one byte order have been read.
 
     A message's position is its anchor plus the offset that all have in common; anchors are
     multiples of `alignment` away from the base.
@@ -144,18 +132,9 @@ def walked(
     definitions: Definitions,
     kinds: Mapping[FieldPath, str],
 ) -> Found:
-    """What is wanted of messages.
+    """Wanted numbers of messages, of NumPy's types by path.
 
-    Parameters
-    ----------
-    payloads
-        n messages.
-    identifier : (n,) int64
-        Their representation identifiers; those not in `ORDERS` are not sound.
-    definitions
-        Their layout.
-    kinds
-        NumPy's names of the types of the wanted numbers, by path.
+    Messages whose representation identifiers are not in `ORDERS` are not sound.
 
     Raises
     ------

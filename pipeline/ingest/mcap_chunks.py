@@ -21,20 +21,7 @@ _MOST_GAPS = 64
 
 
 def unpacked_chunk(path: Path, content: memoryview, where: str) -> memoryview:
-    """The records of a chunk.
-
-    Parameters
-    ----------
-    path, where
-        File and place, for messages of errors.
-    content
-        The chunk record's.
-
-    Raises
-    ------
-    LogError
-        ``log_damaged``, ``log_compression``, ``log_too_large``.
-    """
+    """The records of a chunk record's content; `where` it lies is for messages."""
     try:
         _, _, size, checksum, name_length = _CHUNK_HEAD.unpack_from(content)
         data_start = _CHUNK_HEAD.size + name_length + 8
@@ -75,13 +62,7 @@ def _first_bytes(packed: memoryview, codec: str, count: int) -> memoryview:
 
 
 def indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:
-    """Where messages begin in a chunk, in ascending order, as its message index records say.
-
-    Parameters
-    ----------
-    indexes
-        Contents of the records.
-    """
+    """Begins of messages in a chunk, in ascending order, as its message index records say."""
     parts = [np.empty(0, "<u8")]
     for index in indexes:
         numbers = max(len(index) - _INDEX_HEAD, 0) // 16 * 2
@@ -94,15 +75,10 @@ def indexed_positions(indexes: Sequence[memoryview]) -> NDArray[np.int64]:
 def offsets_in_chunk(
     records: memoryview, positions: NDArray[np.int64]
 ) -> tuple[NDArray[np.int64], int]:
-    """Where the records of a chunk begin, and where the last of them ends.
+    """Begins of the records of a chunk, and the end of the last of them.
 
-    Parameters
-    ----------
-    records
-        Of the chunk.
-    positions : (n,) int64
-        Where some of them may begin, in ascending order: believed only where each step, taken from
-        the chunk's begin, leads from one to the next.
+    Some of them may begin at the positions, which are in ascending order and believed only where
+    each step, taken from the chunk's begin, leads from one to the next.
     """
     found = _steps(records, positions)
     if found is not None:

@@ -1,17 +1,18 @@
-"""What a field path leads to, as the schema of a message says, whatever the schema's language."""
+"""Places that field paths lead to in a message, whatever the language of its schema."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
-from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import NANOSECONDS, SECONDS
 
 _MOST_NAMES = 40
-_DEEPEST = 6
+_DEEPEST = 8
+_MOST_PLACES = 2**14
 
 
 class Place(Protocol):
@@ -23,35 +24,49 @@ class Place(Protocol):
 
     @property
     def what(self) -> str:
-        """What is here, in words."""
+        """The thing that is here, in words."""
 
     def steps(self) -> Iterable[str | int]:
-        """The steps inwards: fields, or an array's first position."""
+        """The steps inwards: fields, or an array's first positions."""
 
     def inside(self, step: str | int) -> Place | None:
-        """What is one step further inwards; None where that leads nowhere."""
+        """The place one step further inwards; None where that leads nowhere."""
 
 
-def number_kind(path: Path, topic: str, root: Place, wanted: FieldPath) -> str:
-    """NumPy's name of the type of a field.
-
-    Parameters
-    ----------
-    path, topic
-        For messages of errors.
-    root
-        The message.
-    wanted
-        The field.
+def wanted_kinds(
+    path: Path, topic: str, root: Place, fields: Sequence[FieldPath], stamp: FieldPath | None
+) -> tuple[dict[FieldPath, str], list[FieldPath]]:
+    """NumPy's names of the types of fields and of a stamp's parts, and these parts.
 
     Raises
     ------
     LogError
-        ``log_column_missing`` or ``log_type``: the path leads nowhere, or to no number.
+        ``log_column_missing`` or ``log_type``: a path leads nowhere, or to no number.
     """
+    parts = [] if stamp is None else _stamp_parts(root, stamp)
+    return {one: _number_kind(path, topic, root, one) for one in (*fields, *parts)}, parts
+
+
+def number_paths(root: Place, most: int) -> list[FieldPath]:
+    """Paths to the first numbers; a message of Protobuf may hold itself."""
+    found: list[FieldPath] = []
+    waiting: list[tuple[Place, FieldPath]] = [(root, ())]
+    for _ in range(_MOST_PLACES):
+        if not waiting or len(found) == most:
+            break
+        place, path = waiting.pop()
+        if place.number is not None:
+            found.append(path)
+        elif len(path) < _DEEPEST:
+            inner = ((place.inside(step), (*path, step)) for step in place.steps())
+            waiting += reversed([(below, at) for below, at in inner if below is not None])
+    return found
+
+
+def _number_kind(path: Path, topic: str, root: Place, wanted: FieldPath) -> str:
     place = _at(root, wanted)
     if place is None:
-        there = ", ".join(repr(path_text(one)) for one in _numbers(root, ())[:_MOST_NAMES])
+        there = ", ".join(repr(path_text(one)) for one in number_paths(root, _MOST_NAMES))
         raise LogError(
             "log_column_missing",
             path,
@@ -65,7 +80,7 @@ def number_kind(path: Path, topic: str, root: Place, wanted: FieldPath) -> str:
     return place.number
 
 
-def stamp_parts(root: Place, stamp: FieldPath) -> list[FieldPath]:
+def _stamp_parts(root: Place, stamp: FieldPath) -> list[FieldPath]:
     """Paths to the seconds and nanoseconds of a stamp, or to the one number that it is."""
     place = _at(root, stamp)
     names = [] if place is None else list(place.steps())
@@ -79,15 +94,3 @@ def _at(root: Place, path: FieldPath) -> Place | None:
     for step in path:
         place = None if place is None else place.inside(step)
     return place
-
-
-def _numbers(place: Place, path: FieldPath) -> list[FieldPath]:
-    """Paths to the first numbers; a message of Protobuf may hold itself."""
-    if place.number is not None:
-        return [path]
-    found: list[FieldPath] = []
-    for step in place.steps() if len(path) < _DEEPEST else ():
-        inner = place.inside(step)
-        if inner is not None and len(found) < _MOST_NAMES:
-            found += _numbers(inner, (*path, step))
-    return found

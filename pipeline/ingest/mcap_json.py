@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,12 +18,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.json as arrow_json
-from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath, path_text
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings
+from pipeline.ingest.assembly import Readings, readings_of
 from pipeline.ingest.mcap_messages import read_messages
-from pipeline.ingest.mcap_paths import FieldPath, path_text
 from pipeline.ingest.mcap_payloads import (
     NANOSECONDS,
     SECONDS,
@@ -30,12 +30,14 @@ from pipeline.ingest.mcap_payloads import (
     Decoder,
     Payloads,
     stamps_of_numbers,
-    stamps_of_seconds,
+    stamps_of_parts,
     unreadable_stamps,
 )
 from pipeline.ingest.time_stamps import WrittenStamps, written_as_text
 
 _INT64 = np.iinfo(np.int64)
+_ELEMENTS_SHOWN = 4
+_DEEPEST = 6
 _Tree = dict[str | int, Any]
 """Arrow types by path, step by step."""
 
@@ -46,18 +48,9 @@ def json_decoder(
     time_format: str,
     qualities: Sequence[FieldPath] = (),
 ) -> Decoder:
-    """Decoder of JSON messages.
+    """Decoder of JSON messages; a quality may be text, a number or a truth value.
 
-    Parameters
-    ----------
-    fields
-        What is wanted of each message.
-    stamp
-        Where its time stamp is: a number, a text, or an object of seconds and nanoseconds.
-    time_format
-        How a stamp is written that is a number or text.
-    qualities
-        What is wanted as it stands: text, a number or a truth value.
+    A stamp is a number or text in a format, or an object of seconds and nanoseconds.
     """
 
     def decode(payloads: Payloads) -> Decoded:
@@ -84,11 +77,11 @@ def require_json_field(path: Path, topic: str, field: FieldPath, *, salvage: boo
         ids = [i for i, channel in messages.channels.items() if channel.topic == topic]
         for i in np.flatnonzero(np.isin(messages.channel_id, ids)).tolist():
             payload = messages.buffer[messages.payload_start[i] : messages.payload_end[i]]
-            message = _object(bytes(payload)) or {}
+            message = json_object(bytes(payload)) or {}
             if _has(message, field):
                 return
             if len(there) < 40:
-                there.update(path_text(one) for one in _paths(message, ()))
+                there.update(path_text(one) for one, _ in islice(leaves(message), 40))
     raise LogError(
         "log_column_missing",
         path,
@@ -101,8 +94,10 @@ def require_json_field(path: Path, topic: str, field: FieldPath, *, salvage: boo
 def _stamp_kinds(
     payloads: Payloads, stamp: FieldPath | None, time_format: str
 ) -> list[dict[FieldPath, pa.DataType]]:
-    """Types that the stamp's parts may have, by path, as the first message has it; none: no type
-    can be told."""
+    """Types that the stamp's parts may have, by path, as the first message has it.
+
+    None at all where it tells no type.
+    """
     if stamp is None:
         return [{}]
     value = _value(_first(payloads), stamp)
@@ -120,7 +115,7 @@ def _stamp_kinds(
 def _quality_types(
     payloads: Payloads, qualities: Sequence[FieldPath]
 ) -> dict[FieldPath, pa.DataType]:
-    """Types of what is wanted as it stands, as the first message has it."""
+    """Types of the qualities, as the first message has them."""
     first = _first(payloads) if qualities else None
     types: dict[FieldPath, pa.DataType] = {}
     for path in qualities:
@@ -133,7 +128,7 @@ def _quality_types(
 
 
 def _first(payloads: Payloads) -> dict[str, Any] | None:
-    return _object(payloads.text[payloads.start[0] :][: payloads.length[0]].tobytes())
+    return json_object(payloads.text[payloads.start[0] :][: payloads.length[0]].tobytes())
 
 
 def _names(value: Mapping[str, Any]) -> tuple[str, str] | None:
@@ -150,8 +145,7 @@ def _at_once(
     time_format: str,
     quality_types: Mapping[FieldPath, pa.DataType],
 ) -> Decoded | None:
-    """Readings, where every line is one object and every wanted value of its type or null; else
-    None."""
+    """Readings; None unless every line is one object and every wanted value of its type or null."""
     # A stamp may be a reading too, but not where it is text.
     if any(stamp_types.get(field) == pa.string() for field in fields):
         return None
@@ -161,7 +155,7 @@ def _at_once(
     table = _table(payloads, {**types, **quality_types})
     if table is None:
         return None
-    readings = {field: _readings(_column(table, field)) for field in fields}
+    readings = {field: readings_of(_column(table, field)) for field in fields}
     parts = [_column(table, part) for part in stamp_types]
     qualities = {path: _column(table, path) for path in quality_types}
     return Decoded(readings, _stamps(parts, time_format) if parts else None, qualities)
@@ -234,23 +228,14 @@ def _element(lists: pa.ListArray, position: int) -> pa.Array:
     return lists.values.take(pa.array(at, mask=length <= position))
 
 
-def _readings(column: pa.Array) -> Readings:
-    missing = column.is_null().to_numpy(zero_copy_only=False)
-    numbers = pc.fill_null(column.cast(pa.float64(), safe=False), np.nan)
-    raw: NDArray[np.float64] = numbers.to_numpy(zero_copy_only=False)
-    return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
-
-
 def _stamps(parts: Sequence[pa.Array], time_format: str) -> WrittenStamps:
-    there = parts[0].is_valid().to_numpy(zero_copy_only=False)
-    if len(parts) == 2:
-        there &= parts[1].is_valid().to_numpy(zero_copy_only=False)
-        seconds, nanoseconds = (pc.fill_null(part, 0).to_numpy() for part in parts)
-        return stamps_of_seconds(seconds, nanoseconds, there)
     if pa.types.is_string(parts[0].type):
         return written_as_text(pa.chunked_array(parts), time_format)
-    # Nothing is before 1990, so that a missing one is not readable.
-    return stamps_of_numbers(pc.fill_null(parts[0], 0).to_numpy(), time_format)
+    numbers = [
+        (pc.fill_null(part, 0).to_numpy(), part.is_valid().to_numpy(zero_copy_only=False))
+        for part in parts
+    ]
+    return stamps_of_parts(numbers, time_format)
 
 
 def _one_by_one(
@@ -267,11 +252,8 @@ def _one_by_one(
     examples: dict[FieldPath, str] = {}
     stamps: list[object] = []
     words: dict[FieldPath, list[str | None]] = {path: [] for path in qualities}
-    text = payloads.text.tobytes()
-    spans = zip(payloads.start.tolist(), payloads.length.tolist(), strict=True)
-    for i, (start, length) in enumerate(spans):
-        payload = text[start : start + length]
-        message = _object(payload)
+    for i, payload in enumerate(payloads.each()):
+        message = json_object(payload)
         for field in fields:
             value = _value(message, field)
             number = _number(value)
@@ -314,8 +296,8 @@ def _number_stamp(value: object, time_format: str) -> WrittenStamps:
     if isinstance(value, dict) and (names := _names(value)):
         parts = [value[name] for name in names]
         if all(_fits(part) for part in parts):
-            seconds, nanoseconds = (np.array([part]) for part in parts)
-            return stamps_of_seconds(seconds, nanoseconds, np.ones(1, np.bool_))
+            there = np.ones(1, np.bool_)
+            return stamps_of_parts([(np.array([part]), there) for part in parts], time_format)
     if _fits(value) or isinstance(value, float):
         return stamps_of_numbers(np.array([value]), time_format)
     return unreadable_stamps(1)
@@ -327,7 +309,8 @@ def _fits(value: object) -> bool:
     )
 
 
-def _object(payload: bytes) -> dict[str, Any] | None:
+def json_object(payload: bytes) -> dict[str, Any] | None:
+    """The object that a message is; None: it is none."""
     try:
         message = json.loads(payload)
     except (ValueError, RecursionError):
@@ -336,7 +319,7 @@ def _object(payload: bytes) -> dict[str, Any] | None:
 
 
 def _value(message: object, path: FieldPath) -> object:
-    """What a path leads to; None where it leads nowhere."""
+    """The value that a path leads to; None where it leads nowhere."""
     for step in path:
         if isinstance(message, dict if isinstance(step, str) else list) and _in(message, step):
             message = message[step]  # type: ignore[index]
@@ -350,7 +333,7 @@ def _in(node: Any, step: str | int) -> bool:
 
 
 def _has(message: object, path: FieldPath) -> bool:
-    """Whether a path leads to something, be it null, or is cut short by a null."""
+    """True if a path leads to something, be it null, or is cut short by a null."""
     for step in path:
         if message is None:
             return True
@@ -362,15 +345,19 @@ def _has(message: object, path: FieldPath) -> bool:
     return True
 
 
-def _paths(node: object, path: FieldPath) -> list[FieldPath]:
-    """Paths to what is neither object nor array, the first forty."""
+def leaves(node: Any, path: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
+    """Values that are neither objects nor arrays, by path; of an array the first ones."""
+    below: Iterable[tuple[str | int, Any]] = ()
     if isinstance(node, dict):
-        below = list(node.items())[:40]
+        below = node.items()
     elif isinstance(node, list):
-        below = list(enumerate(node[:3]))
+        below = enumerate(node[:_ELEMENTS_SHOWN])
     else:
-        return [path]
-    return [leaf for step, inner in below for leaf in _paths(inner, (*path, step))][:40]
+        yield path, node
+    for step, inner in below if len(path) < _DEEPEST else ():
+        # A key without a letter cannot stand in a path.
+        if step != "":
+            yield from leaves(inner, (*path, step))
 
 
 def _number(value: object) -> float | None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -40,7 +41,7 @@ _FOOTER = struct.Struct("<BQQQI")
 _CHECKSUM_BYTES = 4
 
 
-class Channel(NamedTuple):
+class ChannelRecord(NamedTuple):
     """A channel record: what the messages of an id are; schema 0 is none."""
 
     topic: str
@@ -56,8 +57,41 @@ class Schema(NamedTuple):
     data: bytes
 
 
+@dataclass(frozen=True, slots=True)
+class Declared:
+    """Channels and schemas by id; they may be repeated but not changed."""
+
+    channels: dict[int, ChannelRecord] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+
+    def add(self, path: Path, opcode: int, content: bytes) -> None:
+        """Add the content of a channel or schema record."""
+        known: ChannelRecord | Schema
+        declared: ChannelRecord | Schema
+        try:
+            if opcode == CHANNEL:
+                number, schema_id = _CHANNEL_HEAD.unpack_from(content)
+                topic, at = _text(content, _CHANNEL_HEAD.size)
+                encoding, _ = _text(content, at)
+                declared = ChannelRecord(topic, encoding, schema_id)
+                known = self.channels.setdefault(number, declared)
+            else:
+                (number,) = _SCHEMA_HEAD.unpack_from(content)
+                name, at = _text(content, _SCHEMA_HEAD.size)
+                encoding, at = _text(content, at)
+                declared = Schema(name, encoding, _bytes(content, at)[0])
+                known = self.schemas.setdefault(number, declared)
+        except (struct.error, UnicodeDecodeError) as error:
+            raise LogError(
+                "log_damaged", path, f"a channel or schema record cannot be read: {error}"
+            ) from error
+        if known != declared:
+            what = "channel" if opcode == CHANNEL else "schema"
+            raise LogError("log_damaged", path, f"{what} {number} is declared twice over")
+
+
 class Statistics(NamedTuple):
-    """What the writer says it has written, log times in ns."""
+    """The writer's own count of its messages, log times in ns."""
 
     message_count: int
     first_log_time: int
@@ -66,26 +100,15 @@ class Statistics(NamedTuple):
 
 
 class Summary(NamedTuple):
-    """What stands behind the data section.
+    """The part behind the data section."""
 
-    Attributes
-    ----------
-    start
-        Where the data section ends, in bytes.
-    channels, schemas
-        By id; a writer may leave them out.
-    statistics
-        None where the writer left them out.
-    """
-
-    start: int
-    channels: Mapping[int, Channel]
-    schemas: Mapping[int, Schema]
-    statistics: Statistics | None
+    start: int  # where the data section ends, in bytes
+    declared: Declared  # a writer may leave them out
+    statistics: Statistics | None  # None where the writer left them out
 
 
 def record_offsets(buffer: memoryview) -> tuple[list[int], int]:
-    """Where the records begin that lie whole in a buffer, and where the last of them ends.
+    """Begins of the records that lie whole in a buffer, and the end of the last of them.
 
     Examples
     --------
@@ -117,49 +140,8 @@ def fields_at(buffer: memoryview, at: NDArray[np.int64], dtype: str) -> NDArray[
     return everywhere[at]
 
 
-def read_channel(path: Path, content: bytes) -> tuple[int, Channel]:
-    """Id and content of a channel record.
-
-    Raises
-    ------
-    LogError
-        ``log_damaged``.
-    """
-    try:
-        channel_id, schema_id = _CHANNEL_HEAD.unpack_from(content)
-        topic, at = _text(content, _CHANNEL_HEAD.size)
-        encoding, _ = _text(content, at)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise LogError("log_damaged", path, f"a channel record cannot be read: {error}") from error
-    return channel_id, Channel(topic, encoding, schema_id)
-
-
-def read_schema(path: Path, content: bytes) -> tuple[int, Schema]:
-    """Id and content of a schema record.
-
-    Raises
-    ------
-    LogError
-        ``log_damaged``.
-    """
-    try:
-        (schema_id,) = _SCHEMA_HEAD.unpack_from(content)
-        name, at = _text(content, _SCHEMA_HEAD.size)
-        encoding, at = _text(content, at)
-        data, _ = _bytes(content, at)
-    except (struct.error, UnicodeDecodeError) as error:
-        raise LogError("log_damaged", path, f"a schema record cannot be read: {error}") from error
-    return schema_id, Schema(name, encoding, data)
-
-
 def read_summary(path: Path, file: BinaryIO) -> Summary:
-    """Footer and summary section of an open file.
-
-    Raises
-    ------
-    LogError
-        ``log_not_mcap``, ``log_truncated`` or ``log_damaged``.
-    """
+    """Footer and summary section of an open file, after its first bytes."""
     if file.read(len(MAGIC)) != MAGIC:
         raise LogError("log_not_mcap", path, "the file does not begin as MCAP does")
     footer_start = file.seek(0, 2) - len(MAGIC) - _FOOTER.size
@@ -183,26 +165,19 @@ def read_summary(path: Path, file: BinaryIO) -> Summary:
     return Summary(start, *_summary_records(path, section))
 
 
-def _summary_records(
-    path: Path, section: bytes
-) -> tuple[Mapping[int, Channel], Mapping[int, Schema], Statistics | None]:
+def _summary_records(path: Path, section: bytes) -> tuple[Declared, Statistics | None]:
     offsets, end = record_offsets(memoryview(section))
     if end != len(section):
         raise LogError("log_damaged", path, "the records of the summary do not fill it")
-    channels: dict[int, Channel] = {}
-    schemas: dict[int, Schema] = {}
+    declared = Declared()
     statistics = None
     for start, stop in pairwise([*offsets, end]):
         content = section[start + PREFIX.size : stop]
-        if section[start] == CHANNEL:
-            channel_id, channel = read_channel(path, content)
-            channels[channel_id] = channel
-        elif section[start] == SCHEMA:
-            schema_id, schema = read_schema(path, content)
-            schemas[schema_id] = schema
+        if section[start] in (CHANNEL, SCHEMA):
+            declared.add(path, section[start], content)
         elif section[start] == STATISTICS:
             statistics = _statistics(path, content)
-    return channels, schemas, statistics
+    return declared, statistics
 
 
 def _statistics(path: Path, content: bytes) -> Statistics:

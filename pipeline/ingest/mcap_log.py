@@ -17,31 +17,26 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath, field_path, path_text
+from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import judged, judged_together, raw_channel, raw_log, span
-from pipeline.ingest.contract import (
-    ChannelSource,
-    LogSource,
-    QualityValue,
-    RawChannel,
-    RawLog,
-)
+from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span
+from pipeline.ingest.contract import RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap_cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap_json import json_decoder, require_json_field
-from pipeline.ingest.mcap_layout import Channel, Schema, read_summary
+from pipeline.ingest.mcap_layout import ChannelRecord, Schema, read_summary
 from pipeline.ingest.mcap_messages import Messages, read_messages
-from pipeline.ingest.mcap_paths import FieldPath, field_path, path_text
 from pipeline.ingest.mcap_payloads import Decoded, Decoder, Payloads, payloads_of, stacked
 from pipeline.ingest.mcap_protobuf import protobuf_decoder
 from pipeline.ingest.quality import BLANK, quality_states
 from pipeline.ingest.time_stamps import (
-    TimeStamps,
     WrittenStamps,
     from_epoch,
     placed,
     written_as_numbers,
 )
+from pipeline.ingest.wall_clock import TimeStamps
 
 _PIECE = 8 * 2**20
 _COST_OF_MESSAGE = 64
@@ -55,7 +50,7 @@ _Quality = tuple[FieldPath, tuple[QualityValue, ...]]
 
 
 class _Fields(NamedTuple):
-    """What is wanted of each message of a topic: readings, and what it says of them."""
+    """Wanted fields of each message of a topic: readings, and what it says of them."""
 
     readings: tuple[FieldPath, ...]
     qualities: tuple[_Quality, ...]
@@ -70,7 +65,7 @@ _Key = tuple[str, Schema, _Fields]
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """What the pieces hold of one topic, in the order of the file."""
+    """The messages of one topic, in the order of the file."""
 
     stamps: GatheredStamps
     fields: dict[FieldPath, GatheredReadings]
@@ -79,7 +74,7 @@ class _Parts:
 
 @dataclass(slots=True)
 class _Decoders:
-    """Which topic and which decoder a channel id has; -1 for what is not wanted."""
+    """Topic and decoder by channel id; -1 for what is not wanted."""
 
     topic: NDArray[np.int16]
     number: NDArray[np.int16]
@@ -88,88 +83,79 @@ class _Decoders:
 
 @dataclass(slots=True)
 class _Content:
-    """What a file holds: parts by topic, and what was lost."""
+    """The content of a file: parts by topic, and what was lost."""
 
     parts: dict[str, _Parts]
     topics: tuple[str, ...] = ()
     loss: str = ""
 
 
-def read_mcap_log(path: Path, source: LogSource) -> RawLog:
-    """Read the wanted topics of an MCAP file, chunked or not.
-
-    Parameters
-    ----------
-    path
-        An existing file.
-    source
-        Its topics and fields.
-
-    Raises
-    ------
-    LogError
-        As listed in `pipeline.ingest.contract`.
-    """
-    wanted = _wanted(source)
-    content = _content(path, source, wanted)
+def read_mcap_log(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> RawLog:
+    """Read the wanted topics of an MCAP file, chunked or not."""
+    wanted = _wanted(channels)
+    content = _content(path, logs, wanted)
     _require_topics(path, wanted, content)
-    placed_stamps = [_placed(parts, source.time_zone) for parts in content.parts.values()]
-    stamps, refused = judged_together(path, source, placed_stamps, _time_name(source))
+    placed_stamps = [_placed(parts, logs.time_zone) for parts in content.parts.values()]
+    stamps, refused = judged(path, placed_stamps, _time_name(logs), latest_us)
     del placed_stamps
-    channels: dict[str, RawChannel] = {}
+    found: dict[str, RawChannel] = {}
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
         readable, time_us = judged_stamps.readable, judged_stamps.time_us
         time_us = time_us if readable.all() else time_us[readable]
-        states = _states(path, source, topic, content.parts[topic], readable)
+        states = _states(path, logs, topic, content.parts[topic], readable)
         for one in fields.readings:
             # The columns are given up, so that a long log is not held twice.
             readings = content.parts[topic].fields.pop(one).taken().rows(readable)
             if readings.missing.size and readings.missing.all() and not readings.unparsed.any():
-                _require_field(path, source, topic, one)
-            channels |= {
-                channel.channel: raw_channel(
-                    path, channel, time_us, readings, states.get(_quality_of(channel))
+                _require_field(path, logs, topic, one)
+            found |= {
+                name: raw_channel(
+                    path,
+                    name,
+                    channel,
+                    time_us,
+                    converted(name, channel, readings),
+                    states.get(_quality_of(channel)),
                 )
-                for channel in source.channels
+                for name, channel in channels.items()
                 if channel.source == topic and field_path(channel.field, topic) == one
             }
-    in_order = {channel.channel: channels[channel.channel] for channel in source.channels}
+    in_order: dict[str, RawChannel] = {name: found[name] for name in channels}
     rows = sum(int(np.count_nonzero(judged_stamps.readable)) for judged_stamps in stamps)
     refused = {reason.replace("rows", "messages", 1): n for reason, n in refused.items()}
     return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
 
 
-def mcap_time_span(path: Path, source: LogSource) -> tuple[int, int]:
+def mcap_time_span(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> tuple[int, int]:
     """First and last time stamp of all messages, from the summary or else from the messages.
 
     Where the stamps stand within the messages, only those of the wanted topics are looked at, and
     the file is read.
-
-    Raises
-    ------
-    LogError
-        As `read_mcap_log`; ``log_empty`` where there is no message.
     """
-    if source.stamp:
-        log = read_mcap_log(path, source)
+    if logs.stamp:
+        log = read_mcap_log(path, logs, channels, latest_us)
         ends = [log.first_us, log.last_us] if log.first_us is not None else []
         return span(path, [np.array(ends, dtype=np.int64)])
-    summary_span = None if source.time_source == "publish_time" else _summary_span(path, source)
+    summary_span = None if logs.time == "publish_time" else _summary_span(path, logs, latest_us)
     if summary_span is not None:
         return summary_span
-    pieces = read_messages(path, salvage=source.salvage)
-    times = np.concatenate([_times(messages, source.time_source) for messages in pieces])
-    stamps, _ = judged(path, source, from_epoch(times, "epoch_ns"), _time_name(source))
+    pieces = read_messages(path, salvage=logs.salvage)
+    times = np.concatenate([_times(messages, logs.time) for messages in pieces])
+    (stamps,), _ = judged(path, [from_epoch(times, "epoch_ns")], _time_name(logs), latest_us)
     return span(path, [stamps.time_us[stamps.readable]])
 
 
-def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
+def _summary_span(path: Path, logs: Logs, latest_us: int | None) -> tuple[int, int] | None:
     """Span that the summary states, if it does."""
     try:
         with path.open("rb") as file:
             statistics = read_summary(path, file).statistics
     except LogError as error:
-        if source.salvage and error.code in ("log_truncated", "log_damaged"):
+        if logs.salvage and error.code in ("log_truncated", "log_damaged"):
             return None
         raise
     if statistics is None or not statistics.message_count:
@@ -177,7 +163,7 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
     log_times = [statistics.first_log_time, statistics.last_log_time]
     stamps = from_epoch(np.array(log_times, dtype=np.uint64), "epoch_ns")
     try:
-        good, refused = judged(path, source, stamps, _time_name(source))
+        (good,), refused = judged(path, [stamps], _time_name(logs), latest_us)
     except LogError:
         return None  # The messages themselves say how many of them have no good time.
     # A single stamp may be wrong that the messages themselves would show to be so.
@@ -185,49 +171,48 @@ def _summary_span(path: Path, source: LogSource) -> tuple[int, int] | None:
     return span(path, [stamps.time_us]) if whole else None
 
 
-def _time_name(source: LogSource) -> str:
-    if source.stamp:
-        return f"{source.stamp!r} in format {source.time_format}"
-    return "publish_time" if source.time_source == "publish_time" else "log_time"
+def _time_name(logs: Logs) -> str:
+    if logs.stamp:
+        return f"{logs.stamp!r} in format {logs.time_format}"
+    return "publish_time" if logs.time == "publish_time" else "log_time"
 
 
-def _times(messages: Messages, time_source: str) -> NDArray[np.uint64]:
-    return messages.publish_time if time_source == "publish_time" else messages.log_time
+def _times(messages: Messages, name: str) -> NDArray[np.uint64]:
+    return messages.publish_time if name == "publish_time" else messages.log_time
 
 
-def _wanted(source: LogSource) -> _Wanted:
-    return {
-        topic: _fields(source, topic) for topic in dict.fromkeys(c.source for c in source.channels)
-    }
+def _wanted(channels: Channels) -> _Wanted:
+    topics = dict.fromkeys(channel.source for channel in channels.values())
+    return {topic: _fields(channels, topic) for topic in topics}
 
 
-def _fields(source: LogSource, topic: str) -> _Fields:
-    channels = [channel for channel in source.channels if channel.source == topic]
-    readings = dict.fromkeys(field_path(channel.field, topic) for channel in channels)
-    qualities = dict.fromkeys(_quality_of(c) for c in channels if c.quality_source)
+def _fields(channels: Channels, topic: str) -> _Fields:
+    own = [channel for channel in channels.values() if channel.source == topic]
+    readings = dict.fromkeys(field_path(channel.field, topic) for channel in own)
+    qualities = dict.fromkeys(_quality_of(channel) for channel in own if channel.quality_source)
     return _Fields(tuple(readings), tuple(qualities))
 
 
-def _quality_of(channel: ChannelSource) -> _Quality:
-    """Where a channel's quality is, and what is good there."""
+def _quality_of(channel: Channel) -> _Quality:
+    """Path of a channel's quality, and what is good there."""
     named = channel.quality_source
     return field_path(named, channel.source) if named else (), channel.quality_good
 
 
 def _states(
-    path: Path, source: LogSource, topic: str, parts: _Parts, readable: NDArray[np.bool_]
+    path: Path, logs: Logs, topic: str, parts: _Parts, readable: NDArray[np.bool_]
 ) -> dict[_Quality, NDArray[np.uint8]]:
-    """What the messages of a topic with a good time say of their samples."""
+    """The qualities of a topic's messages with a good time."""
     found: dict[_Quality, NDArray[np.uint8]] = {}
     for quality, pieces in parts.states.items():
         states = np.concatenate([np.empty(0, np.uint8), *pieces])
         if states.size and (states == BLANK).all():
-            _require_field(path, source, topic, quality[0])
+            _require_field(path, logs, topic, quality[0])
         found[quality] = states[readable]
     return found
 
 
-def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
+def _content(path: Path, logs: Logs, wanted: _Wanted) -> _Content:
     names = tuple(wanted)
     content = _Content(
         {
@@ -242,9 +227,9 @@ def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
     decoders = _Decoders(np.empty(0, np.int16), np.empty(0, np.int16))
     known = -1
     held: dict[int, list[Payloads]] = {}
-    for messages in read_messages(path, salvage=source.salvage):
+    for messages in read_messages(path, salvage=logs.salvage):
         if len(messages.channels) != known:
-            _add_decoders(path, source, wanted, messages, decoders)
+            _add_decoders(path, logs, wanted, messages, decoders)
             known = len(messages.channels)
         in_turn = _is_shared(decoders)
         for number, chosen in _runs(decoders.number[messages.channel_id], in_turn=in_turn):
@@ -252,19 +237,21 @@ def _content(path: Path, source: LogSource, wanted: _Wanted) -> _Content:
             for other in [other for other in held if in_turn and other != number]:
                 _decode(path, decoders, other, held.pop(other), names, content)
             topic = decoders.topic[messages.channel_id]
-            times = _times(messages, source.time_source)
+            times = _times(messages, logs.time)
             stretches = held.setdefault(number, [])
             stretches.append(payloads_of(messages, chosen, topic, times))
-            if (
-                sum(one.text.size + _COST_OF_MESSAGE * one.start.size for one in stretches)
-                >= _PIECE
-            ):
+            if sum(map(_cost, stretches)) >= _PIECE:
                 _decode(path, decoders, number, held.pop(number), names, content)
         content.topics = tuple(sorted({one.topic for one in messages.channels.values()}))
         content.loss = messages.loss
     for number, stretches in held.items():
         _decode(path, decoders, number, stretches, names, content)
     return content
+
+
+def _cost(payloads: Payloads) -> int:
+    """Bytes that payloads take while they are decoded."""
+    return payloads.text.size + _COST_OF_MESSAGE * payloads.start.size
 
 
 def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, NDArray[np.intp]]]:
@@ -280,7 +267,7 @@ def _runs(numbers: NDArray[np.int16], *, in_turn: bool) -> Iterator[tuple[int, N
 
 
 def _is_shared(decoders: _Decoders) -> bool:
-    """Whether some topic has messages of more than one decoder."""
+    """True if some topic has messages of more than one decoder."""
     pairs = set(zip(decoders.topic.tolist(), decoders.number.tolist(), strict=True))
     return len(pairs) > len({topic for topic, _ in pairs})
 
@@ -317,7 +304,7 @@ def _cells(decoded: Decoded, quality: FieldPath) -> pa.Array:
 
 
 def _add_decoders(
-    path: Path, source: LogSource, wanted: _Wanted, messages: Messages, decoders: _Decoders
+    path: Path, logs: Logs, wanted: _Wanted, messages: Messages, decoders: _Decoders
 ) -> None:
     """Know the channels that a file has declared so far."""
     names = list(wanted)
@@ -330,12 +317,14 @@ def _add_decoders(
             continue
         key = _key(path, channel, messages.schemas, fields)
         if key not in decoders.by_key:
-            decoders.by_key[key] = _decoder(path, source, channel.topic, key)
+            decoders.by_key[key] = _decoder(path, logs, channel.topic, key)
         decoders.topic[channel_id] = names.index(channel.topic)
         decoders.number[channel_id] = list(decoders.by_key).index(key)
 
 
-def _key(path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: _Fields) -> _Key:
+def _key(
+    path: Path, channel: ChannelRecord, schemas: Mapping[int, Schema], fields: _Fields
+) -> _Key:
     if channel.encoding == "json":
         return channel.encoding, _NO_SCHEMA, fields
     schema = schemas.get(channel.schema_id, _NO_SCHEMA)
@@ -351,15 +340,15 @@ def _key(path: Path, channel: Channel, schemas: Mapping[int, Schema], fields: _F
     return channel.encoding, schema, fields
 
 
-def _decoder(path: Path, source: LogSource, topic: str, key: _Key) -> Decoder:
+def _decoder(path: Path, logs: Logs, topic: str, key: _Key) -> Decoder:
     encoding, schema, fields = key
-    stamp = field_path(source.stamp) if source.stamp else None
+    stamp = field_path(logs.stamp) if logs.stamp else None
     qualities = tuple(dict.fromkeys(one for one, _ in fields.qualities))
     if encoding == "json":
-        return json_decoder(fields.readings, stamp, source.time_format, qualities)
+        return json_decoder(fields.readings, stamp, logs.time_format, qualities)
     made = cdr_decoder if encoding == "cdr" else protobuf_decoder
     numbers = tuple(dict.fromkeys((*fields.readings, *qualities)))
-    return made(path, topic, schema, numbers, stamp, source.time_format)
+    return made(path, topic, schema, numbers, stamp, logs.time_format)
 
 
 def _placed(parts: _Parts, zone: str) -> TimeStamps:
@@ -380,9 +369,9 @@ def _require_topics(path: Path, wanted: _Wanted, content: _Content) -> None:
             )
 
 
-def _require_field(path: Path, source: LogSource, topic: str, one: FieldPath) -> None:
+def _require_field(path: Path, logs: Logs, topic: str, one: FieldPath) -> None:
     """Refuse a field that no JSON message has; other encodings have said so from the schema."""
-    for messages in read_messages(path, salvage=source.salvage):
+    for messages in read_messages(path, salvage=logs.salvage):
         channels = [c for c in messages.channels.values() if c.topic == topic]
     if all(channel.encoding == "json" for channel in channels):
-        require_json_field(path, topic, one, salvage=source.salvage)
+        require_json_field(path, topic, one, salvage=logs.salvage)

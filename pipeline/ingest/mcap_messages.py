@@ -1,4 +1,4 @@
-"""The messages of an MCAP file, as arrays of what their heads say and where their payloads lie.
+"""The messages of an MCAP file: arrays of their times, channels, and places of their payloads.
 
 Messages stand bare in the data section, or in compressed chunks, which hold records again. Only
 stepping from length to length is done record by record, and that only where no index tells the
@@ -31,13 +31,12 @@ from pipeline.ingest.mcap_layout import (
     MESSAGE_INDEX,
     PREFIX,
     SCHEMA,
-    Channel,
+    ChannelRecord,
+    Declared,
     Schema,
     Statistics,
     Summary,
     fields_at,
-    read_channel,
-    read_schema,
     read_summary,
     record_offsets,
 )
@@ -53,35 +52,18 @@ _ANYWHERE = "data section"
 
 @dataclass(frozen=True, slots=True)
 class Messages:
-    """Messages that lie in one buffer, in the order of the file.
+    """Messages that lie in one buffer, in the order of the file."""
 
-    Attributes
-    ----------
-    buffer
-        Records, of which these messages are some.
-    channels, schemas
-        Declared so far, by id.
-    channel_id : (n,) uint16
-    log_time, publish_time : (n,) uint64
-        [ns]
-    payload_start, payload_end : (n,) int64
-        Positions in the buffer.
-    read_to
-        Position in the file up to which it has been read.
-    loss
-        What was lost to damage, in words; in the last piece only.
-    """
-
-    buffer: memoryview
-    channels: Mapping[int, Channel]
+    buffer: memoryview  # records, of which these messages are some
+    channels: Mapping[int, ChannelRecord]  # declared so far, by id
     schemas: Mapping[int, Schema]
     channel_id: NDArray[np.uint16]
-    log_time: NDArray[np.uint64]
+    log_time: NDArray[np.uint64]  # [ns]
     publish_time: NDArray[np.uint64]
-    payload_start: NDArray[np.int64]
+    payload_start: NDArray[np.int64]  # in the buffer
     payload_end: NDArray[np.int64]
-    read_to: int
-    loss: str = ""
+    read_to: int  # position in the file up to which it has been read
+    loss: str = ""  # what was lost to damage, in words; in the last piece only
 
 
 def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
@@ -91,14 +73,9 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     chunks, data section and summary are checked where they are not zero, and the number of messages
     against what the summary says.
 
-    Parameters
-    ----------
-    path
-        An existing file.
-    salvage
-        Whether a truncated or damaged file gives the messages before the damage, as far as that has
-        a place: a wrong checksum of the whole data section, or a wrong number of messages, has
-        none. Damaged chunks are lost whole.
+    With `salvage`, a truncated or damaged file gives the messages before the damage, as far as that
+    has a place: a wrong checksum of the whole data section, or a wrong number of messages, has
+    none. Damaged chunks are lost whole.
 
     Raises
     ------
@@ -107,12 +84,11 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
         ``log_too_large``.
     """
     counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
-    channels: dict[int, Channel] = {}
-    schemas: dict[int, Schema] = {}
+    declared = Declared()
     read_to = len(MAGIC)
     with path.open("rb") as file:
         summary, damage = _summary(path, file, salvage=salvage)
-        pieces = _data_section(path, file, summary.start, channels, schemas, damage is None)
+        pieces = _data_section(path, file, summary.start, declared, damage is None)
         try:
             for messages in pieces:
                 of_channels = np.bincount(messages.channel_id)
@@ -126,9 +102,9 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
     if summary.statistics is not None and damage is None:
         _require_counts(path, summary.statistics, counts)
     yield replace(
-        _messages(path, memoryview(b""), np.empty(0, np.int64), channels, schemas, read_to),
-        channels={**summary.channels, **channels},
-        schemas={**summary.schemas, **schemas},
+        _messages(path, memoryview(b""), np.empty(0, np.int64), declared, read_to),
+        channels={**summary.declared.channels, **declared.channels},
+        schemas={**summary.declared.schemas, **declared.schemas},
         loss="" if damage is None else _loss(path, damage, read_to, summary, int(counts.sum())),
     )
 
@@ -144,7 +120,7 @@ def _summary(path: Path, file: BinaryIO, *, salvage: bool) -> tuple[Summary, Log
     except LogError as error:
         if not salvage or not _has_place(error):
             raise
-        return Summary(file.seek(0, 2), {}, {}, None), error
+        return Summary(file.seek(0, 2), Declared(), None), error
 
 
 def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:
@@ -172,8 +148,7 @@ def _data_section(
     path: Path,
     file: BinaryIO,
     end: int,
-    channels: dict[int, Channel],
-    schemas: dict[int, Schema],
+    declared: Declared,
     end_is_known: bool,
 ) -> Iterator[Messages]:
     """Messages of the data section, the last record of which has to be its end record."""
@@ -188,7 +163,7 @@ def _data_section(
             _require_checksum(path, block[last:stop], zlib.crc32(block[:last], checksum))
         checksum = zlib.crc32(block[:stop], checksum)
         wanted = np.array(offsets[:kept], np.int64)
-        yield from _messages_of_block(path, block[:stop], wanted, channels, schemas, place)
+        yield from _messages_of_block(path, block[:stop], wanted, declared, place)
         place += stop
         is_chunked |= bool((np.frombuffer(block, np.uint8)[offsets] == CHUNK).any())
         if stop < len(block) or (last_opcode == DATA_END and not end_is_known):
@@ -200,7 +175,7 @@ def _data_section(
 
 
 def _sound_records(block: memoryview, offsets: list[int], is_chunked: bool) -> int:
-    """How many records go up to the end of the data section, or to what is no record of it.
+    """Number of records up to the end of the data section, or to what is no record of it.
 
     Without a summary nothing else tells a chunk whose opcode is damaged from a private record, or
     its index from a message that stands bare behind it.
@@ -257,8 +232,7 @@ def _messages_of_block(
     path: Path,
     block: memoryview,
     offsets: NDArray[np.int64],
-    channels: dict[int, Channel],
-    schemas: dict[int, Schema],
+    declared: Declared,
     place: int,
 ) -> Iterator[Messages]:
     """Messages that stand bare, and those of chunks, in the order of the file."""
@@ -272,7 +246,7 @@ def _messages_of_block(
     for before, chunk in pairwise([-1, *chunks, len(offsets)]):
         stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
         kept = offsets[before + 1 : chunk]
-        yield _messages(path, block, kept, channels, schemas, place + stop)
+        yield _messages(path, block, kept, declared, place + stop)
         if chunk == len(offsets):
             return
         where = f"chunk at byte {place + offsets[chunk]}"
@@ -281,32 +255,35 @@ def _messages_of_block(
         inside, end = offsets_in_chunk(records, indexed_positions(list(map(content, indexes))))
         if end != len(records):
             raise LogError("log_damaged", path, "its records do not fill it", where)
-        yield _messages(path, records, inside, channels, schemas, place + stops[chunk])
+        yield _messages(path, records, inside, declared, place + stops[chunk])
 
 
 def _messages(
     path: Path,
     buffer: memoryview,
     offsets: NDArray[np.int64],
-    channels: dict[int, Channel],
-    schemas: dict[int, Schema],
+    declared: Declared,
     read_to: int,
 ) -> Messages:
     """The messages among records, whose channels are added to those known so far."""
     opcodes = np.frombuffer(buffer, np.uint8)[offsets]
-    _declare(path, buffer, offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)], channels, schemas)
+    for start in offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)].tolist():
+        opcode, length = PREFIX.unpack_from(buffer, start)
+        declared.add(path, opcode, bytes(buffer[start + PREFIX.size :][:length]))
     starts = offsets[opcodes == MESSAGE]
     ends = starts + PREFIX.size + fields_at(buffer, starts + 1, "<u8").astype(np.int64)
     if (ends - starts < _MESSAGE_HEAD).any():
         raise LogError("log_damaged", path, "a message is shorter than its own head")
     channel_id_of_each = fields_at(buffer, starts + 9, "<u2")
-    unknown = set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - channels.keys()
+    unknown = (
+        set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - declared.channels.keys()
+    )
     if unknown:
         raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
     return Messages(
         buffer=buffer,
-        channels=channels,
-        schemas=schemas,
+        channels=declared.channels,
+        schemas=declared.schemas,
         channel_id=channel_id_of_each,
         log_time=fields_at(buffer, starts + 15, "<u8"),
         publish_time=fields_at(buffer, starts + 23, "<u8"),
@@ -314,24 +291,3 @@ def _messages(
         payload_end=ends,
         read_to=read_to,
     )
-
-
-def _declare(
-    path: Path,
-    buffer: memoryview,
-    starts: NDArray[np.int64],
-    channels: dict[int, Channel],
-    schemas: dict[int, Schema],
-) -> None:
-    """Add channels and schemas, which may be repeated but not changed."""
-    for start in starts.tolist():
-        opcode, length = PREFIX.unpack_from(buffer, start)
-        content = bytes(buffer[start + PREFIX.size :][:length])
-        if opcode == CHANNEL:
-            channel_id, channel = read_channel(path, content)
-            if channels.setdefault(channel_id, channel) != channel:
-                raise LogError("log_damaged", path, f"channel {channel_id} is declared twice over")
-        else:
-            schema_id, schema = read_schema(path, content)
-            if schemas.setdefault(schema_id, schema) != schema:
-                raise LogError("log_damaged", path, f"schema {schema_id} is declared twice over")

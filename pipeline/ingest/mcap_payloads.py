@@ -1,18 +1,20 @@
-"""Payloads of messages, one behind the other, and what a decoder makes of them."""
+"""Payloads of messages, one behind the other, and the readings that a decoder makes of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
+from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.ingest.assembly import Readings
 from pipeline.ingest.mcap_messages import Messages
-from pipeline.ingest.mcap_paths import FieldPath
-from pipeline.ingest.time_stamps import EPOCH_UNITS, WrittenStamps, written_as_numbers
+from pipeline.ingest.time_stamps import WrittenStamps, written_as_numbers
 from pipeline.ingest.wall_clock import LATEST_US
 
 _NEWLINE = 10
@@ -24,47 +26,34 @@ NANOSECONDS = ("nanosec", "nsec", "nsecs", "nanos", "nanoseconds")
 
 @dataclass(frozen=True, slots=True)
 class Payloads:
-    """Payloads of some messages, each with a newline behind it.
-
-    Attributes
-    ----------
-    text : (m,) uint8
-    start, length : (n,) int64
-        Where each payload lies in the text.
-    topic : (n,) int16
-        Position among the wanted topics.
-    time_ns : (n,) uint64
-        Log or publish time.
-    """
+    """Payloads of some messages, each with a newline behind it."""
 
     text: NDArray[np.uint8]
-    start: NDArray[np.int64]
+    start: NDArray[np.int64]  # of each payload in the text
     length: NDArray[np.int64]
-    topic: NDArray[np.int16]
-    time_ns: NDArray[np.uint64]
+    topic: NDArray[np.int16]  # position among the wanted topics
+    time_ns: NDArray[np.uint64]  # log or publish time
+
+    def each(self) -> Iterator[bytes]:
+        """One payload after the other."""
+        text = self.text.tobytes()
+        for start, length in zip(self.start.tolist(), self.length.tolist(), strict=True):
+            yield text[start : start + length]
 
 
 @dataclass(frozen=True, slots=True)
 class Decoded:
-    """Readings of the wanted fields of messages, and the stamps in them where they are wanted.
-
-    Attributes
-    ----------
-    fields
-        Readings by path.
-    stamps
-        None where the log time is to be used.
-    qualities
-        What messages of JSON say of their samples, by path: text, numbers or truth values. With
-        other encodings it is a number, and among the fields.
-    """
+    """Readings of the wanted fields of messages, and the stamps in them where they are wanted."""
 
     fields: Mapping[FieldPath, Readings]
-    stamps: WrittenStamps | None
+    stamps: WrittenStamps | None  # None where the log time is to be used
+    # Of JSON: text, numbers or truth values. In other encodings it is a number, among the fields.
     qualities: Mapping[FieldPath, pa.Array] = field(default_factory=dict)
 
 
 Decoder = Callable[[Payloads], Decoded]
+Numbers = tuple[NDArray[Any], NDArray[np.bool_]]
+"""Numbers, and where there is one."""
 
 
 def payloads_of(
@@ -73,18 +62,7 @@ def payloads_of(
     topic: NDArray[np.int16],
     time_ns: NDArray[np.uint64],
 ) -> Payloads:
-    """Payloads of the chosen messages, out of their buffer.
-
-    Parameters
-    ----------
-    messages
-        n messages.
-    chosen : (m,) intp
-        Positions of those that are wanted, one at least, in the order of the file.
-    topic : (n,) int16
-    time_ns : (n,) uint64
-        Their topics, and the times that go with them.
-    """
+    """Payloads of the chosen messages, one at least, with the topics and times of all messages."""
     starts, ends = messages.payload_start[chosen], messages.payload_end[chosen]
     length = ends - starts
     low, high = int(starts[0]), int(ends[-1])
@@ -110,22 +88,21 @@ def stamps_of_numbers(
     """Stamps that are one number; none of them can be read where the format is one of text."""
     if time_format in EPOCH_UNITS or time_format == "excel_days":
         return written_as_numbers(numbers, time_format)
-    return WrittenStamps(np.zeros(numbers.size, np.int64), np.zeros(numbers.size, np.int8))
+    return unreadable_stamps(numbers.size)
 
 
-def stamps_of_seconds(
-    seconds: NDArray[np.integer], nanoseconds: NDArray[np.integer], there: NDArray[np.bool_]
-) -> WrittenStamps:
-    """Stamps of whole seconds since 1970, UTC, and nanoseconds, cut off to microseconds.
+def stamps_of_parts(parts: Sequence[Numbers], time_format: str) -> WrittenStamps:
+    """Stamps of one number, or of whole seconds since 1970, UTC, and nanoseconds.
 
-    Parameters
-    ----------
-    seconds, nanoseconds : (n,) integer
-    there : (n,) bool
-        False where a message has no stamp.
+    Nanoseconds are cut off to microseconds.
     """
+    if len(parts) == 1:
+        ((numbers, there),) = parts
+        # Nothing is before 1990, so that a missing one is not readable.
+        return stamps_of_numbers(np.where(there, numbers, 0), time_format)
+    (seconds, there), (nanoseconds, also) = parts
     latest = LATEST_US // 1_000_000
-    sound = there & (seconds >= 0) & (seconds < latest)
+    sound = there & also & (seconds >= 0) & (seconds < latest)
     sound &= (nanoseconds >= 0) & (nanoseconds < 1_000_000_000)
     whole = np.where(sound, seconds, 0).astype(np.int64)
     time_us = whole * 1_000_000 + np.where(sound, nanoseconds, 0).astype(np.int64) // 1000

@@ -10,7 +10,7 @@ which a 0 is never written. Truth values and members of an enum are their number
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -19,19 +19,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.field_paths import FieldPath
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings
-from pipeline.ingest.mcap_fields import number_kind, stamp_parts
+from pipeline.ingest.mcap_fields import Place, wanted_kinds
 from pipeline.ingest.mcap_layout import Schema
-from pipeline.ingest.mcap_paths import FieldPath
 from pipeline.ingest.mcap_payloads import (
     Decoded,
     Decoder,
+    Numbers,
     Payloads,
-    stamps_of_numbers,
-    stamps_of_seconds,
+    stamps_of_parts,
 )
-from pipeline.ingest.time_stamps import WrittenStamps
 
 _Step = Callable[[Any], Any]
 
@@ -57,31 +56,10 @@ def protobuf_decoder(
     stamp: FieldPath | None,
     time_format: str,
 ) -> Decoder:
-    """Decoder of the messages of a schema.
-
-    Parameters
-    ----------
-    path, topic
-        For messages of errors.
-    schema
-        Its record.
-    fields
-        What is wanted of each message.
-    stamp
-        Where its time stamp is: a number, or a message of seconds and nanoseconds.
-    time_format
-        How a stamp is written that is one number.
-
-    Raises
-    ------
-    LogError
-        ``log_extra_missing``, ``log_damaged``; ``log_column_missing`` or ``log_type`` where a path
-        leads nowhere, or to something else than a number.
-    """
+    """Decoder of the messages of a schema; errors as of `wanted_kinds` and `protobuf_root`."""
     message_class, decode_error = _message_class(path, schema)
     root = _Place(message_class.DESCRIPTOR)
-    parts = [] if stamp is None else stamp_parts(root, stamp)
-    kinds = {one: number_kind(path, topic, root, one) for one in (*fields, *parts)}
+    kinds, parts = wanted_kinds(path, topic, root, fields, stamp)
     follows = [_follow(root, one) for one in kinds]
 
     def decode(payloads: Payloads) -> Decoded:
@@ -89,7 +67,7 @@ def protobuf_decoder(
         columns: list[list[Any]] = [[None] * count for _ in kinds]
         sound = np.ones(count, np.bool_)
         pairs = list(zip(columns, follows, strict=True))
-        for i, payload in enumerate(_each(payloads)):
+        for i, payload in enumerate(payloads.each()):
             try:
                 message = message_class.FromString(payload)
             except decode_error:
@@ -100,9 +78,20 @@ def protobuf_decoder(
         values = dict(zip(kinds, columns, strict=True))
         readings = {one: _readings(values[one], sound) for one in fields}
         found = [_numbers(values[one], kinds[one]) for one in parts]
-        return Decoded(readings, _stamps(found, time_format) if found else None)
+        return Decoded(readings, stamps_of_parts(found, time_format) if found else None)
 
     return decode
+
+
+def protobuf_root(path: Path, schema: Schema) -> Place:
+    """A message, as its descriptors lay it out.
+
+    Raises
+    ------
+    LogError
+        ``log_extra_missing``, ``log_damaged``.
+    """
+    return _Place(_message_class(path, schema)[0].DESCRIPTOR)
 
 
 def _message_class(path: Path, schema: Schema) -> tuple[Any, type[Exception]]:
@@ -150,31 +139,21 @@ def _add_file(pool: Any, waiting: dict[str, Any], name: str) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _Place:
-    """A place in a message, as `pipeline.ingest.mcap_fields` asks for it.
+    """A place in a message, as `pipeline.ingest.mcap_fields` asks for it."""
 
-    Attributes
-    ----------
-    message
-        Descriptor of the message that is here; None where there is none.
-    field
-        Descriptor of the field whose value this is, or whose values these are.
-    is_many
-        Whether all values of a repeated field are here, or all entries of a map.
-    """
-
-    message: Any
-    field: Any = None
-    is_many: bool = False
+    message: Any  # descriptor of the message that is here; None where there is none
+    field: Any = None  # descriptor of the field whose value this is, or whose values these are
+    is_many: bool = False  # all values of a repeated field are here, or all entries of a map
 
     @property
     def is_map(self) -> bool:
-        """Whether entries of a map are here."""
+        """True if entries of a map are here."""
         has_message = self.is_many and self.message is not None
         return bool(has_message and self.message.GetOptions().map_entry)
 
     @property
     def is_wrapper(self) -> bool:
-        """Whether a message is here that only wraps a number, so that it can be absent."""
+        """True if a message is here that only wraps a number, so that it can be absent."""
         name = None if self.message is None or self.is_many else self.message.full_name
         return name in _WRAPPERS
 
@@ -187,7 +166,7 @@ class _Place:
 
     @property
     def what(self) -> str:
-        """What is here, in words."""
+        """The thing that is here, in words."""
         if self.is_many:
             return "a map" if self.is_map else "an array"
         return "text or bytes" if self.message is None else f"a message {self.message.full_name}"
@@ -201,7 +180,7 @@ class _Place:
         return [] if self.message is None else list(self.message.fields_by_name)
 
     def inside(self, step: str | int) -> _Place | None:
-        """What is one step further inwards."""
+        """The place one step further inwards."""
         if self.is_map:
             value = self.message.fields_by_name["value"]
             return None if _key(self.message, step) is None else _Place(value.message_type, value)
@@ -265,12 +244,6 @@ def _step(place: _Place, step: str | int) -> _Step:
     return attrgetter(step)
 
 
-def _each(payloads: Payloads) -> Iterator[bytes]:
-    text = payloads.text.tobytes()
-    for start, length in zip(payloads.start.tolist(), payloads.length.tolist(), strict=True):
-        yield text[start : start + length]
-
-
 def _readings(values: Sequence[float | None], sound: NDArray[np.bool_]) -> Readings:
     missing = np.array([value is None for value in values], dtype=np.bool_)
     raw = np.array(values, dtype=np.float64)
@@ -278,17 +251,7 @@ def _readings(values: Sequence[float | None], sound: NDArray[np.bool_]) -> Readi
     return Readings(raw, missing, ~sound, example)
 
 
-def _numbers(values: Sequence[Any], kind: str) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+def _numbers(values: Sequence[Any], kind: str) -> Numbers:
     """Numbers, 0 where there is none, and where there is one."""
     there = np.array([value is not None for value in values], dtype=np.bool_)
     return np.array([value or 0 for value in values], dtype=kind), there
-
-
-def _stamps(
-    found: Sequence[tuple[NDArray[Any], NDArray[np.bool_]]], time_format: str
-) -> WrittenStamps:
-    if len(found) == 2:
-        (seconds, there), (nanoseconds, also) = found
-        return stamps_of_seconds(seconds, nanoseconds, there & also)
-    # Nothing is before 1990, so that a missing one is not readable.
-    return stamps_of_numbers(found[0][0], time_format)

@@ -27,6 +27,8 @@ NUMBERS = {
 }
 """NumPy's names of the number types, without a byte order."""
 
+_ELEMENTS_SHOWN = 4
+
 
 @dataclass(frozen=True, slots=True)
 class Number:
@@ -76,23 +78,11 @@ Fields = Mapping[str, Type]
 
 @dataclass(frozen=True, slots=True)
 class Definitions:
-    """A message and those it is made of.
+    """A message and those it is made of, by name."""
 
-    Attributes
-    ----------
-    root
-        Name of the message.
-    fields
-        Fields by name of the message.
-    sizes
-        Fewest bytes by name of the message, without padding.
-    has_wide_text
-        Whether there is a text of wide characters.
-    """
-
-    root: str
+    root: str  # name of the message
     fields: Mapping[str, Fields]
-    sizes: Mapping[str, int]
+    sizes: Mapping[str, int]  # fewest bytes, without padding
     has_wide_text: bool
 
     def smallest(self, kind: Type) -> int:
@@ -167,7 +157,7 @@ class Ros2Place:
 
     @property
     def what(self) -> str:
-        """What is here, in words."""
+        """The thing that is here, in words."""
         match self.type:
             case Array():
                 return "an array"
@@ -181,11 +171,12 @@ class Ros2Place:
     def steps(self) -> list[str | int]:
         """The steps inwards."""
         if isinstance(self.type, Array):
-            return [0]
+            # Of a sequence of any length the first element stands for all.
+            return list(range(min(self.type.count or 1, _ELEMENTS_SHOWN)))
         return list(self._fields)
 
     def inside(self, step: str | int) -> Ros2Place | None:
-        """What is one step further inwards."""
+        """The place one step further inwards."""
         if isinstance(step, str):
             inner = self._fields.get(step)
         elif isinstance(self.type, Array) and step < (self.type.count or step + 1):

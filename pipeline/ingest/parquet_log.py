@@ -2,34 +2,26 @@
 
 They are read with PyArrow and validated in full before any figure is used: a footer that reads
 proves nothing, and other readers were seen to abort on malformed files or to read them without a
-word. Checksums of pages are verified where the writer left them.
+word.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from pipeline.config.motors import Channels, Logs
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import Readings
-from pipeline.ingest.contract import LogSource, RawLog
-from pipeline.ingest.parquet_text import decoded, is_text, text_paths
+from pipeline.ingest.arrow_types import is_number, is_text
+from pipeline.ingest.assembly import readings_of
+from pipeline.ingest.contract import RawLog
+from pipeline.ingest.parquet_file import Place, opened, place_of, text_paths, within
 from pipeline.ingest.table import Columns, Table, wanted_columns
-from pipeline.ingest.time_stamps import (
-    EPOCH_UNITS,
-    EXCEL_DAYS,
-    WrittenStamps,
-    written_as_numbers,
-    written_as_text,
-    written_as_timestamps,
-)
+from pipeline.ingest.time_stamps import WrittenStamps, written
 
 MOST_ROWS = 2**27
 """Two weeks at 100 Hz. A file of a few kilobytes may claim, and decode to, any number of rows."""
@@ -38,148 +30,54 @@ MOST_ROWS_A_BYTE = 10_000
 """Beyond a day at 100 Hz. A day of a motor that stands still, packed as tightly as can be, has
 4900; a file made for the purpose had 48 000 in 2.5 kB."""
 
-_MAGIC = b"PAR1"
 _BATCH_ROWS = 2**18
 _ROWS_OF_A_DAY = 24 * 3600 * 100
 
-_Place = tuple[str, ...]
-"""Names of a column and of the fields within it."""
 
-
-def read_parquet_log(path: Path, source: LogSource) -> RawLog:
-    """Read the wanted columns of a Parquet file.
-
-    Parameters
-    ----------
-    path
-        An existing file.
-    source
-        Its channels and time column.
-
-    Raises
-    ------
-    LogError
-        As listed in `pipeline.ingest.contract`.
-    """
-    table = Table(path, source)
-    _gather(path, source, wanted_columns(path, source), table)
+def read_parquet_log(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> RawLog:
+    """Read the wanted columns of a Parquet file."""
+    table = Table(path, logs, channels, latest_us)
+    _gather(path, wanted_columns(path, logs, channels), table)
     return table.log({})
 
 
-def parquet_time_span(path: Path, source: LogSource) -> tuple[int, int]:
-    """First and last time stamp, from the time column alone.
-
-    Raises
-    ------
-    LogError
-        As `read_parquet_log`; ``log_empty`` where there is no row.
-    """
+def parquet_time_span(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
+) -> tuple[int, int]:
+    """First and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
-    table = Table(path, source)
-    _gather(path, source, Columns(wanted_columns(path, source).time, None, ()), table)
+    table = Table(path, logs, channels, latest_us)
+    times = wanted_columns(path, logs, channels).time
+    _gather(path, Columns(times, None, ()), table)
     return table.span()
 
 
-def _gather(path: Path, source: LogSource, columns: Columns, table: Table) -> None:
+def _gather(path: Path, columns: Columns, table: Table) -> None:
     """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
-    with _opened(path) as file:
-        places = {name: _place(path, file.schema_arrow, name) for name in columns.all}
-        _require_types(path, source, columns, file.schema_arrow, places)
+    with opened(path) as file:
+        places = {name: place_of(path, file.schema_arrow, name) for name in columns.all}
+        _require_types(table, columns, file.schema_arrow, places)
         wanted = [".".join(place) for place in places.values()]
         texts = [name for name in text_paths(file.schema_arrow) if name in wanted]
-    with _opened(path, texts) as file:
+    with opened(path, texts) as file:
         table.expect(file.metadata.num_rows)
         for batch in _batches(path, file, places):
-            found = {name: _within(path, batch, place) for name, place in places.items()}
+            found = {
+                name: pa.chunked_array([within(path, batch, place)])
+                for name, place in places.items()
+            }
             table.add(
-                _stamps(path, source, [found[name] for name in columns.time]),
-                {name: _readings(found[name]) for name in columns.numbers},
+                _stamps(path, table.logs, [found[name] for name in columns.time]),
+                {name: readings_of(found[name]) for name in columns.numbers},
                 None if columns.name is None else found[columns.name].cast(pa.string()),
                 {name: found[name] for name in columns.qualities},
             )
 
 
-@contextmanager
-def _opened(path: Path, dictionaries: Sequence[str] = ()) -> Iterator[pq.ParquetFile]:
-    """An open file, some columns of which are read as dictionaries; what PyArrow raises on it, now
-    or while it is read, becomes a `LogError`."""
-    _require_magic(path)
-    try:
-        # Not memory mapped: a file cut by another process would end this one.
-        with pq.ParquetFile(
-            path,
-            memory_map=False,
-            page_checksum_verification=True,
-            read_dictionary=list(dictionaries),
-        ) as file:
-            yield file
-    except pa.ArrowMemoryError as error:
-        raise LogError(
-            "log_too_large", path, f"it asks for more memory than there is: {error}"
-        ) from error
-    except (OSError, ValueError, TypeError, LookupError, OverflowError, pa.ArrowException) as error:
-        # Also of kinds that PyArrow does not document, as for a wrong byte in a name.
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise LogError("log_damaged", path, f"the Parquet file cannot be read: {reason}") from error
-
-
-def _require_magic(path: Path) -> None:
-    with path.open("rb") as file:
-        head = file.read(len(_MAGIC))
-        size = file.seek(0, 2)
-        file.seek(max(size - len(_MAGIC), 0))
-        tail = file.read()
-    if head != _MAGIC:
-        raise LogError("log_not_parquet", path, "the file does not begin as Parquet does")
-    if tail != _MAGIC or size < 12:
-        raise LogError(
-            "log_truncated", path, "the end of the Parquet file is missing: copy it again"
-        )
-
-
-def _place(path: Path, schema: pa.Schema, name: str) -> _Place:
-    """Where a column is: at the top by its very name, or within others by its path."""
-    count = schema.names.count(name)
-    if count > 1:
-        raise LogError("log_column_twice", path, f"{count} columns are called {name!r}: rename one")
-    if count:
-        return (name,)
-    for top in schema.names:
-        if name.startswith(top + ".") and schema.names.count(top) == 1:
-            within = _place_within(schema.field(top).type, name[len(top) + 1 :])
-            if within is not None:
-                return (top, *within)
-    raise LogError(
-        "log_column_missing",
-        path,
-        f"no column {name!r}; there are " + ", ".join(map(repr, _paths(schema)[:40])),
-    )
-
-
-def _place_within(kind: pa.DataType, rest: str) -> _Place | None:
-    if not pa.types.is_struct(kind):
-        return None
-    for field in kind:
-        if rest == field.name:
-            return (field.name,)
-        if rest.startswith(field.name + "."):
-            within = _place_within(field.type, rest[len(field.name) + 1 :])
-            if within is not None:
-                return (field.name, *within)
-    return None
-
-
-def _paths(fields: Iterable[pa.Field], above: str = "") -> list[str]:
-    """All columns by their paths, for a message."""
-    found: list[str] = []
-    for field in fields:
-        nested = pa.types.is_struct(field.type)
-        found += _paths(field.type, f"{above}{field.name}.") if nested else [above + field.name]
-    return found
-
-
-def _kind(schema: pa.Schema, place: _Place) -> pa.DataType:
+def _kind(schema: pa.Schema, place: Place) -> pa.DataType:
     """Type of a column, that of its values where it is a dictionary."""
     kind = schema.field(place[0]).type
     for name in place[1:]:
@@ -188,22 +86,16 @@ def _kind(schema: pa.Schema, place: _Place) -> pa.DataType:
 
 
 def _require_types(
-    path: Path,
-    source: LogSource,
-    columns: Columns,
-    schema: pa.Schema,
-    places: Mapping[str, _Place],
+    table: Table, columns: Columns, schema: pa.Schema, places: Mapping[str, Place]
 ) -> None:
+    path = table.path
     for name in columns.numbers:
         kind = _kind(schema, places[name])
-        if not (
-            pa.types.is_integer(kind)
-            or pa.types.is_floating(kind)
-            or pa.types.is_decimal(kind)
-            or pa.types.is_null(kind)
-        ):
+        if not (is_number(kind) or pa.types.is_null(kind)):
             channels = ", ".join(
-                c.channel for c in source.channels if source.layout != "wide" or c.source == name
+                known
+                for known, channel in table.channels.items()
+                if table.logs.layout != "wide" or channel.source == name
             )
             raise LogError(
                 "log_type",
@@ -218,7 +110,7 @@ def _require_types(
 
 
 def _batches(
-    path: Path, file: pq.ParquetFile, places: Mapping[str, _Place]
+    path: Path, file: pq.ParquetFile, places: Mapping[str, Place]
 ) -> Iterator[pa.RecordBatch]:
     """The wanted columns, piece by piece: how many rows there are shows while they unfold."""
     rows = 0
@@ -252,44 +144,23 @@ def _require_fewer(path: Path, rows: int) -> None:
         )
 
 
-def _within(path: Path, batch: pa.RecordBatch, place: _Place) -> pa.ChunkedArray:
-    column = batch.column(place[0])
-    if len(place) > 1:
-        # Null where one of those around it is.
-        column = pc.struct_field(column, list(place[1:]))
-    return pa.chunked_array([decoded(path, ".".join(place), column)])
-
-
-def _stamps(path: Path, source: LogSource, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
-    column = columns[-1]
-    if len(columns) > 1:
-        if not all(is_text(part.type) for part in columns):
-            raise LogError("log_time", path, "date and time in columns of their own are to be text")
-        date, clock = (pc.utf8_trim_whitespace(part.cast(pa.string())) for part in columns)
-        column = pc.binary_join_element_wise(date, clock, " ")
-    kind = column.type
-    if pa.types.is_timestamp(kind):
-        return written_as_timestamps(column)
-    if is_text(kind):
-        return written_as_text(column.cast(pa.string()), source.time_format)
+def _stamps(path: Path, logs: Logs, columns: Sequence[pa.ChunkedArray]) -> WrittenStamps:
+    if len(columns) > 1 and not all(is_text(part.type) for part in columns):
+        raise LogError("log_time", path, "date and time in columns of their own are to be text")
+    kind = columns[-1].type
     numeric = pa.types.is_integer(kind) or pa.types.is_float64(kind)
-    if not numeric or source.time_format not in (*EPOCH_UNITS, EXCEL_DAYS):
+    if not (
+        pa.types.is_timestamp(kind)
+        or is_text(kind)
+        or (numeric and logs.time_format in (*EPOCH_UNITS, EXCEL_DAYS))
+    ):
         # A float32 of seconds since 1970 moves in steps of 128 s.
         raise LogError(
             "log_time",
             path,
-            f"a time column of type {kind} cannot be read as {source.time_format!r}: wanted are "
+            f"a time column of type {kind} cannot be read as {logs.time_format!r}: wanted are "
             "timestamps, text, or integers or float64 with time_format one of "
             + ", ".join((*EPOCH_UNITS, EXCEL_DAYS)),
-            source.time_source,
+            logs.time,
         )
-    blank = np.nan if pa.types.is_floating(kind) else 0
-    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), source.time_format)
-
-
-def _readings(column: pa.ChunkedArray) -> Readings:
-    missing = column.is_null().to_numpy()
-    # Not safe: an integer beyond 2**53 may lose its last digits, it is a measurement all the same.
-    numbers = pc.fill_null(column.cast(pa.float64(), safe=False), np.nan)
-    raw: NDArray[np.float64] = numbers.to_numpy()
-    return Readings(raw, missing, np.zeros(missing.size, dtype=np.bool_))
+    return written(columns, logs.time_format)

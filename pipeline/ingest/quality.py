@@ -1,4 +1,4 @@
-"""What a log says of its own samples: good, or anything else."""
+"""The quality that a log states of its own samples: good, or anything else."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.config.motors import QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.contract import QualityValue
+from pipeline.ingest.arrow_types import is_number, is_text
 
 _GOOD, _BAD, BLANK = 0, 1, 2
 """States of a cell of a quality column."""
@@ -23,22 +24,10 @@ _TRUTH = {"true": 1.0, "false": 0.0}
 def quality_states(
     path: Path, name: str, cells: pa.Array | pa.ChunkedArray, good: Iterable[QualityValue]
 ) -> NDArray[np.uint8]:
-    """Whether each cell of a quality column is good, bad or blank.
+    """State of each cell of a quality column: good, bad or blank; blank where it is null.
 
-    Parameters
-    ----------
-    path, name
-        The log and its column, for a message.
-    cells
-        Text, numbers or truth values; null where blank.
-    good
-        What stands for good. Text is compared without regard to case and blanks around it, and as
-        a number where both are numbers: 192, 192.0 and "192" are one, and so are true and 1.
-
-    Returns
-    -------
-    ndarray of uint8
-        For `is_bad`.
+    Text is compared without regard to case and blanks around it, and as a number where both are
+    numbers: 192, 192.0 and "192" are one, and so are true and 1.
 
     Raises
     ------
@@ -74,15 +63,7 @@ def quality_states(
 
 
 def is_bad(states: NDArray[np.uint8], missing: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Samples that the log does not call good: where the quality is blank, those with a value.
-
-    Parameters
-    ----------
-    states : (n,) uint8
-        Of `quality_states`.
-    missing : (n,) bool
-        Cells without a value. Where both are blank there is no sample to judge.
-    """
+    """Samples that the log does not call good: where the quality is blank, those with a value."""
     bad: NDArray[np.bool_] = (states == _BAD) | ((states == BLANK) & ~missing)
     return bad
 
@@ -90,10 +71,7 @@ def is_bad(states: NDArray[np.uint8], missing: NDArray[np.bool_]) -> NDArray[np.
 def _can_be_quality(kind: pa.DataType) -> bool:
     if pa.types.is_dictionary(kind):
         return _can_be_quality(kind.value_type)
-    types = pa.types
-    is_text = types.is_string(kind) or types.is_large_string(kind) or types.is_string_view(kind)
-    is_number = types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)
-    return bool(is_text or is_number or types.is_boolean(kind) or types.is_null(kind))
+    return is_text(kind) or is_number(kind) or pa.types.is_boolean(kind) or pa.types.is_null(kind)
 
 
 def _accepted(good: Iterable[QualityValue]) -> tuple[frozenset[str], frozenset[float]]:

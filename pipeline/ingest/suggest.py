@@ -1,4 +1,4 @@
-"""How a log seems to be written: the TOML to paste into a motor's file.
+"""Suggestion of the TOML that reads a log, to paste into a motor's file.
 
 A guess from the first lines, rows or messages; the reader judges it in the end. What cannot be told
 is a comment beside what was assumed, or a question.
@@ -11,16 +11,17 @@ from dataclasses import replace
 from glob import escape
 from pathlib import Path
 
+from pipeline.config.motors import MISSING_TOKENS
 from pipeline.errors import LogError
-from pipeline.ingest.contract import MISSING_TOKENS, reading
+from pipeline.ingest.contract import readable
 from pipeline.ingest.guess_cells import Marks, as_number, marks_of, strange_tokens
 from pipeline.ingest.guess_channels import likely_units
 from pipeline.ingest.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
 from pipeline.ingest.guess_files import suffix_of
 from pipeline.ingest.guess_layout import (
     Column,
-    Layout,
     Source,
+    TableLayout,
     Times,
     find_layout,
     find_times,
@@ -38,25 +39,17 @@ _NEEDED = ("oil_temperature", "speed", "leakage_flow")
 
 
 def suggest(path: Path) -> str:
-    """TOML of ``[logs]`` and ``[channels]`` for a log file.
+    """TOML of ``[logs]`` and ``[channels]`` for a log file: tables to paste.
 
-    Parameters
-    ----------
-    path
-        A CSV (plain, gzip or Zstandard), a Parquet file or an MCAP. In the layout of a file a
-        channel, any of them; the others lie beside it.
-
-    Returns
-    -------
-    str
-        Tables to paste; what is a guess or missing has a comment.
+    Whatever is a guess or missing has a comment. Of a log of a file a channel, the other channels
+    lie beside this one.
 
     Raises
     ------
     LogError
         The file cannot be read, or its lines are no table.
     """
-    with reading(path):
+    with readable(path):
         with path.open("rb") as file:
             magic = file.read(8)
         if magic.startswith(b"PAR1"):
@@ -173,7 +166,7 @@ def _time_lines(times: Times) -> Iterator[str]:
 
 
 def _other_readings(times: Times) -> str:
-    """What else stamps can mean of which day and month cannot be told apart."""
+    """Other meanings of stamps of which day and month cannot be told apart."""
     formats, readings = times.guess.formats, times.guess.readings
     if len(formats) < 2:
         return ""
@@ -184,7 +177,7 @@ def _other_readings(times: Times) -> str:
     return f"day or month first? The log begins on {readings[0]} so, on {others}"
 
 
-def _layout_lines(layout: Layout) -> Iterator[str]:
+def _layout_lines(layout: TableLayout) -> Iterator[str]:
     if layout.kind != "wide":
         yield f'layout = "{layout.kind}"'
     if layout.channel_column:

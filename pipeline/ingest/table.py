@@ -1,22 +1,24 @@
-"""A table of samples, whatever its layout, gathered in pieces and given as channels."""
+"""Tables of samples in any layout, gathered in pieces and given as channels."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from functools import partial
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
+from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
-    canonical_channel,
+    convert_in_place,
+    converted,
     judged,
     raw_channel,
     raw_log,
@@ -24,21 +26,15 @@ from pipeline.ingest.assembly import (
     time_name,
     without_rows_of_others,
 )
-from pipeline.ingest.contract import (
-    ChannelSource,
-    LogSource,
-    QualityValue,
-    RawChannel,
-    RawLog,
-)
+from pipeline.ingest.contract import RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.quality import quality_states
-from pipeline.ingest.time_stamps import TimeStamps, WrittenStamps, placed
+from pipeline.ingest.time_stamps import WrittenStamps, placed
+from pipeline.ingest.wall_clock import TimeStamps
 
 _MOST_NAMES = 2**15 - 1
 _MOST_EXPECTED = 2**24
 """Two days at 100 Hz; what a file claims beyond that is believed when it comes."""
-_NO_QUALITIES: Mapping[str, pa.ChunkedArray] = MappingProxyType({})
 
 _Quality = tuple[str, tuple[QualityValue, ...]]
 """A column of qualities, and what is good there."""
@@ -46,33 +42,21 @@ _Quality = tuple[str, tuple[QualityValue, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Columns of a table that are wanted.
+    """Columns of a table that are wanted, each once."""
 
-    Attributes
-    ----------
-    time
-        Of the time, or of date and time.
-    name
-        Of the channel's name; None where it is not in the rows.
-    numbers
-        Of readings, each once.
-    qualities
-        Of what the log says of its samples, each once.
-    """
-
-    time: tuple[str, ...]
-    name: str | None
-    numbers: tuple[str, ...]
-    qualities: tuple[str, ...] = ()
+    time: tuple[str, ...]  # of the time, or of date and time
+    name: str | None  # of the channel's name; None where it is not in the rows
+    numbers: tuple[str, ...]  # of readings
+    qualities: tuple[str, ...] = ()  # of what the log says of its samples
 
     @property
     def all(self) -> tuple[str, ...]:
-        """All of them, each once."""
+        """All of them."""
         names = () if self.name is None else (self.name,)
         return tuple(dict.fromkeys((*self.time, *names, *self.numbers, *self.qualities)))
 
 
-def wanted_columns(path: Path, source: LogSource) -> Columns:
+def wanted_columns(path: Path, logs: Logs, channels: Channels) -> Columns:
     """Columns that hold time and channels in the layout of a log.
 
     Raises
@@ -80,36 +64,35 @@ def wanted_columns(path: Path, source: LogSource) -> Columns:
     LogError
         ``log_column_missing``: the file's name is that of no channel.
     """
-    stamps = (source.date_column, source.time_source) if source.date_column else ()
-    times = stamps or (source.time_source,)
-    if source.layout == "long":
-        qualities = _qualities(source.channels)
-        return Columns(times, source.channel_column, (source.value_column,), qualities)
-    if source.layout == "file_per_channel":
-        here = [channel for channel in source.channels if is_of_file(channel, path)]
+    times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
+    if logs.layout == "long":
+        qualities = _qualities(channels.values())
+        return Columns(times, logs.channel_column, (logs.value_column,), qualities)
+    if logs.layout == "file_per_channel":
+        here = [channel for channel in channels.values() if is_of_file(channel, path)]
         if not here:
-            patterns = ", ".join(repr(channel.source) for channel in source.channels)
+            patterns = ", ".join(repr(channel.source) for channel in channels.values())
             raise LogError(
                 "log_column_missing",
                 path,
                 f"the file's name is that of no channel: their sources are {patterns}",
             )
-        return Columns(times, None, (source.value_column,), _qualities(here))
-    numbers = tuple(dict.fromkeys(channel.source for channel in source.channels))
-    return Columns(times, None, numbers, _qualities(source.channels))
+        return Columns(times, None, (logs.value_column,), _qualities(here))
+    numbers = tuple(dict.fromkeys(channel.source for channel in channels.values()))
+    return Columns(times, None, numbers, _qualities(channels.values()))
 
 
-def _qualities(channels: Iterable[ChannelSource]) -> tuple[str, ...]:
+def _qualities(channels: Iterable[Channel]) -> tuple[str, ...]:
     named = (channel.quality_source for channel in channels if channel.quality_source)
     return tuple(dict.fromkeys(named))
 
 
-def is_of_file(channel: ChannelSource, path: Path) -> bool:
-    """Whether a file of one channel holds this one."""
+def is_of_file(channel: Channel, path: Path) -> bool:
+    """True if a file of one channel holds this one."""
     return fnmatchcase(path.name, channel.source)
 
 
-def _quality_of(channel: ChannelSource) -> _Quality:
+def _quality_of(channel: Channel) -> _Quality:
     return channel.quality_source, channel.quality_good
 
 
@@ -118,17 +101,13 @@ def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArr
 
 
 class Table:
-    """Rows of a log, gathered in the order of the file; each piece is given up once joined.
+    """Rows of a log, gathered in the order of the file; each piece is given up once joined."""
 
-    Parameters
-    ----------
-    path, source
-        The log.
-    """
-
-    def __init__(self, path: Path, source: LogSource) -> None:
+    def __init__(self, path: Path, logs: Logs, channels: Channels, latest_us: int | None) -> None:
         self.path = path
-        self.source = source
+        self.logs = logs
+        self.latest_us = latest_us
+        self.channels = channels
         self._expected = 0
         self._written = GatheredStamps()
         # In canonical units, by channel; in a long table as they stand, all together.
@@ -147,43 +126,31 @@ class Table:
         self,
         written: WrittenStamps,
         readings: Mapping[str, Readings],
-        names: pa.ChunkedArray | None = None,
-        qualities: Mapping[str, pa.ChunkedArray] = _NO_QUALITIES,
+        names: pa.ChunkedArray | None,
+        qualities: Mapping[str, pa.ChunkedArray],
     ) -> None:
-        """Add rows.
-
-        Parameters
-        ----------
-        written
-            Their times.
-        readings
-            By column.
-        names
-            Channels' names as they stand in the rows (layout "long").
-        qualities
-            Cells of the columns of qualities, by column.
-        """
+        """Add rows: their times, readings and qualities by column, and names in layout "long"."""
         self._written.add(written)
-        if names is not None:
-            self._gathered("", None).add(readings[self.source.value_column])
-        else:
+        if names is None:
             self._add_by_channel(readings)
-        if names is not None:
+        else:
+            self._gathered("", None).add(readings[self.logs.value_column])
             self._names.append(self._codes(names))
-        for column, good in dict.fromkeys(map(_quality_of, self.source.channels)):
+        for column, good in dict.fromkeys(map(_quality_of, self.channels.values())):
             if column in qualities:
                 states = quality_states(self.path, column, qualities[column], good)
                 self._states.setdefault((column, good), []).append(states)
 
     def _add_by_channel(self, readings: Mapping[str, Readings]) -> None:
-        for channel in self.source.channels:
+        for name, channel in self.channels.items():
             column = self._column(channel)
             if column is not None and column in readings:
-                self._gathered(channel.channel, channel).add(readings[column])
+                self._gathered(name, channel).add(readings[column])
 
-    def _gathered(self, name: str, channel: ChannelSource | None) -> GatheredReadings:
+    def _gathered(self, name: str, channel: Channel | None) -> GatheredReadings:
         if name not in self._parts:
-            self._parts[name] = GatheredReadings(channel, self._expected)
+            convert = None if channel is None else partial(convert_in_place, name, channel)
+            self._parts[name] = GatheredReadings(convert, self._expected)
         return self._parts[name]
 
     def _codes(self, names: pa.ChunkedArray) -> NDArray[np.int16]:
@@ -196,9 +163,9 @@ class Table:
             raise LogError(
                 "log_type",
                 self.path,
-                f"column {self.source.channel_column!r} holds more than {_MOST_NAMES} names: it is "
+                f"column {self.logs.channel_column!r} holds more than {_MOST_NAMES} names: it is "
                 "not that of channels",
-                self.source.channel_column,
+                self.logs.channel_column,
             )
         known = pa.array(list(self._seen), pa.string())
         codes: NDArray[np.int16] = (
@@ -212,12 +179,7 @@ class Table:
         return span(self.path, [stamps.time_us[stamps.readable]])
 
     def log(self, refused: Mapping[str, int]) -> RawLog:
-        """All rows as a log; the table is empty afterwards.
-
-        Parameters
-        ----------
-        refused
-            Rows left out so far, by reason.
+        """All rows as a log, with counts of those left out before; the table is empty afterwards.
 
         Raises
         ------
@@ -227,31 +189,31 @@ class Table:
         """
         stamps, without_time = self._stamps()
         refused = {**refused, **without_time}
-        if self.source.layout == "long":
+        if self.logs.layout == "long":
             return self._long_log(stamps, refused)
         whole = bool(stamps.readable.all())
         time_us = stamps.time_us if whole else stamps.time_us[stamps.readable]
         states = self._joined_states()
         channels: dict[str, RawChannel] = {}
-        for channel in self.source.channels:
-            readings, here = self._joined(channel.channel), np.empty(0, np.int64)
+        for name, channel in self.channels.items():
+            readings, here = self._joined(name), np.empty(0, np.int64)
             quality = None
             if self._column(channel) is not None:
                 readings, here = readings.rows(stamps.readable), time_us
                 quality = _of_rows(states.get(_quality_of(channel)), stamps.readable)
-            channels[channel.channel] = canonical_channel(
-                self.path, channel, here, readings, quality
-            )
-        if self.source.layout == "wide":
-            columns = {channel.channel: channel.source for channel in self.source.channels}
+            channels[name] = raw_channel(self.path, name, channel, here, readings, quality)
+        if self.logs.layout == "wide":
+            columns: dict[str, str] = {
+                name: channel.source for name, channel in self.channels.items()
+            }
             channels = without_rows_of_others(channels, columns)
         return raw_log(channels, time_us.size, refused)
 
-    def _column(self, channel: ChannelSource) -> str | None:
+    def _column(self, channel: Channel) -> str | None:
         """Column of a channel; None where it is in another file."""
-        if self.source.layout == "wide":
+        if self.logs.layout == "wide":
             return channel.source
-        return self.source.value_column if is_of_file(channel, self.path) else None
+        return self.logs.value_column if is_of_file(channel, self.path) else None
 
     def _joined(self, name: str) -> Readings:
         return self._parts.pop(name, GatheredReadings()).taken()
@@ -263,19 +225,21 @@ class Table:
         names = np.concatenate([np.empty(0, np.int16), *self._names])
         readings = self._joined("")
         states = self._joined_states()
-        channels = {}
-        for channel in self.source.channels:
+        channels: dict[str, RawChannel] = {}
+        for name, channel in self.channels.items():
             rows = (names == self._seen.get(channel.source, -2)) & stamps.readable
-            channels[channel.channel] = raw_channel(
+            channels[name] = raw_channel(
                 self.path,
+                name,
                 channel,
                 stamps.time_us[rows],
-                readings.rows(rows),
+                converted(name, channel, readings.rows(rows)),
                 _of_rows(states.get(_quality_of(channel)), rows),
             )
-        absent = [c.source for c in self.source.channels if c.source not in self._seen]
+        sources = [channel.source for channel in self.channels.values()]
+        absent = [name for name in sources if name not in self._seen]
         there = ", ".join(repr(name[:40]) for name in list(self._seen)[:40])
-        if names.size and len(absent) == len(self.source.channels):
+        if names.size and len(absent) == len(sources):
             raise LogError(
                 "log_column_missing", self.path, f"no row of {absent[0]!r}; there are {there}"
             )
@@ -284,5 +248,7 @@ class Table:
         return raw_log(channels, rows_read, refused, remarks)
 
     def _stamps(self) -> tuple[TimeStamps, dict[str, int]]:
-        stamps = placed([self._written.taken()], self.source.time_zone)
-        return judged(self.path, self.source, stamps, time_name(self.source, stamps.example))
+        stamps = placed([self._written.taken()], self.logs.time_zone)
+        name = time_name(self.logs, stamps.example)
+        (past,), refused = judged(self.path, [stamps], name, self.latest_us)
+        return past, refused

@@ -1,4 +1,4 @@
-"""Time stamps of every make to int64 microseconds since 1970, UTC.
+"""Time stamps of every make, as int64 microseconds since 1970, UTC.
 
 Nanoseconds are cut off to microseconds, never rounded up; seconds written as a floating-point
 number are rounded.
@@ -6,7 +6,6 @@ number are rounded.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
@@ -18,7 +17,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import DTypeLike, NDArray
 
-from pipeline.errors import UsageError
+from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS, parsed
+from pipeline.ingest.arrow_types import is_text
 from pipeline.ingest.wall_clock import (
     EARLIEST_US,
     EPOCH,
@@ -28,36 +28,9 @@ from pipeline.ingest.wall_clock import (
     from_naive,
 )
 
-__all__ = [
-    "EPOCH_UNITS",
-    "EXCEL_DAYS",
-    "TimeStamps",
-    "WrittenStamps",
-    "example_of",
-    "from_epoch",
-    "from_naive",
-    "from_text",
-    "placed",
-    "require_time_format",
-    "written_as_numbers",
-    "written_as_text",
-    "written_as_timestamps",
-]
-
-EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns": 1}
-"""Microseconds in a unit of each epoch format (`epoch_ns` is divided by 1000 instead)."""
-
-EXCEL_DAYS = "excel_days"
-"""Days since 30 December 1899, a local time; kept to the millisecond, as spreadsheets keep it."""
-
-_DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
-
-
 _EXCEL_ZERO_MS = (datetime(1899, 12, 30) - EPOCH) // timedelta(milliseconds=1)
 _DAY_MS = 86_400_000
 _NONE, _LOCAL, WITH_ZONE = 0, 1, 2
-
-
 _LOOKED_AT = 1000
 _EXAMPLE = datetime(2025, 3, 1, 6)
 
@@ -68,57 +41,11 @@ class WrittenStamps:
 
     Where an hour comes twice only the stamps before it tell which pass it is, so that a log which
     is read in pieces is placed as a whole.
-
-    Attributes
-    ----------
-    time_us : (n,) int64
-        Microseconds since 1970, on the wall clock or in UTC.
-    kind : (n,) int8
-        0 no stamp, 1 on the wall clock, 2 in UTC.
-    example
-        The first cell that holds something and no stamp, for a message.
     """
 
-    time_us: NDArray[np.int64]
-    kind: NDArray[np.int8]
-    example: str | None = None
-
-
-def require_time_format(time_format: str) -> None:
-    """Refuse a format without a day, hour and minute, or with a directive that is not supported.
-
-    Raises
-    ------
-    UsageError
-        ``time_format``.
-
-    Examples
-    --------
-    >>> require_time_format("%d.%m.%Y %H:%M:%S,%f")
-    """
-    if time_format in ("iso8601", EXCEL_DAYS) or time_format in EPOCH_UNITS:
-        return
-    directives = re.findall(r"%(.?)", time_format)
-    if not set(directives) <= _DIRECTIVES:
-        raise UsageError(
-            "time_format",
-            f"time format {time_format!r}: iso8601, {', '.join(EPOCH_UNITS)}, "
-            f"{EXCEL_DAYS}, or directives of {' '.join('%' + d for d in sorted(_DIRECTIVES))}",
-        )
-    has = set(directives).intersection
-    day = has("Yy") and (has("j") or (has("mbB") and has("d")))
-    hour = has("M") and (has("H") or (has("I") and has("p")))
-    fraction = "%f" not in time_format or re.search(r"[.,]%f", time_format)
-    if not (day and hour and fraction):
-        raise UsageError(
-            "time_format",
-            f"time format {time_format!r} names no full day, hour and minute, or has %f without "
-            "'.' or ',' before it",
-        )
-    try:
-        _strptime(pl.Series(["?"]), time_format)
-    except pl.exceptions.PolarsError as error:
-        raise UsageError("time_format", f"time format {time_format!r}: {error}") from error
+    time_us: NDArray[np.int64]  # since 1970, on the wall clock or in UTC
+    kind: NDArray[np.int8]  # 0 no stamp, 1 on the wall clock, 2 in UTC
+    example: str | None = None  # the first cell that holds something and no stamp, for a message
 
 
 def example_of(time_format: str) -> str:
@@ -140,42 +67,36 @@ def example_of(time_format: str) -> str:
     return _EXAMPLE.replace(tzinfo=UTC).strftime(time_format)
 
 
-def from_text(texts: pa.ChunkedArray, time_format: str, zone: str) -> TimeStamps:
-    """Time stamps written as text.
+def written(columns: Sequence[pa.ChunkedArray], time_format: str) -> WrittenStamps:
+    """Time stamps of a column of time, or of one of dates and one of times of day."""
+    column = columns[-1]
+    if len(columns) > 1:
+        date, clock = (pc.utf8_trim_whitespace(part.cast(pa.string())) for part in columns)
+        column = pc.binary_join_element_wise(date, clock, " ")
+    if pa.types.is_timestamp(column.type):
+        return written_as_timestamps(column)
+    if is_text(column.type):
+        return written_as_text(column.cast(pa.string()), time_format)
+    blank = np.nan if pa.types.is_floating(column.type) else 0
+    return written_as_numbers(pc.fill_null(column, blank).to_numpy(), time_format)
 
-    Parameters
-    ----------
-    texts
-        Arrow strings; null where the cell is blank.
-    time_format
-        As in `pipeline.ingest.contract.LogSource`.
-    zone
-        Zone of stamps that carry none.
+
+def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
+    """Time stamps of a column of text, as they are written; a null is a blank cell.
 
     Examples
     --------
     >>> texts = pa.chunked_array([["2025-03-01T06:00:00.5+01:00", "6 am"]])
-    >>> stamps = from_text(texts, "iso8601", "UTC")
-    >>> stamps.time_us.tolist(), stamps.readable.tolist()
-    ([1740805200500000, 0], [True, False])
+    >>> stamps = placed([written_as_text(texts, "iso8601")], "UTC")
+    >>> stamps.time_us.tolist(), stamps.readable.tolist(), stamps.example
+    ([1740805200500000, 0], [True, False], '6 am')
     """
-    return placed([written_as_text(texts, time_format)], zone)
-
-
-def written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
-    """Time stamps of a column of text, as they are written.
-
-    Parameters
-    ----------
-    texts, time_format
-        As for `from_text`.
-    """
-    written = _written_as_text(texts, time_format)
-    strange = np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]
+    stamps = _written_as_text(texts, time_format)
+    strange = np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]
     if not strange.size:
-        return written
+        return stamps
     cells = (cell for cell in texts.take(pa.array(strange)).to_pylist() if cell and cell.strip())
-    return replace(written, example=next(cells, None))
+    return replace(stamps, example=next(cells, None))
 
 
 def _written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
@@ -192,25 +113,20 @@ def _written_as_text(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
 def written_as_numbers(
     numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
 ) -> WrittenStamps:
-    """Time stamps of a column of numbers, as they are written.
+    """Time stamps of a column of numbers, as they are written; a nan is a blank cell.
 
-    Parameters
-    ----------
-    numbers : (n,) integer or float64
-        nan where the cell is blank.
-    time_format
-        One of `EPOCH_UNITS`, or `EXCEL_DAYS`.
+    The format is one of `EPOCH_UNITS`, or `EXCEL_DAYS`.
 
     Examples
     --------
     >>> written_as_numbers(np.array([45717.25]), "excel_days").time_us.tolist()
     [1740808800000000]
     """
-    written = _written_as_numbers(numbers, time_format)
-    strange = numbers[np.flatnonzero(written.kind == _NONE)[:_LOOKED_AT]].tolist()
+    stamps = _written_as_numbers(numbers, time_format)
+    strange = numbers[np.flatnonzero(stamps.kind == _NONE)[:_LOOKED_AT]].tolist()
     # Blank cells are 0 or nan by now.
     examples = (str(number) for number in strange if number and number == number)
-    return replace(written, example=next(examples, None))
+    return replace(stamps, example=next(examples, None))
 
 
 def _written_as_numbers(
@@ -227,15 +143,7 @@ def _written_as_numbers(
 
 
 def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
-    """Stamps of all pieces of a log in UTC, local ones from the wall clock of a zone.
-
-    Parameters
-    ----------
-    parts
-        In the order of the file.
-    zone
-        Zone of stamps that carry none.
-    """
+    """Stamps of all pieces of a log in UTC, in their order; local ones are of the zone."""
     stamps = _placed(parts, zone)
     example = next((part.example for part in parts if part.example is not None), None)
     return replace(stamps, example=example or _implausible(parts, stamps))
@@ -278,14 +186,7 @@ def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
 def from_epoch(
     numbers: NDArray[np.integer[Any]] | NDArray[np.floating[Any]], time_format: str
 ) -> TimeStamps:
-    """Time stamps counted in `time_format` units since 1970, UTC.
-
-    Parameters
-    ----------
-    numbers : (n,) integer or float64
-        nan where the cell is blank.
-    time_format
-        One of `EPOCH_UNITS`.
+    """Time stamps counted since 1970, UTC, in one of `EPOCH_UNITS`; a nan is a blank cell.
 
     Examples
     --------
@@ -317,28 +218,8 @@ def _from_iso8601(texts: pa.ChunkedArray) -> WrittenStamps:
     return _from_iso8601_cell_by_cell(texts.to_pylist())
 
 
-def from_arrow_timestamps(stamps: pa.ChunkedArray, zone: str) -> TimeStamps:
-    """Time stamps of an Arrow timestamp column, of any unit, with or without a zone.
-
-    Parameters
-    ----------
-    stamps
-        Column of a timestamp type; null where there is none. With a zone in its type it is in UTC
-        already.
-    zone
-        Zone of a column without one.
-    """
-    return placed([written_as_timestamps(stamps)], zone)
-
-
 def written_as_timestamps(stamps: pa.ChunkedArray) -> WrittenStamps:
-    """Time stamps of an Arrow timestamp column, as they are written.
-
-    Parameters
-    ----------
-    stamps
-        As for `from_arrow_timestamps`.
-    """
+    """Time stamps of an Arrow timestamp column of any unit, in UTC where its type has a zone."""
     kind = WITH_ZONE if stamps.type.tz else _LOCAL
     whole = stamps.cast(pa.int64())
     counts = (pc.fill_null(whole, 0) if stamps.null_count else whole).to_numpy()
@@ -400,16 +281,7 @@ def _either(one: TimeStamps, other: TimeStamps) -> TimeStamps:
 def _from_strptime(texts: pa.ChunkedArray, time_format: str) -> WrittenStamps:
     if ",%f" in time_format:
         texts = pc.replace_substring(texts, ",", ".")
-    stamps = _strptime(pl.Series("time", texts), time_format)
+    stamps = parsed(pl.Series("time", texts), time_format)
     kind = WITH_ZONE if "%z" in time_format else _LOCAL
     readable = stamps.is_not_null().to_numpy()
     return WrittenStamps(stamps.to_physical().fill_null(0).to_numpy(), _kinds(readable, kind))
-
-
-def _strptime(texts: pl.Series, time_format: str) -> pl.Series:
-    # In the words of this parser %f stands for the dot as well, and only %#z knows "Z".
-    dotted = time_format.replace(",", ".") if ",%f" in time_format else time_format
-    its_format = dotted.replace(".%f", "%.f").replace("%z", "%#z")
-    return texts.str.strip_chars().str.to_datetime(
-        its_format, time_unit="us", strict=False, exact=True
-    )

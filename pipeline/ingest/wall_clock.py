@@ -24,23 +24,14 @@ _STEP_BACK_US = 30 * 60 * 1_000_000
 class TimeStamps:
     """Time stamps of a column.
 
-    Attributes
-    ----------
-    time_us : (n,) int64
-        UTC, microseconds since 1970; 0 where not readable.
-    readable : (n,) bool
-        False where the cell was blank, no time, before 1990 or after 2200, or a local time that
-        does not exist.
-    skipped
-        How many are local times that do not exist, as the clock was put forward over them.
-    example
-        The first one that is not readable, as it is written, for a message.
+    A stamp is not readable where the cell was blank, no time, before 1990 or after 2200, or a local
+    time that does not exist.
     """
 
-    time_us: NDArray[np.int64]
+    time_us: NDArray[np.int64]  # UTC, microseconds since 1970; 0 where not readable
     readable: NDArray[np.bool_]
-    skipped: int = 0
-    example: str | None = None
+    skipped: int = 0  # local times that do not exist, as the clock was put forward over them
+    example: str | None = None  # the first that is not readable, as it is written, for a message
 
 
 def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: str) -> TimeStamps:
@@ -48,16 +39,7 @@ def from_naive(local_us: NDArray[np.int64], readable: NDArray[np.bool_], zone: s
 
     Where a clock change gives an hour twice, stamps belong to its first pass until they step back
     by half an hour or more, then to the second. Stamps in an hour that the change leaves out are
-    not readable, and counted.
-
-    Parameters
-    ----------
-    local_us : (n,)
-        Wall-clock time as microseconds since 1970.
-    readable : (n,)
-        Which of them are stamps.
-    zone
-        Name of an IANA time zone.
+    not readable, and counted. `local_us` [µs since 1970], and what of it is `readable`: (n,).
 
     Examples
     --------

@@ -12,9 +12,10 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pipeline.ingest import ChannelSource, LogSource
+from pipeline.config.motors import Channel, ChannelName
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 from tests.dialects.recorded import Recorded, Times
+from tests.pipeline.ingest.sources import Source
 
 EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 MICROSECOND = dt.timedelta(microseconds=1)
@@ -87,13 +88,11 @@ class Dialect(ABC):
         """Keys of the config's `logs` section but for the files."""
         return {"format": self.format, **self.logs}
 
-    def log_source(self, channels: Iterable[str]) -> LogSource:
-        """What a reader is told."""
+    def source_of(self, channels: Iterable[ChannelName]) -> Source:
+        """Arguments of a reader."""
         keys = self.section()
-        if "time" in keys:
-            keys["time_source"] = keys.pop("time")
-        sources = tuple(ChannelSource(channel=name, **self.source(name)) for name in channels)
-        return LogSource(channels=sources, **keys)
+        wanted = {name: Channel(**self.source(name)) for name in channels}
+        return Source.of(keys.pop("format"), wanted, **keys)
 
     def in_units(self, log: Recorded) -> Recorded:
         """Readings as they are written."""

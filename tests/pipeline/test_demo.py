@@ -238,7 +238,7 @@ def test_reader_gets_back_what_was_recorded(
     recording, motor = record_night(night), night.spec.file
     path = tmp_path / f"log.{motor.logs.format}"
     write_log(path, recording, motor)
-    log = read_log(path, motor.log_source())
+    log = read_log(path, motor.logs, motor.channels)
     assert list(tmp_path.iterdir()) == [path]
     since_measured_us = 1500 if motor.logs.time == "log_time" else 0
     for name, values in recording.values.items():

@@ -314,8 +314,8 @@ def test_what_is_published_of_a_log_stays_while_it_grows(
     path.write_bytes(whole + whole.splitlines(keepends=True)[-1])
     real = pipeline.log_shelf.read_log
 
-    def read(path: Path, source: Any) -> Any:
-        log = real(path, source)
+    def read(path: Path, *source: Any) -> Any:
+        log = real(path, *source)
         with path.open("ab") as file:
             file.write(b"half a ro")
         return log
@@ -344,11 +344,11 @@ def test_nights_that_an_earlier_state_of_a_log_was_read_for_wait_too(
     monkeypatch.setattr(pipeline.log_shelf, "LOGS_IN_MEMORY", 0)
     reads: list[Path] = []
 
-    def read(at: Path, source: Any) -> Any:
+    def read(at: Path, *source: Any) -> Any:
         reads.append(at)
         if reads.count(path) == 2:
             os.utime(at, (1, 1))
-        return real(at, source)
+        return real(at, *source)
 
     monkeypatch.setattr(pipeline.log_shelf, "read_log", read)
     outcome = site.workshop.run()

@@ -15,14 +15,12 @@ from rich.console import Console
 
 from pipeline import status_lines
 from pipeline.check import check_fleet
-from pipeline.config import ConfigError, load_fleet
+from pipeline.config import Channel, ConfigError, load_fleet
+from pipeline.config.field_paths import field_path
+from pipeline.config.time_formats import require_time_format
 from pipeline.csv_export import Selection, export_csv
-from pipeline.errors import UsageError
 from pipeline.fleet import RunRequest, run_fleet
-from pipeline.ingest import ChannelSource
-from pipeline.ingest.mcap_paths import field_path
 from pipeline.ingest.table import is_of_file
-from pipeline.ingest.time_stamps import require_time_format
 from pipeline.logs import find_logs
 from pipeline.report import ReportRequest, build_report
 from pipeline.status import FleetStatus, MotorState
@@ -193,7 +191,7 @@ def test_a_config_of_any_depth_or_size_of_number_is_a_fault(
     ids=lambda text: text[:4],
 )
 def test_a_path_of_a_field_is_judged_at_once(text: str) -> None:
-    with pytest.raises(UsageError, match="is no path"):
+    with pytest.raises(ValueError, match="is no path"):
         field_path(text)
 
 
@@ -203,12 +201,12 @@ def test_a_path_of_a_field_is_judged_at_once(text: str) -> None:
     ids=lambda text: text[:4],
 )
 def test_a_format_of_times_is_judged_at_once(text: str) -> None:
-    with pytest.raises(UsageError, match="time format"):
+    with pytest.raises(ValueError, match="time format"):
         require_time_format(text)
 
 
 def test_a_pattern_of_a_file_s_name_is_judged_at_once() -> None:
-    channel = ChannelSource("speed", "*?" * 100 + "b", "rpm")
+    channel = Channel(source="*?" * 100 + "b", unit="rpm")
     assert not is_of_file(channel, Path("a" * 255))
 
 

@@ -79,7 +79,8 @@ def looked_at(path: Path, spec: MotorSpec, before: FileRecord | None = None) -> 
 
 
 def fully_read(path: Path, spec: MotorSpec) -> FileRecord:
-    return covered(looked_at(path, spec), read_log(path, spec.file.log_source()), spec)
+    log = read_log(path, spec.file.logs, spec.file.channels)
+    return covered(looked_at(path, spec), log, spec)
 
 
 def us(time: dt.datetime) -> int:

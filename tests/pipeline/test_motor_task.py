@@ -133,9 +133,9 @@ def test_overlapping_globs_find_a_file_once(workshop: Workshop) -> None:
 def test_each_file_is_read_once(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[str] = []
 
-    def counted(path: Path, source: Any) -> Any:
+    def counted(path: Path, *source: Any) -> Any:
         read.append(path.name)
-        return read_log(path, source)
+        return read_log(path, *source)
 
     monkeypatch.setattr(pipeline.log_shelf, "read_log", counted)
     operation, values = workshop.night(NIGHT)

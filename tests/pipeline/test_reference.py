@@ -146,7 +146,7 @@ def test_config_examples_make_up_a_fleet() -> None:
     assert motor.settings.cleaning.guard_after_s == 60.0
     assert motor.file.oil_on(dt.date(2026, 8, 31)) == "vg68"
     assert motor.file.oil_on(dt.date(2026, 9, 1)) == "vg46"
-    assert motor.file.log_source().separator == ";"
+    assert motor.file.logs.separator == ";"
 
 
 def test_config_page_shows_one_example_a_file() -> None:

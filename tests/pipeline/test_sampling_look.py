@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from pipeline.config import Channel, load_fleet
 from pipeline.config.motors import COUNTED
 from pipeline.ingest import RawChannel, read_log
-from pipeline.sampling_look import Kind, Look, look_of
-from pipeline.sampling_remark import configured, remark, words
+from pipeline.sampling_look import Kind, Look, configured, look_of, remark, words
 
 from .signals import (
     Signal,
@@ -90,34 +89,30 @@ ON_CHANGE = [
 
 @pytest.mark.parametrize(("name", "steps"), ON_CHANGE)
 @pytest.mark.parametrize("fine", [False, True])
-def test_a_value_sent_on_change_looks_so(name: str, steps: int, fine: bool) -> None:
+def test_a_value_sent_on_change_looks_irregular(name: str, steps: int, fine: bool) -> None:
     if fine and steps == 0:
         return
     for seed in SEEDS:
         one = signal(name, seed)
         sent = sent_on_change(one, 0.2, 0.0 if fine else STEPS[name], steps * STEPS[name])
         found = look(sent, name)
-        assert found.kind == "on_change"
+        assert found.kind == "irregular"
         # The longest but for a hundredth: of use as longest_silence_s.
         silences = np.diff(sent.time_s)
         assert 0.98 < np.mean(silences <= (found.longest_silence_s or 0.0)) <= 1.0
 
 
-@pytest.mark.parametrize("steps", [2, 5, 10, 30])
-def test_what_a_swinging_door_leaves_of_a_moving_load_looks_compressed(steps: int) -> None:
-    for seed in SEEDS:
-        left = swinging_door(signal("pressure", seed), 1.0, 0.1, steps * 0.1)
-        assert look(left).kind == "compressed"
+SWINGING_DOOR = [
+    *(("pressure", steps) for steps in (2, 5, 10, 30)),
+    *(("temperature", 2), ("flow", 5), ("flow", 15)),
+]
 
 
-@pytest.mark.parametrize(("name", "steps"), [("temperature", 2), ("flow", 5), ("flow", 15)])
-def test_what_it_leaves_of_a_wandering_signal_looks_irregular_at_least(
-    name: str, steps: int
-) -> None:
-    """It cannot always be told from lost samples, but never passes for readings or changes."""
+@pytest.mark.parametrize(("name", "steps"), SWINGING_DOOR)
+def test_what_a_swinging_door_leaves_looks_irregular(name: str, steps: int) -> None:
     for seed in SEEDS:
         left = swinging_door(signal(name, seed), 1.0, STEPS[name], steps * STEPS[name])
-        assert look(left, name).kind in ("compressed", "irregular")
+        assert look(left, name).kind == "irregular"
 
 
 @pytest.mark.parametrize("period_s", [10.0, 20.0])
@@ -192,29 +187,30 @@ def test_few_samples_or_no_change_tell_nothing(count: int) -> None:
 
 @settings(max_examples=25)
 @given(
-    st.sampled_from(["on_change", "compressed", "periodic", "cumulative", "pulses"]),
+    st.sampled_from(["sent on change", "compressed", "periodic", "cumulative", "pulses"]),
     st.floats(1e-3, 1e3),
     st.floats(1e-3, 1e3),
     st.floats(-1e3, 1e3),
 )
 def test_neither_magnitude_nor_speed_tells(
-    kind: Kind, factor: float, slower: float, offset: float
+    way: str, factor: float, slower: float, offset: float
 ) -> None:
     """The same samples in another unit, and all times longer or shorter alike."""
-    one = LOGGED[kind]
-    shift = 0.0 if kind in ("cumulative", "pulses") else offset
+    one = LOGGED[way]
+    shift = 0.0 if way in ("cumulative", "pulses") else offset
     other = Signal(one.time_s * slower, one.value * factor + shift * factor)
     # Means are told by how long they are, so that this is left out of what is slowed down.
-    if kind == "periodic":
+    if way == "periodic":
         other = Signal(one.time_s, other.value)
-    name = "flow" if kind in ("cumulative", "pulses") else "pressure"
+    name = "flow" if way in ("cumulative", "pulses") else "pressure"
+    kind = "irregular" if way in ("sent on change", "compressed") else way
     assert look(other, name, resolution=0.0).kind == kind
 
 
 FLOW = wandering(generator(9), 1800.0, 1.5, 0.4, 20.0)
 LOAD = noisy(generator(8), moving_load(generator(9), 1800.0, (20.0, 250.0), 15.0), 0.05)
-LOGGED: dict[Kind, Signal] = {
-    "on_change": sent_on_change(LOAD, 0.2, 0.1, 0.5),
+LOGGED = {
+    "sent on change": sent_on_change(LOAD, 0.2, 0.1, 0.5),
     "compressed": swinging_door(LOAD, 1.0, 0.1, 1.0),
     "periodic": sampled(LOAD, 0.2, 0.1),
     "cumulative": counted(FLOW, 1.0, 1.0),
@@ -223,7 +219,7 @@ LOGGED: dict[Kind, Signal] = {
 
 
 def test_samples_are_put_in_order_and_what_is_missing_left_out() -> None:
-    one = LOGGED["on_change"]
+    one = LOGGED["sent on change"]
     rng = generator(1)
     order = rng.permutation(one.value.size)
     time_us = np.repeat(stamps(one.time_s)[order], 2)
@@ -248,10 +244,10 @@ PULSES = TOTAL | {"counts": "pulses"}
     ("config", "agreeing"),
     [
         ({}, {"periodic"}),
-        (SENT, {"periodic", "on_change", "compressed", "irregular", "mean"}),
+        (SENT, {"periodic", "irregular", "mean"}),
         (MEAN, {"periodic", "mean"}),
         (TOTAL, {"cumulative"}),
-        (PULSES, {"periodic", "pulses", "on_change", "compressed", "irregular", "mean"}),
+        (PULSES, {"periodic", "pulses", "irregular", "mean"}),
     ],
     ids=["periodic", "on_change", "mean", "cumulative", "pulses"],
 )
@@ -259,9 +255,7 @@ def test_a_remark_where_look_and_config_disagree(
     config: dict[str, object], agreeing: set[Kind]
 ) -> None:
     channel = Channel.model_validate(PLAIN | config)
-    kinds: set[Kind] = {
-        *("periodic", "on_change", "compressed", "irregular", "mean", "cumulative", "pulses"),
-    }
+    kinds: set[Kind] = {"periodic", "irregular", "mean", "cumulative", "pulses"}
     for kind in kinds:
         told = remark(channel, Look(kind, 10.0, 30.0, 0.01))
         assert bool(told) == (kind not in agreeing)
@@ -275,7 +269,7 @@ def test_a_remark_where_look_and_config_disagree(
 def test_a_remark_says_what_to_write() -> None:
     plain = Channel.model_validate(PLAIN)
     for kind, told in {
-        "on_change": 'then sampling = "on_change" and longest_silence_s; silences here reach 30 s',
+        "irregular": 'then sampling = "on_change" and longest_silence_s; silences here reach 30 s',
         "mean": 'then sampling = "mean" and mean_of_s = 10',
         "pulses": 'then counts = "pulses", unit = "count" and volume_per_count_cm3',
     }.items():
@@ -298,7 +292,7 @@ def test_nothing_of_the_demo_is_remarked_on(demo_folder: object) -> None:
     looked_at = 0
     for spec in fleet.motors:
         for path in sorted((fleet.log_root / spec.motor_id).iterdir()):
-            log = read_log(path, spec.file.log_source())
+            log = read_log(path, spec.file.logs, spec.file.channels)
             for name, channel in spec.file.channels.items():
                 found = look_of(
                     log.channels[name], is_flow=name == COUNTED, resolution=channel.resolution

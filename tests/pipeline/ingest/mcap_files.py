@@ -16,11 +16,12 @@ from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory as ProtobufDecoderFactory
 from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 
+from pipeline.config.field_paths import field_path
 from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log
-from pipeline.ingest.mcap_paths import field_path
+from pipeline.ingest import RawLog, read_log
 from pipeline.units import CHANNELS, canonical_unit
 
+from .sources import Source, column
 from .writers import T0_US
 
 T0_NS = T0_US * 1000
@@ -60,20 +61,20 @@ def mcap_of(
     return buffer.getvalue()
 
 
-def source_of(*fields: str, topic: str = TOPIC, **options: Any) -> LogSource:
+def source_of(*fields: str, topic: str = TOPIC, **options: Any) -> Source:
     """A source of up to eight fields of a topic."""
-    channels = tuple(
-        ChannelSource(name, topic, canonical_unit(name), field=field)
+    channels = {
+        name: column(topic, canonical_unit(name), field=field)
         for name, field in zip(CHANNELS, fields, strict=False)
-    )
-    return LogSource("mcap", channels, **options)
+    }
+    return Source.of("mcap", channels, **options)
 
 
-def read(folder: Path, data: bytes, source: LogSource) -> RawLog:
+def read(folder: Path, data: bytes, source: Source) -> RawLog:
     """What is read of a file."""
     path = folder / "log.mcap"
     path.write_bytes(data)
-    return read_log(path, source)
+    return read_log(path, *source)
 
 
 def all_values(path: Path, fields: Sequence[str], topic: str = TOPIC) -> dict[str, list[Value]]:
@@ -81,7 +82,7 @@ def all_values(path: Path, fields: Sequence[str], topic: str = TOPIC) -> dict[st
     found: dict[str, list[Value]] = {}
     for start in range(0, len(fields), len(CHANNELS)):
         some = fields[start : start + len(CHANNELS)]
-        channels = read_log(path, source_of(*some, topic=topic)).channels
+        channels = read_log(path, *source_of(*some, topic=topic)).channels
         for field, channel in zip(some, channels.values(), strict=True):
             pairs = zip(channel.value.tolist(), channel.missing.tolist(), strict=True)
             found[field] = [None if missing else value for value, missing in pairs]

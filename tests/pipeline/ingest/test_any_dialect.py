@@ -30,11 +30,11 @@ def found(channel: RawChannel) -> Pairs:
 
 
 def check(dialect: Dialect, log: Recorded, folder: Path) -> None:
-    source = dialect.log_source(log.values)
+    source = dialect.source_of(log.values)
     paths = dialect.write(folder, "log", log)
     for name in log.values:
         (path,) = [one for one in paths if len(paths) == 1 or f"+{name}." in one.name]
-        raw = read_log(path, source)
+        raw = read_log(path, *source)
         assert found(raw.channels[name]) == written(log, name)
         assert raw.channels[name].unparsed == 0
         every = getattr(dialect, "header_every", 0)
@@ -42,7 +42,7 @@ def check(dialect: Dialect, log: Recorded, folder: Path) -> None:
         assert raw.notes == ((f"{again} lines that repeat the header",) if again else ())
         # Rows at the ends in which every channel is blank are in the span of the file alone.
         rows_us = log.samples()[0]
-        assert time_span(path, source) in (
+        assert time_span(path, *source) in (
             (raw.first_us, raw.last_us),
             (int(rows_us.min()), int(rows_us.max())),
         )

@@ -6,8 +6,7 @@ from __future__ import annotations
 import gzip
 import os
 import random
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,104 +16,41 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.config import load_fleet
+from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
-from pipeline.ingest import LogSource, read_log, time_span
+from pipeline.ingest import read_log, time_span
 from pipeline.ledger import FileRecord
 from pipeline.logs import covered
 from tests.pipeline.simulated import motor_toml, write_configs
 
+from .sources import Source, column
 from .writers import CHANNELS, FORMATS, T0_US, Format, Row
 
 NAMES = ("dp", "T", "q")
 GOOD = {"dp": 200.0, "T": 50.0, "q": 1.0}
-# The year 2150.
-FUTURE_US = 5_680_281_600_000_000
-LONG = LogSource("csv", CHANNELS, layout="long")
-OF_A_CHANNEL = replace(
-    LONG, layout="file_per_channel", channels=tuple(replace(c, source="log*") for c in CHANNELS[:1])
-)
-
-
-@dataclass(frozen=True)
-class Kind:
-    """A kind of bad input: what is written, the code of both reads, and what the message says.
-
-    Attributes
-    ----------
-    rows
-        Rows to write in the format's own way.
-    code, says
-        Of `read_log`; an empty code where it reads.
-    span_code
-        Of `time_span`, which looks at less.
-    """
-
-    rows: Sequence[Row]
-    code: str
-    says: str
-    span_code: str = ""
+LONG = Source.of("csv", CHANNELS, layout="long")
+PRESSURE: Channels = {"pressure_difference": CHANNELS["pressure_difference"]}
+OF_A_CHANNEL = LONG.but({"pressure_difference": column("log*", "bar")}, layout="file_per_channel")
 
 
 def rows_of(count: int, **cells: Any) -> list[Row]:
     return [Row(T0_US + i * 100_000, GOOD | cells) for i in range(count)]
 
 
-KINDS: Mapping[str, Kind] = {
-    "header only": Kind([], "", "", "log_empty"),
-    "all in the future": Kind(
-        [Row(FUTURE_US + i, GOOD) for i in range(5)], "log_time", "in the future", "log_time"
-    ),
-    "clock never set": Kind(
-        [Row(i * 1_000_000, GOOD) for i in range(5)], "log_time", "1990", "log_time"
-    ),
-}
-
-
-@pytest.mark.parametrize(
-    ("form", "kind"),
-    [
-        pytest.param(form, kind, id=f"{form.name}-{name}")
-        for form in FORMATS
-        for name, kind in KINDS.items()
-        # Without samples a log of some kinds does not say which channels it has.
-        if kind.span_code != "log_empty" or form.names_channels
-    ],
-)
-def test_a_code_the_file_and_the_place(form: Format, kind: Kind, tmp_path: Path) -> None:
-    path = tmp_path / f"CB560-01.{form.source.format}"
-    form.write(path, kind.rows, NAMES)
-    check(path, form.source, kind.code, kind.says)
-    check(path, form.source, kind.span_code, "", time_span)
-
-
 def check(
     path: Path,
-    source: LogSource,
+    source: Source,
     code: str,
     says: str,
-    read: Callable[[Path, LogSource], object] = read_log,
+    read: Callable[[Path, Logs, Channels], object] = read_log,
 ) -> None:
     if not code:
-        read(path, source)
+        read(path, *source)
         return
     with pytest.raises(LogError, match=path.name) as raised:
-        read(path, source)
+        read(path, *source)
     assert raised.value.code == code
     assert says in raised.value.message
-
-
-@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
-def test_some_rows_in_the_future_are_left_out_and_counted(form: Format, tmp_path: Path) -> None:
-    path = tmp_path / f"log.{form.source.format}"
-    rows = [*rows_of(7), Row(FUTURE_US, GOOD), Row(FUTURE_US + 1, GOOD)]
-    form.write(path, rows, NAMES)
-    log = read_log(path, form.source)
-    left_out = 2 if form.wide else 6
-    assert log.refused_rows == left_out
-    assert any(
-        note.startswith(f"{left_out} ") and "a day in the future" in note for note in log.notes
-    )
-    assert log.last_us == T0_US + 600_000
 
 
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
@@ -123,17 +59,17 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
 ) -> None:
     """A reader judges nothing but the file itself; the record of the file has the code."""
     (spec,) = load_fleet(write_configs(tmp_path, {"M1": motor_toml("M1")})).motors
-    path = tmp_path / f"CB560-01.{form.source.format}"
+    path = tmp_path / f"CB560-01.{form.source.logs.format}"
     record = FileRecord(path.name, 1, 1, "x")
     form.write(path, rows_of(5, dp=None, T=None, q=None), NAMES)
-    log = read_log(path, form.source)
+    log = read_log(path, *form.source)
     assert all(channel.missing.all() for channel in log.channels.values())
     with pytest.raises(LogError, match=path.name) as raised:
         covered(record, log, spec)
     assert (raised.value.code, raised.value.place) == ("log_empty", "pressure_difference")
     assert "all 5 cells of leakage_flow are blank" in raised.value.message
     form.write(path, rows_of(5, T=None), NAMES)
-    found = covered(record, read_log(path, form.source), spec)
+    found = covered(record, read_log(path, *form.source), spec)
     assert (found.status, found.message) == ("ok", "all 5 cells of oil_temperature are blank")
 
 
@@ -141,7 +77,7 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
 def test_what_may_not_be_opened(
     form: Format, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / f"CB560-01.{form.source.format}"
+    path = tmp_path / f"CB560-01.{form.source.logs.format}"
     form.write(path, rows_of(5), NAMES)
     if os.geteuid():
         path.chmod(0)
@@ -178,7 +114,7 @@ def csv_of(folder: Path, data: bytes | str) -> Path:
         (OF_A_CHANNEL, 'time,value\n2025-03-01T06:00:00Z,1\nx,"1\n', "log_damaged", "log.csv"),
     ],
 )
-def test_other_layouts(tmp_path: Path, source: LogSource, data: str, code: str, says: str) -> None:
+def test_other_layouts(tmp_path: Path, source: Source, data: str, code: str, says: str) -> None:
     check(csv_of(tmp_path, data), source, code, says)
 
 
@@ -188,7 +124,7 @@ def test_a_quotation_mark_that_is_not_closed_is_named_by_its_line(tmp_path: Path
     rows[20] = f'{stamp}0Z,1,"2,3'
     path = csv_of(tmp_path, "\n".join(["time,dp,T,q", *rows, ""]))
     with pytest.raises(LogError, match="quotation mark") as raised:
-        read_log(path, LogSource("csv", CHANNELS))
+        read_log(path, *Source.of("csv", CHANNELS))
     assert (raised.value.code, raised.value.place) == ("log_damaged", "line 22")
 
 
@@ -212,7 +148,7 @@ def test_binary_in_a_csv(tmp_path: Path, data: bytes) -> None:
     path = csv_of(tmp_path, data)
     for read in (read_log, time_span):
         with pytest.raises(LogError, match=r"log\.csv") as raised:
-            read(path, LogSource("csv", CHANNELS))
+            read(path, *Source.of("csv", CHANNELS))
         assert raised.value.code in {
             "log_not_csv",
             "log_encoding",
@@ -222,13 +158,13 @@ def test_binary_in_a_csv(tmp_path: Path, data: bytes) -> None:
         assert raised.value.message.isprintable()
 
 
-def gzip_bomb(folder: Path) -> tuple[Path, LogSource]:
+def gzip_bomb(folder: Path) -> tuple[Path, Source]:
     path = folder / "log.csv.gz"
     path.write_bytes(gzip.compress(b"time,dp,T,q\n" + b"2025-03-01T06:00:00Z,1,2,3\n" * 2_600_000))
-    return path, LogSource("csv", CHANNELS)
+    return path, Source.of("csv", CHANNELS)
 
 
-def parquet_bomb(folder: Path) -> tuple[Path, LogSource]:
+def parquet_bomb(folder: Path) -> tuple[Path, Source]:
     """A page of any number of rows takes a few bytes."""
     rows = 12_000_000
     path = folder / "log.parquet"
@@ -243,12 +179,12 @@ def parquet_bomb(folder: Path) -> tuple[Path, LogSource]:
         max_rows_per_page=2**30,
         write_statistics=False,
     )
-    return path, LogSource("parquet", CHANNELS[:1])
+    return path, Source.of("parquet", PRESSURE)
 
 
 @pytest.mark.parametrize("bomb", [gzip_bomb, parquet_bomb])
 def test_a_small_file_that_unfolds_to_gigabytes(
-    tmp_path: Path, bomb: Callable[[Path], tuple[Path, LogSource]]
+    tmp_path: Path, bomb: Callable[[Path], tuple[Path, Source]]
 ) -> None:
     path, source = bomb(tmp_path)
     assert path.stat().st_size < 2**18

@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import time
 from collections.abc import Callable
-from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -13,39 +12,18 @@ import pytest
 import zstandard
 
 import pipeline.ingest.csv_text
-from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log, time_span
+from pipeline.ingest import RawLog, time_span
 
+from .csv_files import DAY, SOURCE, error, read
+from .sources import column
 from .writers import T0_US
 
-SOURCE = LogSource(
-    "csv",
-    (ChannelSource("pressure_difference", "dp", "bar"), ChannelSource("speed", "n", "rpm")),
-)
-DAY = "2025-03-01T06:00:0"
 ROWS = "".join(f"{DAY}{i}Z,{i},{10 * i}\n" for i in range(5))
-
-
-def read(
-    folder: Path, data: bytes | str, source: LogSource = SOURCE, name: str = "log.csv"
-) -> RawLog:
-    path = folder / name
-    path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return read_log(path, source)
 
 
 def values(log: RawLog, channel: str = "pressure_difference") -> list[float]:
     raw = log.channels[channel]
     return [float(value) for value in raw.value[~raw.missing]]
-
-
-def error(
-    folder: Path, data: bytes | str, source: LogSource = SOURCE, name: str = "log.csv"
-) -> LogError:
-    with pytest.raises(LogError) as raised:
-        read(folder, data, source, name)
-    assert name in raised.value.message
-    return raised.value
 
 
 PACKERS: dict[str, Callable[[bytes], bytes]] = {
@@ -65,7 +43,7 @@ def test_packed_files_are_read_whatever_they_are_called(tmp_path: Path, packer: 
     # Loggers append a packed piece an hour.
     pieces = PACKERS[packer](data) + PACKERS[packer](ROWS.encode())
     assert read(tmp_path, pieces).rows == 10
-    assert time_span(tmp_path / "log.csv", SOURCE) == (T0_US, T0_US + 4_000_000)
+    assert time_span(tmp_path / "log.csv", *SOURCE) == (T0_US, T0_US + 4_000_000)
 
 
 @each_packer
@@ -101,7 +79,7 @@ def test_other_packers_are_named(tmp_path: Path, magic: bytes) -> None:
 
 
 def test_rows_of_units_are_skipped_where_stated(tmp_path: Path) -> None:
-    source = replace(SOURCE, unit_rows=2)
+    source = SOURCE.but(unit_rows=2)
     log = read(tmp_path, f"time,dp,n\n,bar,rpm\n\n-,mean,mean\n{ROWS}", source)
     assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0]
     assert log.notes == ()
@@ -110,7 +88,7 @@ def test_rows_of_units_are_skipped_where_stated(tmp_path: Path) -> None:
 @pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
 def test_a_header_that_comes_again_is_no_sample(tmp_path: Path, line_end: str) -> None:
     text = f"time,dp,n\nUTC,bar,rpm\n{ROWS}time,dp,n\nUTC,bar,rpm\n{ROWS}"
-    log = read(tmp_path, text.replace("\n", line_end), replace(SOURCE, unit_rows=1))
+    log = read(tmp_path, text.replace("\n", line_end), SOURCE.but(unit_rows=1))
     assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0] * 2
     assert log.channels["pressure_difference"].unparsed == 0
     assert log.notes == ("1 lines that repeat the header",)
@@ -140,7 +118,7 @@ def _cells() -> list[list[str]]:
 @pytest.mark.parametrize("piece", [64, 100, 1000])
 def test_pieces_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
     text = "Logger 7\n" + f"time,dp,n\nUTC,bar,rpm\n{ROWS}" * 6 + "n,time,dp\n,,\n" + "5,2025"
-    source = replace(SOURCE, skip_rows=1, unit_rows=1)
+    source = SOURCE.but(skip_rows=1, unit_rows=1)
     whole = read(tmp_path, text, source)
     read_lines = pipeline.ingest.csv_log.read_lines
     monkeypatch.setattr(
@@ -174,7 +152,7 @@ def test_pieces_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pie
 def test_marks_between_thousands(
     tmp_path: Path, thousands: str, decimal: str, cell: str, value: float | None
 ) -> None:
-    source = replace(SOURCE, separator=";", thousands=thousands, decimal=decimal)
+    source = SOURCE.but(separator=";", thousands=thousands, decimal=decimal)
     log = read(tmp_path, f"time;dp;n\n{DAY}0Z;{cell};1\n{DAY}1Z;7;1\n", source)
     assert values(log) == ([7.0] if value is None else [value, 7.0])
     assert log.channels["pressure_difference"].unparsed == (value is None)
@@ -188,25 +166,25 @@ def test_words_of_loggers_for_no_sample(tmp_path: Path, token: str) -> None:
 
 
 def test_a_date_in_a_column_of_its_own(tmp_path: Path) -> None:
-    source = replace(SOURCE, date_column="date", time_format="%d.%m.%Y %H:%M:%S")
+    source = SOURCE.but(date_column="date", time_format="%d.%m.%Y %H:%M:%S")
     text = "date,time,dp,n\n01.03.2025,06:00:00,1,2\n01.03.2025, 06:00:01 ,3,4\n,06:00:02,5,6\n"
     log = read(tmp_path, text, source)
     assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 1_000_000]
     assert log.notes == ("1 rows without a readable time",)
-    assert time_span(tmp_path / "log.csv", source) == (T0_US, T0_US + 1_000_000)
-    iso = replace(source, time_format="iso8601")
+    assert time_span(tmp_path / "log.csv", *source) == (T0_US, T0_US + 1_000_000)
+    iso = source.but(time_format="iso8601")
     assert read(tmp_path, "date,time,dp,n\n2025-03-01,06:00:00,1,2\n", iso).first_us == T0_US
 
 
 def test_days_of_a_spreadsheet_with_a_decimal_comma(tmp_path: Path) -> None:
-    source = replace(SOURCE, separator=";", decimal=",", time_format="excel_days")
+    source = SOURCE.but(separator=";", decimal=",", time_format="excel_days")
     for bad in ("", "?;1;2\n"):
         log = read(tmp_path, f"time;dp;n\n45717,25;1,5;2\n45717,2500115741;3;4\n{bad}", source)
         assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 1_000_000]
         assert values(log) == [1.5, 3.0]
 
 
-LONG = replace(SOURCE, layout="long", channel_column="tag", value_column="v")
+LONG = SOURCE.but(layout="long", channel_column="tag", value_column="v")
 
 
 def test_long_tables(tmp_path: Path) -> None:
@@ -238,11 +216,11 @@ def test_a_long_table_without_a_channel_says_so(tmp_path: Path) -> None:
 
 
 def test_a_file_a_channel(tmp_path: Path) -> None:
-    channels = (
-        ChannelSource("pressure_difference", "*_dp_*.csv", "kPa"),
-        ChannelSource("speed", "*_n_*.csv", "rpm"),
-    )
-    source = replace(SOURCE, layout="file_per_channel", channels=channels)
+    channels = {
+        "pressure_difference": column("*_dp_*.csv", "kPa"),
+        "speed": column("*_n_*.csv", "rpm"),
+    }
+    source = SOURCE.but(layout="file_per_channel", channels=channels)
     text = f"time,value\n{DAY}0Z,100\n{DAY}1Z,250\n?,7\n"
     log = read(tmp_path, text, source, "m7_dp_0301.csv")
     assert values(log) == [1.0, 2.5]
@@ -263,7 +241,7 @@ def test_the_hour_that_comes_twice_is_told_apart_across_pieces(
         f"{(moment + timedelta(hours=offset)).strftime('%d.%m.%Y %H:%M')},{i},1\n"
         for i, (moment, offset) in enumerate(zip(moments, offsets, strict=True))
     ]
-    source = replace(SOURCE, time_format="%d.%m.%Y %H:%M", time_zone="Europe/Stockholm")
+    source = SOURCE.but(time_format="%d.%m.%Y %H:%M", time_zone="Europe/Stockholm")
     read_lines = pipeline.ingest.csv_log.read_lines
     monkeypatch.setattr(
         pipeline.ingest.csv_log, "read_lines", lambda path, code: read_lines(path, code, 500)
@@ -274,7 +252,7 @@ def test_the_hour_that_comes_twice_is_told_apart_across_pieces(
 
 
 def test_the_hour_that_never_comes_costs_its_rows(tmp_path: Path) -> None:
-    source = replace(SOURCE, time_zone="Europe/Stockholm")
+    source = SOURCE.but(time_zone="Europe/Stockholm")
     times = ["01:58:00", "01:59:00", "02:30:00", "03:00:00"]
     rows = "".join(f"2025-03-30 {clock},{i},1\n" for i, clock in enumerate(times))
     log = read(tmp_path, f"time,dp,n\n{rows}", source)
@@ -309,21 +287,3 @@ def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
 )
 def test_each_damage_has_its_code(tmp_path: Path, data: bytes, code: str) -> None:
     assert error(tmp_path, data).code == code
-
-
-def test_header_only_and_null_throughout_are_no_damage(tmp_path: Path) -> None:
-    assert read(tmp_path, "time,dp,n\n").rows == 0
-    log = read(tmp_path, f"time,dp,n\n{DAY}0Z,,---\n{DAY}1Z,NA,\n")
-    assert all(channel.missing.all() for channel in log.channels.values())
-
-
-def test_a_file_that_cannot_be_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(*_: object) -> None:
-        raise PermissionError(13, "Permission denied")
-
-    path = tmp_path / "log.csv"
-    path.write_text("time,dp,n\n")
-    monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(LogError, match="Permission denied") as raised:
-        read_log(path, SOURCE)
-    assert raised.value.code == "log_not_readable"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,32 +13,16 @@ from hypothesis import strategies as st
 import pipeline.ingest.csv_log
 import pipeline.ingest.csv_text
 from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, RawChannel, RawLog, read_log, time_span
+from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.csv_text import read_lines
 
+from .csv_files import DAY, SOURCE, error, read
+from .sources import column
 from .writers import T0_US
-
-SOURCE = LogSource(
-    "csv",
-    (ChannelSource("pressure_difference", "dp", "bar"), ChannelSource("speed", "n", "rpm")),
-)
-DAY = "2025-03-01T06:00:0"
-
-
-def read(folder: Path, data: bytes | str, source: LogSource = SOURCE) -> RawLog:
-    path = folder / "log.csv"
-    path.write_bytes(data.encode() if isinstance(data, str) else data)
-    return read_log(path, source)
 
 
 def pressure(log: RawLog) -> RawChannel:
     return log.channels["pressure_difference"]
-
-
-def error(folder: Path, data: bytes | str, source: LogSource = SOURCE) -> LogError:
-    with pytest.raises(LogError) as raised:
-        read(folder, data, source)
-    return raised.value
 
 
 def test_a_last_row_without_line_end_is_left_out_and_noted(tmp_path: Path) -> None:
@@ -101,7 +84,7 @@ def test_the_first_row_of_another_width_is_named_by_its_line(
     found = ragged_lines(text, 3)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline.ingest.csv_log, "read_lines", lambda *at: read_lines(*at[:2], piece))
-        log = read_log(path, replace(SOURCE, skip_rows=2))
+        log = read_log(path, *SOURCE.but(skip_rows=2))
     first = lines[found[0] - 1].count(",") + 1 if found else 0
     told = f"{len(found)} rows with too many or too few cells, the first in line {{}} with {first}"
     assert log.notes == ((told.format(found[0]),) if found else ())
@@ -123,7 +106,7 @@ def test_a_row_of_units_below_the_header_is_left_out(tmp_path: Path) -> None:
 
 def test_quoted_cells_are_read(tmp_path: Path) -> None:
     data = f'"time","dp","n","who, when"\n"{DAY}0Z","1,5","2","A, B"\n'
-    source = replace(SOURCE, decimal=",", separator=";")
+    source = SOURCE.but(decimal=",", separator=";")
     log = read(tmp_path, data.replace('","', '";"'), source)
     assert pressure(log).value.tolist() == [1.5]
 
@@ -139,9 +122,9 @@ def test_a_quotation_mark_that_swallows_rows_is_damage(tmp_path: Path, row: str)
 
 def test_a_header_may_follow_other_lines(tmp_path: Path) -> None:
     data = f"Logger 7, serial 1234\n# dp, n\ntime,dp,n\n{DAY}0Z,1,2\n"
-    assert pressure(read(tmp_path, data, replace(SOURCE, skip_rows=2))).value.tolist() == [1.0]
+    assert pressure(read(tmp_path, data, SOURCE.but(skip_rows=2))).value.tolist() == [1.0]
     assert error(tmp_path, data).code == "log_column_missing"
-    assert error(tmp_path, data, replace(SOURCE, skip_rows=9)).code == "log_empty"
+    assert error(tmp_path, data, SOURCE.but(skip_rows=9)).code == "log_empty"
 
 
 def test_columns_go_by_name_whatever_their_order_and_company(tmp_path: Path) -> None:
@@ -168,18 +151,18 @@ def test_utf_16_without_its_encoding_is_told(tmp_path: Path, encoding: str) -> N
     wrong = error(tmp_path, data)
     assert wrong.code == "log_encoding"
     assert "utf-16" in wrong.message
-    assert pressure(read(tmp_path, data, replace(SOURCE, encoding=encoding))).value.tolist() == [1]
+    assert pressure(read(tmp_path, data, SOURCE.but(encoding=encoding))).value.tolist() == [1]
 
 
 def test_utf_16_cut_within_a_character_loses_the_last_row_only(tmp_path: Path) -> None:
     data = f"time,dp,n\n{DAY}0Z,1,2\n{DAY}1Z,3,4\n".encode("utf-16")[:-7]
-    log = read(tmp_path, data, replace(SOURCE, encoding="utf-16"))
+    log = read(tmp_path, data, SOURCE.but(encoding="utf-16"))
     assert log.rows == 1
     assert log.refused_rows == 1
 
 
 def test_text_not_in_the_encoding_named_is_an_error(tmp_path: Path) -> None:
-    source = replace(SOURCE, encoding="utf-16")
+    source = SOURCE.but(encoding="utf-16")
     data = "time,dp,n\n".encode("utf-16-le") + b"\x00\xd8\x00\x00\n\x00"
     assert error(tmp_path, data, source).code == "log_encoding"
 
@@ -190,15 +173,15 @@ def test_a_byte_order_mark_is_not_part_of_a_name(tmp_path: Path) -> None:
 
 
 def test_latin_1_is_read_where_named_and_told_where_not(tmp_path: Path) -> None:
-    channels = (ChannelSource("oil_temperature", "T (°C)", "degC"),)
-    source = replace(SOURCE, channels=channels, encoding="latin-1")
+    channels = {"oil_temperature": column("T (°C)", "degC")}
+    source = SOURCE.but(channels=channels, encoding="latin-1")
     data = f"time,T (°C),n\n{DAY}0Z,50,2\n".encode("latin-1")
     assert read(tmp_path, data, source).channels["oil_temperature"].value.tolist() == [50.0]
-    wrong = error(tmp_path, data, replace(source, encoding="utf-8"))
+    wrong = error(tmp_path, data, source.but(encoding="utf-8"))
     assert wrong.code == "log_column_missing"
     assert "encoding" in wrong.message
     # Where the name of no wanted column has such a letter, nothing is lost.
-    only_speed = replace(SOURCE, channels=SOURCE.channels[1:])
+    only_speed = SOURCE.but({"speed": SOURCE.channels["speed"]})
     assert read(tmp_path, data, only_speed).rows == 1
 
 
@@ -272,14 +255,14 @@ def test_what_is_a_number(tmp_path: Path, cell: str, value: float) -> None:
     ],
 )
 def test_what_is_no_number(tmp_path: Path, cell: str) -> None:
-    source = replace(SOURCE, separator=";")
+    source = SOURCE.but(separator=";")
     log = read(tmp_path, f"time;dp;n\n{DAY}0Z;{cell};1\n{DAY}1Z;2;1\n", source)
     assert pressure(log).missing.tolist() == [True, False]
     assert pressure(log).unparsed == 1
 
 
 def test_with_a_decimal_comma_a_dot_is_no_decimal_sign(tmp_path: Path) -> None:
-    source = replace(SOURCE, separator=";", decimal=",")
+    source = SOURCE.but(separator=";", decimal=",")
     rows = "".join(f"{DAY}{i}Z;{c};1\n" for i, c in enumerate(["1,5", "1.234", "1.234,5", "7"]))
     log = read(tmp_path, f"time;dp;n\n{rows}", source)
     assert pressure(log).value[~pressure(log).missing].tolist() == [1.5, 7.0]
@@ -299,7 +282,7 @@ def test_tokens_that_mean_no_sample_are_missing_and_not_unparsed(
 
 def test_the_tokens_can_be_chosen(tmp_path: Path) -> None:
     data = f"time,dp,n\n{DAY}0Z,-9999,1\n{DAY}1Z,NaN,1\n{DAY}2Z,2,1\n"
-    log = read(tmp_path, data, replace(SOURCE, missing_tokens=("", "-9999", "NaN")))
+    log = read(tmp_path, data, SOURCE.but(missing_tokens=("", "-9999", "NaN")))
     assert pressure(log).missing.tolist() == [True, True, False]
     assert pressure(log).unparsed == 0
 
@@ -313,7 +296,7 @@ def test_a_blank_or_bad_time_costs_its_row(tmp_path: Path) -> None:
 
 
 def test_the_wrong_time_format_is_an_error_that_names_it(tmp_path: Path) -> None:
-    source = replace(SOURCE, time_format="%d.%m.%Y %H:%M:%S")
+    source = SOURCE.but(time_format="%d.%m.%Y %H:%M:%S")
     wrong = error(tmp_path, f"time,dp,n\n{DAY}0Z,1,2\n", source)
     assert wrong.code == "log_time"
     assert "%d.%m.%Y" in wrong.message
@@ -321,13 +304,13 @@ def test_the_wrong_time_format_is_an_error_that_names_it(tmp_path: Path) -> None
 
 def test_a_local_time_that_does_not_exist_is_an_error(tmp_path: Path) -> None:
     data = "time,dp,n\n2025-03-30 02:15:00,1,2\n"
-    wrong = error(tmp_path, data, replace(SOURCE, time_zone="Europe/Stockholm"))
+    wrong = error(tmp_path, data, SOURCE.but(time_zone="Europe/Stockholm"))
     assert wrong.code == "log_time"
     assert "does not exist" in wrong.message
 
 
 def test_seconds_with_a_decimal_comma(tmp_path: Path) -> None:
-    source = replace(SOURCE, separator=";", decimal=",", time_format="epoch_s")
+    source = SOURCE.but(separator=";", decimal=",", time_format="epoch_s")
     log = read(tmp_path, "time;dp;n\n1740808800,25;1,5;2\n", source)
     assert log.first_us == T0_US + 250_000
 
@@ -358,18 +341,18 @@ def test_a_file_too_large_for_memory_is_told(
 def test_the_span_of_a_long_file_needs_its_ends_only(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     rows = [f"{1740808800 + i},{i},{i}\n" for i in range(40_000)]
-    source = replace(SOURCE, time_format="epoch_s")
+    source = SOURCE.but(time_format="epoch_s")
     span = (T0_US, T0_US + 39_999_000_000)
     path.write_text("time,dp,n\n" + "".join(rows))
-    assert time_span(path, source) == span
+    assert time_span(path, *source) == span
     # Damage in the middle is not seen, a torn last row is left out, as when the log is read.
     rows[20_000:20_010] = ["?\n"] * 10
     path.write_text("time,dp,n\n" + "".join(rows) + "1740848801,3")
-    assert time_span(path, source) == span
+    assert time_span(path, *source) == span
     # Ends that cannot be read by themselves: the whole file decides.
     rows[-5000:] = ["?,1,1\n"] * 5000
     path.write_text("time,dp,n\n" + "".join(rows))
-    assert time_span(path, source) == (T0_US, T0_US + 34_999_000_000)
+    assert time_span(path, *source) == (T0_US, T0_US + 34_999_000_000)
 
 
 @given(st.lists(st.floats(allow_nan=False), min_size=1, max_size=30), st.booleans())
@@ -393,4 +376,4 @@ def test_any_bytes_anywhere_raise_nothing_else(
     path.write_bytes(data[:at] + junk + data[at:])
     for reader in (read_log, time_span):
         with suppress(LogError):
-            reader(path, SOURCE)
+            reader(path, *SOURCE)

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.ingest import LogSource, RawLog, read_log
+from pipeline.config.motors import Channels, Logs
+from pipeline.ingest import RawLog, read_log
 
 from .fuzzing.campaign import FULL, SHORT, Counts, Extent, fuzzed, mutations_of
 from .fuzzing.judging import Outcome, judged
@@ -38,7 +39,7 @@ def reader() -> Iterator[Reader]:
 def test_a_damaged_log_ends_as_it_may(seed: Seed, extent: Extent, reader: Reader) -> None:
     counts = fuzzed(reader, seed, mutations_of(seed, extent))
     assert counts.faults == []
-    if seed.checked == ((0, 2**62),) and not seed.source.salvage:
+    if seed.checked == ((0, 2**62),) and not seed.source.logs.salvage:
         assert set(counts.outcomes) <= {Outcome.REFUSED, Outcome.RIGHT}
     # The log as it is among the first, the empty file among the second.
     assert counts.outcomes[Outcome.RIGHT] > 0
@@ -66,10 +67,10 @@ def test_mutations_are_the_same_every_time_and_do_change_something() -> None:
 # has a word for it behind its end.
 
 
-def faulty(path: Path, source: LogSource) -> RawLog:
+def faulty(path: Path, logs: Logs, channels: Channels) -> RawLog:
     word = path.read_bytes().rpartition(b"!")[2]
     path.write_bytes(path.read_bytes().partition(b"!")[0])
-    log = read_log(path, source)
+    log = read_log(path, logs, channels)
     match word:
         case b"crash":
             os.kill(os.getpid(), signal.SIGSEGV)
@@ -149,7 +150,7 @@ def test_a_checksum_that_the_damage_has_blanked_covers_nothing(tmp_path: Path) -
 def read(seed: Seed, folder: Path) -> RawLog:
     path = folder / seed.file_name
     path.write_bytes(seed.data)
-    return read_log(path, seed.source)
+    return read_log(path, *seed.source)
 
 
 @pytest.mark.parametrize("name", [seed.name for seed in seeds() if "checksums" in seed.name])

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.ingest.assembly import Readings
-from pipeline.ingest.contract import ChannelSource
+from pipeline.config import Channel
+from pipeline.ingest.assembly import Readings, convert_in_place
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps, Growing
 from pipeline.ingest.time_stamps import WITH_ZONE, WrittenStamps
 
@@ -33,8 +35,9 @@ def test_pieces_of_any_size_one_after_the_other(lists: list[list[float]], expect
 
 @given(st.lists(st.lists(st.sampled_from([1.0, None, "?"]), max_size=5), max_size=6))
 def test_marks_stay_with_their_readings(lists: list[list[float | str | None]]) -> None:
-    channel = ChannelSource("oil_temperature", "T", "degF", scale=9.0, offset=23.0)
-    as_written, converted = GatheredReadings(), GatheredReadings(channel)
+    channel = Channel(source="T", unit="degF", scale=9.0, offset=23.0)
+    convert = partial(convert_in_place, "oil_temperature", channel)
+    as_written, converted = GatheredReadings(), GatheredReadings(convert)
     for piece in lists:
         raw = np.array([1.0 if cell == 1.0 else np.nan for cell in piece])
         unparsed = np.array([cell == "?" for cell in piece], dtype=np.bool_)

@@ -26,11 +26,13 @@ import zstandard
 from google.protobuf import descriptor_pb2
 from mcap.writer import CompressionType
 
+from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LONGEST_MESSAGE, LogError
-from pipeline.ingest import ChannelSource, LogSource, read_log, time_span
+from pipeline.ingest import read_log, time_span
 from pipeline.ingest.suggest import suggest
 
 from .mcap_files import JSON, TOPIC, mcap_of
+from .sources import Source, column
 from .writers import T0_US
 
 CPU_S = 30.0
@@ -38,17 +40,17 @@ CPU_S = 30.0
 
 MEMORY_BYTES = 2**30
 
-CHANNEL = (ChannelSource("speed", "n", "rpm"),)
-CSV = LogSource("csv", CHANNEL)
-PARQUET = LogSource("parquet", CHANNEL)
+CHANNEL = {"speed": column("n", "rpm")}
+CSV = Source.of("csv", CHANNEL)
+PARQUET = Source.of("parquet", CHANNEL)
 STAMP = "2025-03-01T06:00:00Z"
 ROWS = 200_000
 
-Hostile = Callable[[Path], LogSource]
+Hostile = Callable[[Path], Source]
 
 
 def text(content: bytes) -> Hostile:
-    def write(path: Path) -> LogSource:
+    def write(path: Path) -> Source:
         path.write_bytes(content)
         return CSV
 
@@ -56,7 +58,7 @@ def text(content: bytes) -> Hostile:
 
 
 def repeated(head: bytes, row: bytes, count: int, pack: Callable[[bytes], bytes]) -> Hostile:
-    def write(path: Path) -> LogSource:
+    def write(path: Path) -> Source:
         path.write_bytes(pack(head + row * count))
         return CSV
 
@@ -70,13 +72,13 @@ def parquet(**columns: Callable[[], Any]) -> Hostile:
         "n": lambda: pa.array(np.ones(ROWS)),
     }
 
-    def write(path: Path) -> LogSource:
+    def write(path: Path) -> Source:
         made = {name: column() for name, column in (sound | columns).items()}
         # Without Arrow's own schema, so that a dictionary is read as plain text.
         pq.write_table(pa.table(made), path, compression="zstd", store_schema=False)
         layout = "long" if "channel" in columns else "wide"
         names = {"value_column": "n"} if layout == "long" else {}
-        return LogSource("parquet", CHANNEL, layout=layout, **names)
+        return Source.of("parquet", CHANNEL, layout=layout, **names)
 
     return write
 
@@ -89,10 +91,10 @@ def one_text(content: str) -> pa.Array:
 def mcap(
     payloads: list[bytes], field: str, schema: tuple[str, str, bytes], encoding: str
 ) -> Hostile:
-    def write(path: Path) -> LogSource:
+    def write(path: Path) -> Source:
         options = {"compression": CompressionType.ZSTD, "chunk_size": 2**27}
         path.write_bytes(mcap_of(payloads, schema, encoding, **options))
-        return LogSource("mcap", (ChannelSource("speed", TOPIC, "rpm", field=field),))
+        return Source.of("mcap", {"speed": column(TOPIC, "rpm", field=field)})
 
     return write
 
@@ -227,13 +229,13 @@ def process() -> Iterator[ProcessPoolExecutor]:
         yield pool
 
 
-def measured(path: Path, source: LogSource) -> tuple[str, float, int]:
+def measured(path: Path, source: Source) -> tuple[str, float, int]:
     """Code of the error that a log ends in, processor time, and memory taken to read it."""
     begin, before = time.process_time(), peak_bytes()
     with suppress(LogError):
         suggest(path)
     try:
-        read_log(path, source)
+        read_log(path, *source)
         code = ""
     except LogError as error:
         code = error.code
@@ -262,16 +264,16 @@ def test_a_table_of_another_width_is_not_read_to_its_end(
     other = b"1,2,3,4,5,6,7,8,9,10,11,12,13,14,15,16,17,18,19,20,21\n"
     right = f"{STAMP},1\n".encode()
     path.write_bytes(b"time,n\n" + other * 80_000 + right * 200_000)
-    assert read_log(path, CSV).rows == 200_000
+    assert read_log(path, *CSV).rows == 200_000
     monkeypatch.setattr("pipeline.ingest.csv_log._MANY_RAGGED", 50_000)
     with pytest.raises(LogError, match="rows have not the header's 2 cells") as raised:
-        read_log(path, CSV)
+        read_log(path, *CSV)
     assert raised.value.code == "log_not_csv"
 
 
 @pytest.mark.parametrize("read", [read_log, time_span])
 def test_what_takes_more_memory_than_there_is_has_a_code(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path, LogSource], object]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, read: Callable[[Path, Logs, Channels], object]
 ) -> None:
     path = tmp_path / "log.csv"
     path.write_bytes(f"time,n\n{STAMP},1\n".encode())
@@ -281,7 +283,7 @@ def test_what_takes_more_memory_than_there_is_has_a_code(
 
     monkeypatch.setattr("pipeline.ingest.csv_log.read_lines", no_memory)
     with pytest.raises(LogError, match=r"log\.csv: it takes more memory") as raised:
-        read(path, CSV)
+        read(path, *CSV)
     assert raised.value.code == "log_too_large"
 
 
@@ -289,7 +291,7 @@ def test_messages_show_a_stranger_s_text_on_one_line_of_bounded_length(tmp_path:
     path = tmp_path / "a\n\x1b[2J\u202eb\udc80.csv"
     path.write_bytes(b"t\x1b[31m\xe2\x80\xa8ime," + b"x" * 10_000 + b"\n1,2\n")
     with pytest.raises(LogError) as raised:
-        read_log(path, CSV)
+        read_log(path, *CSV)
     message = raised.value.message
     assert message.startswith(r"a\n\x1b[2J\u202eb\udc80.csv: no column 'time'")
     assert message.isprintable()
@@ -298,16 +300,16 @@ def test_messages_show_a_stranger_s_text_on_one_line_of_bounded_length(tmp_path:
     assert (again.code, again.message) == (raised.value.code, message)
 
 
-def with_room(room_bytes: int, path: Path, source: LogSource) -> list[str]:
+def with_room(room_bytes: int, path: Path, source: Source) -> list[str]:
     """Codes of the errors in which all reads end where so much memory is left."""
     pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
     most = pages * resource.getpagesize() + room_bytes
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     found = []
     for read in (
-        lambda: time_span(path, source),
+        lambda: time_span(path, *source),
         lambda: suggest(path),
-        lambda: read_log(path, source),
+        lambda: read_log(path, *source),
     ):
         try:
             read()

@@ -28,7 +28,7 @@ def stamped(folder: Path, data: bytes, stamp: str, time_format: str = "iso8601")
     source = source_of("value", stamp=stamp, time_format=time_format, time_zone="Europe/Berlin")
     log = read(folder, data, source)
     times = log.channels["pressure_difference"].time_us
-    assert time_span(folder / "log.mcap", source) == (times.min(), times.max())
+    assert time_span(folder / "log.mcap", *source) == (times.min(), times.max())
     assert log.rows == times.size
     return [int(time) - T0_US for time in times]
 

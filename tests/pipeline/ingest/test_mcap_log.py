@@ -7,7 +7,6 @@ import json
 import struct
 import zlib
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,14 +23,15 @@ import pipeline.ingest.mcap_json
 import pipeline.ingest.mcap_log
 import pipeline.ingest.mcap_messages
 from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, RawChannel, RawLog, read_log, time_span
+from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.mcap_chunks import indexed_positions, offsets_in_chunk
 from pipeline.ingest.mcap_layout import record_offsets
 from pipeline.ingest.mcap_messages import read_messages
 
+from .sources import Source, column
 from .writers import T0_US, mcap_bytes
 
-SOURCE = LogSource("mcap", (ChannelSource("pressure_difference", "dp", "bar"),))
+SOURCE = Source.of("mcap", {"pressure_difference": column("dp", "bar")})
 T0_NS = T0_US * 1000
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -42,17 +42,17 @@ def messages(payloads: Sequence[bytes], topic: str = "dp") -> list[Message]:
     return [(topic, T0_NS + i * 1_000_000, payload) for i, payload in enumerate(payloads)]
 
 
-def read(folder: Path, data: bytes, source: LogSource = SOURCE) -> RawLog:
+def read(folder: Path, data: bytes, source: Source = SOURCE) -> RawLog:
     path = folder / "log.mcap"
     path.write_bytes(data)
-    return read_log(path, source)
+    return read_log(path, *source)
 
 
 def pressure(folder: Path, payloads: Sequence[bytes]) -> RawChannel:
     return read(folder, mcap_bytes(messages(payloads))).channels["pressure_difference"]
 
 
-def error(folder: Path, data: bytes, source: LogSource = SOURCE) -> LogError:
+def error(folder: Path, data: bytes, source: Source = SOURCE) -> LogError:
     with pytest.raises(LogError) as raised:
         read(folder, data, source)
     return raised.value
@@ -152,7 +152,7 @@ def test_files_laid_out_by_hand_as_the_specification_says_are_read(tmp_path: Pat
         file_of(chunk_record(DP + ONE + ONE, DP + ONE + ONE, ""), summary=summary),
     ):
         assert read(tmp_path, data).rows == 2
-        assert time_span(tmp_path / "log.mcap", SOURCE) == (T0_US, T0_US)
+        assert time_span(tmp_path / "log.mcap", *SOURCE) == (T0_US, T0_US)
 
 
 @pytest.mark.parametrize("use_chunking", [True, False])
@@ -217,9 +217,9 @@ def test_recordings_of_others_are_walked_as_the_official_reader_does(foreign_fil
     for path in paths:
         assert walked(path) == by_the_official_reader(path)
         for topic in {topic for topic, *_ in walked(path)}:
-            source = replace(SOURCE, channels=(replace(SOURCE.channels[0], source=topic),))
+            source = SOURCE.but({"pressure_difference": column(topic, "bar")})
             with pytest.raises(LogError, match="'value'; there are") as raised:
-                read_log(path, source)
+                read_log(path, *source)
             assert raised.value.code == "log_column_missing"
 
 
@@ -328,11 +328,11 @@ def test_an_absent_field_is_missing_but_absent_throughout_it_is_an_error(tmp_pat
 
 
 def test_fields_of_one_topic_and_topics_of_other_shapes(tmp_path: Path) -> None:
-    channels = (
-        ChannelSource("pressure_difference", "motor", "bar", field="dp"),
-        ChannelSource("speed", "motor", "rpm", field="n"),
-        ChannelSource("oil_temperature", "oil", "degC"),
-    )
+    channels = {
+        "pressure_difference": column("motor", "bar", field="dp"),
+        "speed": column("motor", "rpm", field="n"),
+        "oil_temperature": column("oil", "degC"),
+    }
     sent = [
         ("motor", T0_NS, b'{"dp": 200, "n": 30, "value": "text here"}'),
         ("oil", T0_NS + 1000, b'{"value": 50, "dp": {"n": 1}}'),
@@ -340,7 +340,7 @@ def test_fields_of_one_topic_and_topics_of_other_shapes(tmp_path: Path) -> None:
         ("motor", T0_NS + 3000, b'{"n": 31, "dp": 201}'),
         ("oil", T0_NS + 4000, b'{"value": 51}'),
     ]
-    log = read(tmp_path, mcap_bytes(sent), LogSource("mcap", channels))
+    log = read(tmp_path, mcap_bytes(sent), Source.of("mcap", channels))
     assert log.channels["pressure_difference"].value.tolist() == [200.0, 201.0]
     assert log.channels["speed"].value.tolist() == [30.0, 31.0]
     assert log.channels["oil_temperature"].value.tolist() == [50.0, 51.0]
@@ -358,17 +358,17 @@ def test_two_channels_of_one_topic_are_one(tmp_path: Path) -> None:
 def test_log_time_or_publish_time(tmp_path: Path) -> None:
     data = mcap_bytes(messages([b'{"value": 1}', b'{"value": 2}']))
     for name, start in (("log_time", T0_US), ("time", T0_US), ("publish_time", T0_US - 5_000_000)):
-        source = replace(SOURCE, time_source=name)
+        source = SOURCE.but(time=name)
         log = read(tmp_path, data, source)
         assert log.channels["pressure_difference"].time_us.tolist() == [start, start + 1000]
-        assert time_span(tmp_path / "log.mcap", source) == (start, start + 1000)
+        assert time_span(tmp_path / "log.mcap", *source) == (start, start + 1000)
 
 
 def test_other_encodings_are_told_and_only_where_wanted(tmp_path: Path) -> None:
     data = mcap_bytes(messages([b'{"value": 1}']), encodings={"scan": "cdr", "dq": "protobuf"})
     assert read(tmp_path, data).rows == 1
     for topic, encoding in (("scan", "cdr"), ("dq", "protobuf")):
-        source = replace(SOURCE, channels=(replace(SOURCE.channels[0], source=topic),))
+        source = SOURCE.but({"pressure_difference": column(topic, "bar")})
         wrong = error(tmp_path, data, source)
         assert wrong.code == "log_encoding"
         assert f"'{encoding}'" in wrong.message
@@ -532,7 +532,7 @@ def test_any_payloads_as_one_by_one(
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "log.mcap"
     path.write_bytes(mcap_bytes(messages([b'{"value": 0}', *payloads]), chunk_size=50))
-    channel = read_log(path, SOURCE).channels["pressure_difference"]
+    channel = read_log(path, *SOURCE).channels["pressure_difference"]
     wanted = [0.0, *(_by_json(payload) for payload in payloads)]
     for value, is_missing, by_json in zip(channel.value, channel.missing, wanted, strict=True):
         assert is_missing == (by_json is None)

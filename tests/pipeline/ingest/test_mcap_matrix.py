@@ -148,8 +148,8 @@ def test_every_combination_is_read_as_by_the_official_reader(
     written(path, encoding, container | ({} if has_index else WITHOUT_INDEX))
     stamp = encoding.stamp if time == "stamp" else ""
     for topic in TOPICS[:2]:
-        source = source_of(*encoding.fields, topic=topic, time_source=time, stamp=stamp)
-        log = read_log(path, source)
+        source = source_of(*encoding.fields, topic=topic, time=time, stamp=stamp)
+        log = read_log(path, *source)
         decoded = official_messages(path, topic)
         assert log.rows == len(decoded) > 0
         assert (log.notes, log.refused_rows) == ((), 0)
@@ -164,10 +164,10 @@ def test_every_combination_is_read_as_by_the_official_reader(
         )
         assert channel.time_us.tolist() == wanted
         if stamp:
-            assert time_span(path, source) == (min(wanted), max(wanted))
+            assert time_span(path, *source) == (min(wanted), max(wanted))
     if not stamp:
         times = [one for topic in TOPICS for one in official_times(path, topic, time)]
-        assert time_span(path, source) == (min(times), max(times))
+        assert time_span(path, *source) == (min(times), max(times))
 
 
 # Recordings of others
@@ -205,7 +205,7 @@ def test_all_numbers_of_real_recordings_are_read_as_by_the_official_reader(
                 np.testing.assert_equal(found, [followed(message, field) for message in decoded])
                 compared += len(found)
             if paths:
-                channel = read_log(path, source_of(paths[0], topic=topic)).channels
+                channel = read_log(path, *source_of(paths[0], topic=topic)).channels
                 assert channel["pressure_difference"].time_us.tolist() == times
     assert compared > 500
 
@@ -219,10 +219,10 @@ def test_a_real_recording_from_before_1990_is_read_and_then_its_clock_is_refused
     paths = list(numbers_of(decoded[0]))
     assert len(paths) > 8
     for start in range(0, len(paths), 8):
-        source = source_of(*paths[start : start + 8], topic="topic1")
+        logs, channels = source = source_of(*paths[start : start + 8], topic="topic1")
         # Reading comes first, and is that of the official reader;
-        wanted = pipeline.ingest.mcap_log._wanted(source)
-        parts = pipeline.ingest.mcap_log._content(path, source, wanted).parts["topic1"]
+        wanted = pipeline.ingest.mcap_log._wanted(channels)
+        parts = pipeline.ingest.mcap_log._content(path, logs, wanted).parts["topic1"]
         for (field,), column in parts.fields.items():
             readings = column.taken()
             assert readings.raw.tolist() == [followed(one, str(field)) for one in decoded]
@@ -230,7 +230,7 @@ def test_a_real_recording_from_before_1990_is_read_and_then_its_clock_is_refused
         # its times are then judged, as those of all formats.
         for reader in (read_log, time_span):
             with pytest.raises(LogError, match="before 1990") as raised:
-                reader(path, source)
+                reader(path, *source)
             assert raised.value.code == "log_time"
 
 
@@ -277,7 +277,7 @@ def test_files_that_only_the_official_reader_lets_through(
     path.write_bytes(data)
     assert [message["value"] for message in official_messages(path, "dp")] == official
     with pytest.raises(LogError) as raised:
-        read_log(path, source_of("value", topic="dp"))
+        read_log(path, *source_of("value", topic="dp"))
     assert raised.value.code == code
 
 
@@ -303,5 +303,5 @@ def test_messages_of_ros_2_that_only_the_official_reader_lets_through(
     path.write_bytes(mcap_of([payload], schema, "cdr"))
     assert officially(path, "value") == [official]
     with pytest.raises(LogError) as raised:
-        read_log(path, source_of("value"))
+        read_log(path, *source_of("value"))
     assert raised.value.code in ("log_type", "log_encoding")

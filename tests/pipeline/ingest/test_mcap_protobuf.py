@@ -18,7 +18,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import CompressionType
 
-from pipeline.ingest.mcap_paths import field_path
+from pipeline.config.field_paths import field_path
 
 from .mcap_files import (
     Value,

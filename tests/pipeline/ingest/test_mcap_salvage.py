@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import struct
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -19,13 +18,14 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import CompressionType, IndexType, Writer
 
 from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log, time_span
+from pipeline.ingest import RawLog, read_log, time_span
 
+from .sources import Source, column
 from .writers import T0_US
 
 COUNT = 400
-STRICT = LogSource("mcap", (ChannelSource("pressure_difference", "dp", "bar"),))
-SALVAGE = replace(STRICT, salvage=True)
+STRICT = Source.of("mcap", {"pressure_difference": column("dp", "bar")})
+SALVAGE = STRICT.but(salvage=True)
 EVERY_WAY: list[dict[str, Any]] = [
     {"compression": CompressionType.ZSTD},
     {"compression": CompressionType.LZ4},
@@ -48,9 +48,9 @@ def made(**options: Any) -> bytes:
     return buffer.getvalue()
 
 
-def read(path: Path, data: bytes, source: LogSource = SALVAGE) -> RawLog:
+def read(path: Path, data: bytes, source: Source = SALVAGE) -> RawLog:
     path.write_bytes(data)
-    return read_log(path, source)
+    return read_log(path, *source)
 
 
 def count_of(log: RawLog) -> int:
@@ -96,7 +96,7 @@ def test_a_truncated_file_gives_the_messages_before_its_end(
     (note,) = log.notes
     assert note.startswith(f"salvaged: {count_of(log)} messages stand before the damage")
     assert f"of {len(cut)} bytes are not read" in note
-    assert time_span(tmp_path / "log.mcap", SALVAGE) == (log.first_us, log.last_us)
+    assert time_span(tmp_path / "log.mcap", *SALVAGE) == (log.first_us, log.last_us)
 
 
 def test_without_its_summary_all_messages_are_there(tmp_path: Path) -> None:

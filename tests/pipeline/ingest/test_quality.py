@@ -22,16 +22,17 @@ from mcap_ros2._dynamic import serialize_dynamic
 import pipeline.ingest.csv_log
 import pipeline.ingest.mcap_log
 from pipeline.config import ConfigError, load_fleet
-from pipeline.errors import LogError, UsageError
-from pipeline.ingest import ChannelSource, LogSource, RawChannel, read_log
+from pipeline.errors import LogError
+from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.ingest.csv_text import read_lines
 from pipeline.ingest.quality import quality_states
 from tests.pipeline.simulated import motor_toml, write_configs
 
+from .sources import Source, changed, column
 from .writers import T0_US, iso, mcap_bytes
 
-SPEED = ChannelSource("speed", "n", "rpm", quality_source="quality")
-PRESSURE = ChannelSource("pressure_difference", "dp", "bar", quality_source="quality")
+SPEED = column("n", "rpm", quality_source="quality")
+PRESSURE = column("dp", "bar", quality_source="quality")
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,11 @@ NUMBERS = tuple(
 EXPECTED = [case.is_bad for case in CASES]
 
 
+def read(written: tuple[Path, Source]) -> RawLog:
+    path, source = written
+    return read_log(path, *source)
+
+
 def stamps() -> pa.Array:
     return pa.array([T0_US + i for i in range(len(CASES))], pa.timestamp("us", "UTC"))
 
@@ -81,44 +87,45 @@ def csv_lines(head: str, row: Callable[[Case], str]) -> str:
     return "\n".join([f"time,{head}", *rows, ""])
 
 
-def wide_csv(folder: Path) -> tuple[Path, LogSource]:
+def wide_csv(folder: Path) -> tuple[Path, Source]:
     path = folder / "log.csv"
     path.write_text(csv_lines("n,quality,x", lambda c: f"{text(c.value)},{text(c.quality)},1"))
-    return path, LogSource("csv", (SPEED,))
+    return path, Source.of("csv", {"speed": SPEED})
 
 
-def wide_csv_with_bad_cells(folder: Path) -> tuple[Path, LogSource]:
+def wide_csv_with_bad_cells(folder: Path) -> tuple[Path, Source]:
     """Another column holds no number somewhere, so that cells are parsed as text."""
     path, source = wide_csv(folder)
     lines = path.read_text().splitlines()
     lines[2:4] = [line[:-1] + "---" for line in lines[2:4]]
     lines[5] = lines[5][:-1] + "broken"
     path.write_text("\n".join([*lines, ""]))
-    return path, replace(source, channels=(SPEED, ChannelSource("oil_temperature", "x", "degC")))
+    return path, source.but({"speed": SPEED, "oil_temperature": column("x", "degC")})
 
 
-def csv_with_a_token_for_a_value(folder: Path) -> tuple[Path, LogSource]:
+def csv_with_a_token_for_a_value(folder: Path) -> tuple[Path, Source]:
     """What stands for no value in one column is an answer in the other."""
     path, source = wide_csv(folder)
     path.write_text(path.read_text().replace("Z,,Bad", "Z,Bad,Bad").replace("Z,,24", "Z,---,24"))
     return path, source
 
 
-def long_csv(folder: Path) -> tuple[Path, LogSource]:
+def long_csv(folder: Path) -> tuple[Path, Source]:
     path = folder / "log.csv"
     lines = csv_lines("channel,value,quality", lambda c: f"n,{text(c.value)},{text(c.quality)}")
     others = [f"{iso(T0_US + i)}Z,dp,{i},Bad\n" for i in range(5)]
     path.write_text(lines + "".join(others))
-    other = ChannelSource("pressure_difference", "dp", "bar")
-    return path, LogSource("csv", (SPEED, other), layout="long")
+    other = column("dp", "bar")
+    channels = {"speed": SPEED, "pressure_difference": other}
+    return path, Source.of("csv", channels, layout="long")
 
 
-def csv_of_a_channel(folder: Path) -> tuple[Path, LogSource]:
+def csv_of_a_channel(folder: Path) -> tuple[Path, Source]:
     path = folder / "speed.csv"
     path.write_text(csv_lines("value,quality", lambda c: f"{text(c.value)},{text(c.quality)}"))
-    other = replace(PRESSURE, source="dp*", quality_source="other quality")
-    channels = (replace(SPEED, source="sp*"), other)
-    return path, LogSource("csv", channels, layout="file_per_channel")
+    other = changed(PRESSURE, source="dp*", quality_source="other quality")
+    channels = {"speed": changed(SPEED, source="sp*"), "pressure_difference": other}
+    return path, Source.of("csv", channels, layout="file_per_channel")
 
 
 def table(cases: tuple[Case, ...], kind: pa.DataType) -> pa.Table:
@@ -135,29 +142,30 @@ def table(cases: tuple[Case, ...], kind: pa.DataType) -> pa.Table:
 
 def wide_parquet(
     cases: tuple[Case, ...], kind: pa.DataType, *, encoded: bool = False
-) -> Callable[[Path], tuple[Path, LogSource]]:
-    def write(folder: Path) -> tuple[Path, LogSource]:
+) -> Callable[[Path], tuple[Path, Source]]:
+    def write(folder: Path) -> tuple[Path, Source]:
         path = folder / "log.parquet"
         content = table(cases, kind)
         if encoded:
             content = content.set_column(2, "quality", content["quality"].dictionary_encode())
         pq.write_table(content, path, row_group_size=4)
-        return path, LogSource("parquet", (SPEED,))
+        return path, Source.of("parquet", {"speed": SPEED})
 
     return write
 
 
-def nested_parquet(folder: Path) -> tuple[Path, LogSource]:
+def nested_parquet(folder: Path) -> tuple[Path, Source]:
     flat = table(CASES, pa.string())
     nested = pa.StructArray.from_arrays(
         [flat["n"].combine_chunks(), flat["quality"].combine_chunks()], ["v", "q"]
     )
     path = folder / "log.parquet"
     pq.write_table(pa.table({"time": stamps(), "speed": nested}), path)
-    return path, LogSource("parquet", (replace(SPEED, source="speed.v", quality_source="speed.q"),))
+    speed = column("speed.v", "rpm", quality_source="speed.q")
+    return path, Source.of("parquet", {"speed": speed})
 
 
-def long_parquet(folder: Path) -> tuple[Path, LogSource]:
+def long_parquet(folder: Path) -> tuple[Path, Source]:
     flat = table(CASES, pa.string())
     n = len(CASES)
     rows = pa.table(
@@ -170,27 +178,28 @@ def long_parquet(folder: Path) -> tuple[Path, LogSource]:
     )
     path = folder / "log.parquet"
     pq.write_table(rows, path, row_group_size=5)
-    other = ChannelSource("pressure_difference", "dp", "bar")
-    return path, LogSource("parquet", (SPEED, other), layout="long")
+    other = column("dp", "bar")
+    channels = {"speed": SPEED, "pressure_difference": other}
+    return path, Source.of("parquet", channels, layout="long")
 
 
-def json_mcap(cases: tuple[Case, ...]) -> Callable[[Path], tuple[Path, LogSource]]:
-    def write(folder: Path) -> tuple[Path, LogSource]:
+def json_mcap(cases: tuple[Case, ...]) -> Callable[[Path], tuple[Path, Source]]:
+    def write(folder: Path) -> tuple[Path, Source]:
         messages = [
             ("/n", (T0_US + i) * 1000, json.dumps({"value": c.value, "q": {"code": c.quality}}))
             for i, c in enumerate(cases)
         ]
         path = folder / "log.mcap"
         path.write_bytes(mcap_bytes([(topic, at, data.encode()) for topic, at, data in messages]))
-        speed = replace(SPEED, source="/n", quality_source="/n.q.code")
-        return path, LogSource("mcap", (speed,))
+        speed = changed(SPEED, source="/n", quality_source="/n.q.code")
+        return path, Source.of("mcap", {"speed": speed})
 
     return write
 
 
 def schema_mcap(
     folder: Path, schema: tuple[str, str, bytes], encoding: str, payloads: list[bytes]
-) -> tuple[Path, LogSource]:
+) -> tuple[Path, Source]:
     path = folder / "log.mcap"
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=200)
@@ -199,10 +208,10 @@ def schema_mcap(
         for i, payload in enumerate(payloads):
             writer.add_message(channel, (T0_US + i) * 1000, payload, 0)
         writer.finish()
-    return path, LogSource("mcap", (replace(SPEED, source="/n"),))
+    return path, Source.of("mcap", {"speed": changed(SPEED, source="/n")})
 
 
-def protobuf_mcap(folder: Path) -> tuple[Path, LogSource]:
+def protobuf_mcap(folder: Path) -> tuple[Path, Source]:
     """Fields that say whether they are set."""
     file = descriptor_pb2.FileDescriptorProto(name="n.proto", package="t", syntax="proto2")
     kind = file.message_type.add(name="N")
@@ -244,9 +253,9 @@ every_way = pytest.mark.parametrize("write", EVERY_WAY.values(), ids=EVERY_WAY.k
 
 @every_way
 def test_what_the_log_does_not_call_good_is_bad(
-    write: Callable[[Path], tuple[Path, LogSource]], tmp_path: Path
+    write: Callable[[Path], tuple[Path, Source]], tmp_path: Path
 ) -> None:
-    log = read_log(*write(tmp_path))
+    log = read(write(tmp_path))
     speed = log.channels["speed"]
     assert speed.bad_quality is not None
     assert speed.bad_quality.tolist() == EXPECTED
@@ -259,21 +268,21 @@ def test_what_the_log_does_not_call_good_is_bad(
 
 @every_way
 def test_a_log_that_names_no_quality_says_nothing(
-    write: Callable[[Path], tuple[Path, LogSource]], tmp_path: Path
+    write: Callable[[Path], tuple[Path, Source]], tmp_path: Path
 ) -> None:
     path, source = write(tmp_path)
-    plain = tuple(replace(channel, quality_source="") for channel in source.channels)
-    assert read_log(path, replace(source, channels=plain)).channels["speed"].bad_quality is None
+    plain = {name: changed(one, quality_source="") for name, one in source.channels.items()}
+    assert read_log(path, *source.but(plain)).channels["speed"].bad_quality is None
 
 
 @every_way
 def test_a_quality_that_is_not_there_is_named(
-    write: Callable[[Path], tuple[Path, LogSource]], tmp_path: Path
+    write: Callable[[Path], tuple[Path, Source]], tmp_path: Path
 ) -> None:
     path, source = write(tmp_path)
-    channels = (replace(source.channels[0], quality_source="kwality"), *source.channels[1:])
+    speed = changed(source.channels["speed"], quality_source="kwality")
     with pytest.raises(LogError, match="'kwality'") as raised:
-        read_log(path, replace(source, channels=channels))
+        read_log(path, *source.but({**source.channels, "speed": speed}))
     assert raised.value.code == "log_column_missing"
 
 
@@ -285,12 +294,12 @@ def test_pieces_of_a_file_change_nothing(
     monkeypatch.setattr(
         pipeline.ingest.csv_log, "read_lines", lambda *at: read_lines(*at[:2], piece)
     )
-    bad = read_log(path, source).channels["speed"].bad_quality
+    bad = read_log(path, *source).channels["speed"].bad_quality
     assert bad is not None
     assert bad.tolist() == EXPECTED
     monkeypatch.setattr(pipeline.ingest.mcap_log, "_PIECE", piece)
     for write in (json_mcap(CASES), protobuf_mcap):
-        bad = read_log(*write(tmp_path)).channels["speed"].bad_quality
+        bad = read(write(tmp_path)).channels["speed"].bad_quality
         assert bad is not None
         assert bad.tolist() == EXPECTED
 
@@ -300,7 +309,7 @@ def test_rows_without_a_time_take_their_quality_with_them(tmp_path: Path) -> Non
     lines = path.read_text().splitlines()
     lines[4] = "yesterday" + lines[4][lines[4].index(",") :]
     path.write_text("\n".join([*lines, ""]))
-    bad = read_log(path, source).channels["speed"].bad_quality
+    bad = read_log(path, *source).channels["speed"].bad_quality
     assert bad is not None
     assert bad.tolist() == EXPECTED[:3] + EXPECTED[4:]
 
@@ -308,8 +317,9 @@ def test_rows_without_a_time_take_their_quality_with_them(tmp_path: Path) -> Non
 def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) -> None:
     path = tmp_path / "log.csv"
     path.write_text(csv_lines("n,dp,quality", lambda c: f"1,1,{text(c.quality)}"))
-    forced = replace(PRESSURE, quality_good=(192, 216, 0))
-    channels = read_log(path, LogSource("csv", (SPEED, forced))).channels
+    forced = changed(PRESSURE, quality_good=(192, 216, 0))
+    source = Source.of("csv", {"speed": SPEED, "pressure_difference": forced})
+    channels = read_log(path, *source).channels
     strict, loose = channels["speed"].bad_quality, channels["pressure_difference"].bad_quality
     assert strict is not None
     assert loose is not None
@@ -322,12 +332,13 @@ def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: P
     """What a historian writes while its source is down; without a quality it is an error."""
     path = tmp_path / "log.csv"
     path.write_text(csv_lines("n,quality", lambda _: "I/O Timeout,Bad"))
-    speed = read_log(path, LogSource("csv", (SPEED,))).channels["speed"]
+    source = Source.of("csv", {"speed": SPEED})
+    speed = read_log(path, *source).channels["speed"]
     assert speed.unparsed == len(CASES)
     assert speed.bad_quality is not None
     assert speed.bad_quality.all()
     with pytest.raises(LogError) as raised:
-        read_log(path, LogSource("csv", (replace(SPEED, quality_source=""),)))
+        read_log(path, *source.but({"speed": column("n", "rpm")}))
     assert raised.value.code == "log_type"
 
 
@@ -383,17 +394,15 @@ def test_what_is_no_quality(tmp_path: Path, cells: pa.Array) -> None:
     times = pa.array([T0_US + i for i in range(len(cells))], pa.timestamp("us", "UTC"))
     pq.write_table(pa.table({"time": times, "n": [1.0] * len(cells), "quality": cells}), path)
     with pytest.raises(LogError, match=r"log\.parquet, quality: ") as raised:
-        read_log(path, LogSource("parquet", (SPEED,)))
+        read_log(path, *Source.of("parquet", {"speed": SPEED}))
     assert raised.value.code == "log_type"
 
 
 def test_a_path_that_is_none(tmp_path: Path) -> None:
-    with pytest.raises(UsageError) as raised:
-        LogSource("mcap", (replace(SPEED, quality_source="a..b"),))
-    assert raised.value.code == "field_path"
-    LogSource("csv", (replace(SPEED, quality_source="a..b"),))  # a column may be called so
-    text = motor_toml("M1").replace('format = "parquet"', 'format = "mcap"')
+    text = motor_toml("M1")
     text = text.replace('source = "speed"\n', 'source = "speed"\nquality_source = "a..b"\n')
+    load_fleet(write_configs(tmp_path, {"M1": text}))  # a column may be called so
+    text = text.replace('format = "parquet"', 'format = "mcap"')
     with pytest.raises(ConfigError, match=r"channels\.speed\.quality_source"):
         load_fleet(write_configs(tmp_path, {"M1": text}))
 
@@ -415,16 +424,13 @@ def test_keys_that_cannot_be(tmp_path: Path, keys: str, place: str) -> None:
     assert [fault.key for fault in caught.value.faults] == [f"channels.speed.{place}"]
 
 
-def test_the_config_reaches_the_reader(tmp_path: Path) -> None:
+def test_what_is_good_keeps_its_type(tmp_path: Path) -> None:
     keys = 'quality_source = "q"\nquality_good = ["ok", 0, true]\n'
     text = motor_toml("M1").replace('source = "speed"\n', f'source = "speed"\n{keys}')
     (spec,) = load_fleet(write_configs(tmp_path, {"M1": text})).motors
-    sources = {one.channel: one for one in spec.file.log_source().channels}
-    assert (sources["speed"].quality_source, sources["speed"].quality_good) == (
-        "q",
-        ("ok", 0, True),
-    )
-    assert sources["oil_temperature"].quality_source == ""
+    channels = spec.file.channels
+    assert repr(channels["speed"].quality_good) == "('ok', 0, True)"
+    assert channels["oil_temperature"].quality_source == ""
 
 
 def test_parts_of_a_channel_are_joined_with_their_quality() -> None:
@@ -452,6 +458,6 @@ def test_ros_2_messages(tmp_path: Path) -> None:
     cases = [case for case in NUMBERS if case.value is not None and case.quality is not None]
     payloads = [encode({"value": case.value, "quality": case.quality}) for case in cases]
     schema = ("t/msg/N", "ros2msg", definition.encode())
-    bad = read_log(*schema_mcap(tmp_path, schema, "cdr", payloads)).channels["speed"].bad_quality
+    bad = read(schema_mcap(tmp_path, schema, "cdr", payloads)).channels["speed"].bad_quality
     assert bad is not None
     assert bad.tolist() == [case.is_bad for case in cases]

@@ -9,29 +9,30 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.ingest import ChannelSource, LogSource, RawLog, read_log
+from pipeline.config.motors import Channels
+from pipeline.ingest import RawLog, read_log
 from tests.pipeline.ingest.writers import T0_US
 
-CHANNELS = (
-    ChannelSource("pressure_difference", "dp", "bar"),
-    ChannelSource("oil_temperature", "T", "degC"),
-    ChannelSource("leakage_flow", "q", "l/min"),
-)
+from .sources import Source, column
+
+PRESSURE: Channels = {"pressure_difference": column("dp", "bar")}
+WITH_TEMPERATURE: Channels = {**PRESSURE, "oil_temperature": column("T", "degC")}
+CHANNELS: Channels = {**WITH_TEMPERATURE, "leakage_flow": column("q", "l/min")}
 Cells = dict[str, list[float | str | None]]
 
 
-def read(folder: Path, kind: str, cells: Cells, channels: tuple[ChannelSource, ...]) -> RawLog:
+def read(folder: Path, kind: str, cells: Cells, channels: Channels) -> RawLog:
     """A table of a row a second."""
     path = folder / f"log.{kind}"
     times = T0_US + 1_000_000 * np.arange(len(next(iter(cells.values()))))
     if kind == "parquet":
         stamps = pa.array(times, pa.timestamp("us", "UTC"))
         pq.write_table(pa.table({"time": stamps, **cells}), path)
-        return read_log(path, LogSource("parquet", channels))
+        return read_log(path, *Source.of("parquet", channels))
     rows = zip(times.tolist(), *cells.values(), strict=True)
     lines = [",".join("" if cell is None else str(cell) for cell in row) for row in rows]
     path.write_text("\n".join([",".join(["time", *cells]), *lines, ""]), "utf-8")
-    return read_log(path, LogSource("csv", channels, time_format="epoch_us"))
+    return read_log(path, *Source.of("csv", channels, time_format="epoch_us"))
 
 
 def seconds(log: RawLog, channel: str) -> list[int]:
@@ -69,8 +70,8 @@ def test_a_slow_channel_of_shared_rows_is_missing_in_between(tmp_path: Path, kin
         "q": [1.5, 1.6, 1.7, None, None, 1.9],
     }
     log = read(tmp_path, kind, cells, CHANNELS)
-    for channel in CHANNELS:
-        raw = log.channels[channel.channel]
+    for name, channel in CHANNELS.items():
+        raw = log.channels[name]
         assert raw.missing.tolist() == [cell is None for cell in cells[channel.source]]
 
 
@@ -84,14 +85,14 @@ def test_a_channel_without_any_reading_keeps_its_blank_cells(tmp_path: Path, kin
 
 @each_kind
 def test_one_column_alone_has_no_others(tmp_path: Path, kind: str) -> None:
-    twice = (CHANNELS[0], ChannelSource("high_port_pressure", "dp", "bar"))
-    for channels in (CHANNELS[:1], twice):
+    twice = {**PRESSURE, "high_port_pressure": column("dp", "bar")}
+    for channels in (PRESSURE, twice):
         log = read(tmp_path, kind, {"dp": [1.0, None, 2.0]}, channels)
         assert all(c.missing.tolist() == [False, True, False] for c in log.channels.values())
 
 
 def test_two_channels_of_one_column_do_not_share_rows_with_each_other(tmp_path: Path) -> None:
-    channels = (*CHANNELS[:2], ChannelSource("high_port_pressure", "dp", "bar"))
+    channels = {**WITH_TEMPERATURE, "high_port_pressure": column("dp", "bar")}
     cells: Cells = {"dp": [1.0, None, 2.0, None], "T": [None, 50.0, None, 51.0]}
     log = read(tmp_path, "csv", cells, channels)
     assert seconds(log, "pressure_difference") == seconds(log, "high_port_pressure") == [0, 2]
@@ -100,6 +101,6 @@ def test_two_channels_of_one_column_do_not_share_rows_with_each_other(tmp_path: 
 
 def test_text_that_is_no_number_is_counted_all_the_same(tmp_path: Path) -> None:
     cells: Cells = {"dp": [1.0, None, "ERR", None, 3.0], "T": [None, 50.0, None, 51.0, None]}
-    log = read(tmp_path, "csv", cells, CHANNELS[:2])
+    log = read(tmp_path, "csv", cells, WITH_TEMPERATURE)
     assert seconds(log, "pressure_difference") == [0, 4]
     assert log.channels["pressure_difference"].unparsed == 1

@@ -61,7 +61,8 @@ def read_as_suggested(folder: Path, path: Path, toml: str) -> dict[str, RawLog]:
         for file in path.parent.parent.glob(pattern)
     }
     assert path.name in found, "the pattern of the files does not find the log"
-    return {name: read_log(file, spec.file.log_source()) for name, file in found.items()}
+    logs, channels = spec.file.logs, spec.file.channels
+    return {name: read_log(file, logs, channels) for name, file in found.items()}
 
 
 def require_same(

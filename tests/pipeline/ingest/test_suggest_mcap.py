@@ -78,8 +78,8 @@ def json_log(folder: Path, topics: Mapping[str, Callable[[int], Any]], **options
 
 def require_it_reads(folder: Path, path: Path, late_us: int = 0) -> str:
     toml = suggest(path)
-    source = load_motor(folder, HEAD + toml).file.log_source()
-    log = read_log(path, source)
+    motor = load_motor(folder, HEAD + toml).file
+    log = read_log(path, motor.logs, motor.channels)
     assert set(log.channels) == set(VALUES)
     for channel, values in VALUES.items():
         np.testing.assert_array_equal(log.channels[channel].time_us, TIMES_US + late_us)
@@ -181,7 +181,8 @@ def test_the_time_of_publishing_is_told_where_it_is_another(tmp_path: Path) -> N
     toml = require_it_reads(tmp_path, path, late_us=RECORDED_LATER_NS // 1000)
     assert "publish_time is 3 ms before it: which is when it was measured?" in toml
     chosen = toml.replace('time = "log_time"', 'time = "publish_time"')
-    log = read_log(path, load_motor(tmp_path, HEAD + chosen).file.log_source())
+    motor = load_motor(tmp_path, HEAD + chosen).file
+    log = read_log(path, motor.logs, motor.channels)
     assert log.first_us == T0_US
 
 
@@ -238,7 +239,7 @@ def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
 
 
 def motor_class() -> tuple[Any, bytes]:
-    """A Protobuf message with a stamp, numbers, and a message of its own within."""
+    """A Protobuf message with a stamp, numbers, a message of its own within, and a map."""
     kinds = descriptor_pb2.FieldDescriptorProto
     stamps = descriptor_pb2.FileDescriptorProto()
     Timestamp.DESCRIPTOR.file.CopyToProto(stamps)
@@ -260,6 +261,12 @@ def motor_class() -> tuple[Any, bytes]:
         1,
     ):
         motor.field.add(name=name, number=number, type=kind, type_name=of or None, label=1)
+    entry = motor.nested_type.add(name="OilEntry")
+    entry.options.map_entry = True
+    entry.field.add(name="key", number=1, type=kinds.TYPE_STRING, label=1)
+    entry.field.add(name="value", number=2, type=kinds.TYPE_DOUBLE, label=1)
+    map_of = {"type": kinds.TYPE_MESSAGE, "type_name": ".plant.Motor.OilEntry", "label": 3}
+    motor.field.add(name="oil", number=6, **map_of)
     pool = descriptor_pool.DescriptorPool()
     for one in (stamps, file):
         pool.Add(one)
@@ -275,12 +282,15 @@ def test_protobuf_with_its_timestamp(tmp_path: Path) -> None:
         one.at.seconds, one.at.nanos = time_us // 10**6, time_us % 10**6 * 1000
         one.hydraulics.dp_bar = VALUES["pressure_difference"][i]
         one.hydraulics.drain_flow_lpm = VALUES["leakage_flow"][i]
+        one.oil["temp"] = 1.0
         messages.append(("/motor", time_us + 5, one.SerializeToString()))
     schema = ("plant.Motor", "protobuf", descriptors)
     toml = require_it_reads(tmp_path, write(tmp_path, messages, {"/motor": schema}, "protobuf"))
     found = tomllib.loads(toml)
     assert found["logs"]["stamp"] == "at"
     assert found["channels"]["leakage_flow"]["field"] == "hydraulics.drain_flow_lpm"
+    # The keys of a map are not in the schema.
+    assert found["channels"]["oil_temperature"]["field"] == "oil_temp_degC"
     assert "which is it?" not in toml
 
 

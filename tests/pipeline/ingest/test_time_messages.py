@@ -9,18 +9,21 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from pipeline.config.time_formats import EPOCH_UNITS
 from pipeline.errors import LogError
-from pipeline.ingest import ChannelSource, LogSource, read_log
-from pipeline.ingest.time_stamps import EPOCH_UNITS, example_of, from_text
+from pipeline.ingest import read_log
+from pipeline.ingest.time_stamps import example_of, placed, written_as_text
+
+from .sources import Source, column
 
 # With and without a zone, so that each cell is parsed by itself.
 YEAR_0 = ["0001-01-01T00:00:00+14:00", "0001-01-01T00:00:00"]
-SPEED = (ChannelSource("speed", "n", "rpm"),)
+SPEED = {"speed": column("n", "rpm")}
 
 
-def told(path: Path, source: LogSource) -> str:
+def told(path: Path, source: Source) -> str:
     with pytest.raises(LogError) as raised:
-        read_log(path, source)
+        read_log(path, *source)
     assert raised.value.code == "log_time"
     return raised.value.message
 
@@ -53,7 +56,7 @@ def log(folder: Path, *stamps: str) -> Path:
 def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
     tmp_path: Path, stamps: list[str], time_format: str, cell: str, written: str
 ) -> None:
-    source = LogSource("csv", SPEED, separator=";", time_format=time_format)
+    source = Source.of("csv", SPEED, separator=";", time_format=time_format)
     message = told(log(tmp_path, *stamps), source)
     assert f"'time' in format {time_format} (such as {written}; here is {cell!r})" in message
 
@@ -62,26 +65,26 @@ def test_a_cell_that_is_no_time_is_shown_beside_one_that_would_be(
 @pytest.mark.parametrize("time_format", [*EPOCH_UNITS, "excel_days"])
 def test_a_number_beyond_any_time_is_counted(tmp_path: Path, time_format: str, cell: str) -> None:
     good = example_of(time_format)
-    source = LogSource("csv", SPEED, separator=";", time_format=time_format)
-    found = read_log(log(tmp_path, good, cell, good), source)
+    source = Source.of("csv", SPEED, separator=";", time_format=time_format)
+    found = read_log(log(tmp_path, good, cell, good), *source)
     assert found.notes == ("1 rows without a readable time",)
     assert found.channels["speed"].time_us.tolist() == [1740808800_000000] * 2
 
 
 def test_where_cells_are_blank_there_is_none_to_show(tmp_path: Path) -> None:
-    message = told(log(tmp_path, "", ""), LogSource("csv", SPEED, separator=";"))
+    message = told(log(tmp_path, "", ""), Source.of("csv", SPEED, separator=";"))
     assert "'time' in format iso8601 (such as 2025-03-01T06:00:00Z)" in message
 
 
 def test_a_number_of_parquet_is_shown(tmp_path: Path) -> None:
     path = tmp_path / "log.parquet"
     pq.write_table(pa.table({"time": pa.array([None, 77, 78]), "n": [1.0, 2.0, 3.0]}), path)
-    source = LogSource("parquet", SPEED, time_format="epoch_ms")
+    source = Source.of("parquet", SPEED, time_format="epoch_ms")
     assert "(such as 1740808800000; here is '77')" in told(path, source)
 
 
 def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
-    source = LogSource("csv", SPEED, separator=";", time_zone="Europe/Berlin")
+    source = Source.of("csv", SPEED, separator=";", time_zone="Europe/Berlin")
     message = told(log(tmp_path, "2025-03-30T02:30:00"), source)
     assert "here is '2025-03-30 02:30:00'), lie in an hour that does not exist" in message
 
@@ -91,6 +94,7 @@ def test_an_hour_that_does_not_exist_is_shown(tmp_path: Path) -> None:
     ["iso8601", *EPOCH_UNITS, "excel_days", "%d.%m.%Y %H:%M:%S,%f", "%Y-%j %H:%M %z"],
 )
 def test_the_example_is_read_in_its_format(time_format: str) -> None:
-    stamps = from_text(pa.chunked_array([[example_of(time_format)]]), time_format, "UTC")
+    cells = pa.chunked_array([[example_of(time_format)]])
+    stamps = placed([written_as_text(cells, time_format)], "UTC")
     assert stamps.readable.all()
     assert stamps.time_us[0] == datetime.fromisoformat("2025-03-01T06:00Z").timestamp() * 1e6

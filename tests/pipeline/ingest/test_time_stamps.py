@@ -12,14 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.ingest.time_stamps import (
-    TimeStamps,
-    from_arrow_timestamps,
     from_epoch,
-    from_naive,
-    from_text,
     placed,
     written_as_text,
+    written_as_timestamps,
 )
+from pipeline.ingest.wall_clock import TimeStamps, from_naive
 
 from .writers import T0_US, iso
 
@@ -33,7 +31,7 @@ def us(moment: datetime) -> int:
 
 
 def read(texts: list[str | None], time_format: str = "iso8601", zone: str = "UTC") -> TimeStamps:
-    return from_text(pa.chunked_array([texts], pa.string()), time_format, zone)
+    return placed([written_as_text(pa.chunked_array([texts], pa.string()), time_format)], zone)
 
 
 def local(*texts: str, zone: str) -> list[int]:
@@ -193,9 +191,8 @@ def test_the_largest_integers_are_no_time() -> None:
 def test_arrow_timestamps_of_every_unit(unit: str, zone: str | None) -> None:
     per_second = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
     counts = [1740808800 * per_second, None, 0, 2**62, -(2**62)]
-    stamps = from_arrow_timestamps(
-        pa.chunked_array([counts[:2], counts[2:]], pa.timestamp(unit, zone)), "UTC"
-    )
+    column = pa.chunked_array([counts[:2], counts[2:]], pa.timestamp(unit, zone))
+    stamps = placed([written_as_timestamps(column)], "UTC")
     assert stamps.time_us[:3].tolist() == [T0_US, 0, 0]
     assert stamps.readable[:3].tolist() == [True, False, False]
 

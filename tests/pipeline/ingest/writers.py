@@ -18,16 +18,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from mcap.writer import CompressionType, IndexType, Writer
 
-from pipeline.ingest import ChannelSource, LogSource
+from pipeline.config.motors import Channels
+
+from .sources import Source, column
 
 T0_US = 1_740_808_800_000_000
 """2025-03-01T06:00:00 UTC (``date -u -d @1740808800``)."""
 
-CHANNELS = (
-    ChannelSource("pressure_difference", "dp", "bar"),
-    ChannelSource("oil_temperature", "T", "degC"),
-    ChannelSource("leakage_flow", "q", "l/min"),
-)
+CHANNELS: Channels = {
+    "pressure_difference": column("dp", "bar"),
+    "oil_temperature": column("T", "degC"),
+    "leakage_flow": column("q", "l/min"),
+}
 
 STEP_US = 100_000
 """Between rows."""
@@ -61,7 +63,7 @@ class Format:
     """
 
     name: str
-    source: LogSource
+    source: Source
     write: Callable[[Path, Sequence[Row], Sequence[str]], None]
     wide: bool = True
     holds_text: bool = True
@@ -157,7 +159,7 @@ def _mcap(
 ) -> Format:
     return Format(
         name,
-        LogSource("mcap", CHANNELS),
+        Source.of("mcap", CHANNELS),
         write_mcap(**options),
         wide=False,
         is_checked=is_checked,
@@ -166,13 +168,13 @@ def _mcap(
 
 
 FORMATS = (
-    Format("csv", LogSource("csv", CHANNELS), write_csv),
+    Format("csv", Source.of("csv", CHANNELS), write_csv),
     Format(
         "csv-european",
-        LogSource(
+        Source.of(
             "csv",
             CHANNELS,
-            time_source="Zeit",
+            time="Zeit",
             time_format="%d.%m.%Y %H:%M:%S,%f",
             time_zone="Europe/Berlin",
             separator=";",
@@ -182,10 +184,10 @@ FORMATS = (
         ),
         write_european_csv,
     ),
-    Format("parquet", LogSource("parquet", CHANNELS), write_parquet, holds_text=False),
+    Format("parquet", Source.of("parquet", CHANNELS), write_parquet, holds_text=False),
     Format(
         "parquet-other",
-        LogSource("parquet", CHANNELS, time_zone="Europe/Berlin"),
+        Source.of("parquet", CHANNELS, time_zone="Europe/Berlin"),
         write_other_parquet,
         holds_text=False,
     ),

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
-from pipeline.ingest import LogSource, RawChannel, RawLog, contract, read_log, time_span
+from pipeline.ingest import RawChannel, RawLog, contract, read_log, time_span
 from pipeline.ingest.suggest import suggest
 from tests.pipeline.ingest.fuzzing.checksums import has_blank_checksum
 from tests.pipeline.ingest.fuzzing.mutations import Mutation
@@ -65,7 +66,7 @@ def judged(
     whole: RawLog,
     folder: Path,
     mutation: Mutation,
-    read: Callable[[Path, LogSource], RawLog] = read_log,
+    read: Callable[[Path, Logs, Channels], RawLog] = read_log,
 ) -> Verdict:
     """Write a damaged log, read it in all ways, and judge what comes of it.
 
@@ -85,9 +86,9 @@ def judged(
     path.write_bytes(data)
     start = time.process_time()
     try:
-        span = _coded(time_span, path, seed.source)
+        span = _coded(time_span, path, *seed.source)
         suggestion = _coded(suggest, path)
-        log = _coded(read, path, seed.source)
+        log = _coded(read, path, *seed.source)
         text = suggestion if isinstance(suggestion, str) else ""
         tomllib.loads(text)
     except MemoryError as error:

@@ -15,7 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pipeline.ingest import LogSource, RawLog, read_log
+from pipeline.config.motors import Channels, Logs
+from pipeline.ingest import RawLog, read_log
 from tests.pipeline.ingest.fuzzing.judging import Outcome, Verdict, judged
 from tests.pipeline.ingest.fuzzing.mutations import Mutation
 from tests.pipeline.ingest.fuzzing.seeds import Seed, seeds
@@ -29,7 +30,7 @@ _ADDRESS_SPACE_BYTES = 4 * 2**30
 PATIENCE_S = 60.0
 """Without a word for so long, on a machine that may be busy, a read hangs."""
 
-Read = Callable[[Path, LogSource], RawLog]
+Read = Callable[[Path, Logs, Channels], RawLog]
 
 
 class Reader:
@@ -150,7 +151,7 @@ def _serve(connection: Connection[Any, Any], read: Read, memory_bytes: int) -> N
 def _whole(seed: Seed, folder: Path) -> RawLog:
     path = folder / seed.file_name
     path.write_bytes(seed.data)
-    return read_log(path, seed.source)
+    return read_log(path, *seed.source)
 
 
 def _peak_bytes() -> int:

@@ -10,7 +10,7 @@ import json
 import struct
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,8 +21,8 @@ import zstandard
 from google.protobuf import descriptor_pb2
 from mcap.writer import CompressionType, IndexType, Writer
 
-from pipeline.ingest import LogSource
 from tests.pipeline.ingest.fuzzing.checksums import parquet_ranges
+from tests.pipeline.ingest.sources import Source, changed
 from tests.pipeline.ingest.writers import (
     CHANNELS,
     FORMATS,
@@ -64,7 +64,7 @@ class Seed:
     """
 
     name: str
-    source: LogSource
+    source: Source
     data: bytes
     checked: _Ranges
     file_name: str
@@ -72,7 +72,7 @@ class Seed:
     @property
     def reader(self) -> str:
         """Its format."""
-        return self.source.format
+        return self.source.logs.format
 
 
 @cache
@@ -88,12 +88,12 @@ def seed_named(name: str) -> Seed:
 
 def _seed(
     name: str,
-    source: LogSource,
+    source: Source,
     write: _Write,
     checked: _Ranges | Callable[[Path], Sequence[tuple[int, int]]] = (),
 ) -> Seed:
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"log.{source.format}"
+        path = Path(folder) / f"log.{source.logs.format}"
         write(path, many_rows(_ROWS))
         ranges = tuple(checked(path)) if callable(checked) else checked
         return Seed(name, source, path.read_bytes(), ranges, path.name)
@@ -101,7 +101,7 @@ def _seed(
 
 def _csv_seeds() -> list[Seed]:
     plain, european = _BY_NAME["csv"], _BY_NAME["csv-european"]
-    long = LogSource("csv", CHANNELS, layout="long")
+    long = Source.of("csv", CHANNELS, layout="long")
     # What the format's own tool writes has a checksum, what libraries write has none.
     zst = zstandard.ZstdCompressor(write_checksum=True).compress
     return [
@@ -133,9 +133,9 @@ def _packed(pack: Callable[[bytes], bytes]) -> _Write:
 
 
 def _parquet_seeds() -> list[Seed]:
-    source = LogSource("parquet", CHANNELS)
-    nested = replace(
-        source, channels=tuple(replace(one, source=f"oil.{one.source}") for one in CHANNELS)
+    source = Source.of("parquet", CHANNELS)
+    nested = source.but(
+        {name: changed(one, source=f"oil.{one.source}") for name, one in CHANNELS.items()}
     )
     with_checksum: dict[str, dict[str, Any]] = {
         "none": {"compression": "none", "use_dictionary": False},
@@ -171,7 +171,7 @@ def _parquet_seeds() -> list[Seed]:
     return [
         *found,
         _seed("parquet-nested", nested, _nested_parquet),
-        _seed("parquet-long-text", replace(source, layout="long"), _long_parquet),
+        _seed("parquet-long-text", source.but(layout="long"), _long_parquet),
     ]
 
 
@@ -222,7 +222,7 @@ def _mcap_seeds() -> list[Seed]:
         "ros2msg-none-crc-0": ("ros2msg", {"compression": none, **bare}),
         "ros2idl-none-crc-0": ("ros2idl", {"compression": none, "enable_crcs": False}),
     }
-    source = LogSource("mcap", CHANNELS)
+    source = Source.of("mcap", CHANNELS)
     found = [
         _seed(f"mcap-{name}", source, _mcap(encoding, options), _EVERYWHERE)
         for name, (encoding, options) in sound.items()
@@ -231,7 +231,7 @@ def _mcap_seeds() -> list[Seed]:
         _seed(f"mcap-{name}", source, _mcap(encoding, options))
         for name, (encoding, options) in unsound.items()
     ]
-    in_part = replace(source, salvage=True)
+    in_part = source.but(salvage=True)
     return [
         *found,
         _seed(

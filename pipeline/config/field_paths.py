@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-from pipeline.errors import UsageError
-
 FieldPath = tuple[str | int, ...]
 """Keys and array positions, from the message inwards."""
 
@@ -28,8 +26,8 @@ def field_path(field: str, topic: str = "") -> FieldPath:
 
     Raises
     ------
-    UsageError
-        ``field_path``.
+    ValueError
+        It is no path.
 
     Examples
     --------
@@ -43,10 +41,9 @@ def field_path(field: str, topic: str = "") -> FieldPath:
     else:
         inner = field.removeprefix("/")
     if not _WHOLE.fullmatch(inner):
-        raise UsageError(
-            "field_path",
+        raise ValueError(
             f"field {field!r} is no path such as 'pressure.a' or 'pressures[0].value'; a dot or "
-            "bracket within a key is written with a backslash before it",
+            "bracket within a key is written with a backslash before it"
         )
     path: list[str | int] = []
     for key, positions in _STEP.findall(inner):

@@ -1,0 +1,34 @@
+"""What a reader is told of a log besides its path, as a motor's config states it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from pipeline.config.motors import Channel, Channels, Logs
+
+
+class Source(NamedTuple):
+    """Arguments of a reader: the log's dialect, and the channels that are wanted."""
+
+    logs: Logs
+    channels: Channels
+
+    @staticmethod
+    def of(log_format: Any, channels: Channels, **keys: Any) -> Source:
+        """Logs of a format, with any key of `Logs`."""
+        return Source(Logs(format=log_format, files=("*",), **keys), channels)
+
+    def but(self, channels: Channels | None = None, **keys: Any) -> Source:
+        """With other channels, or other keys of `Logs`."""
+        logs = Logs(**self.logs.model_dump() | keys)
+        return Source(logs, self.channels if channels is None else channels)
+
+
+def column(name: str, unit: str, **keys: Any) -> Channel:
+    """A channel by the name of its column or topic."""
+    return Channel(source=name, unit=unit, **keys)
+
+
+def changed(channel: Channel, **keys: Any) -> Channel:
+    """A channel with other keys."""
+    return Channel(**channel.model_dump(exclude_unset=True) | keys)
