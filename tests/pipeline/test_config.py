@@ -639,7 +639,7 @@ def test_folders_that_cannot_be(configs: Path, key: str, name: str) -> None:
 def test_output_and_logs_that_spoil_each_other(
     configs: Path, logs: str, output: str, words: str
 ) -> None:
-    change(configs, "fleet.toml", '"../logs"', f'"{logs}"')
+    change(configs, "fleet.toml", '"../demo/logs"', f'"{logs}"')
     change(configs, "fleet.toml", '"../out"', f'"{output}"')
     fault = only_fault(configs)
     assert (fault.file, fault.key) == ("fleet.toml", "folders.output")
@@ -661,7 +661,7 @@ def test_output_and_logs_that_spoil_each_other(
 def test_an_output_below_the_logs_is_one_where_no_log_is_looked_for(
     configs: Path, pattern: str, output: str, is_spoilt: bool
 ) -> None:
-    change(configs, "fleet.toml", '"../logs"', '".."')
+    change(configs, "fleet.toml", '"../demo/logs"', '".."')
     change(configs, "fleet.toml", '"../out"', f'"{output}"')
     change(configs, MOTOR, "CB400-01/*.csv", pattern)
     if is_spoilt:
@@ -671,7 +671,7 @@ def test_an_output_below_the_logs_is_one_where_no_log_is_looked_for(
 
 
 def test_logs_beside_the_tables_spoil_nothing(configs: Path) -> None:
-    change(configs, "fleet.toml", '"../logs"', '"../out/logs"')
+    change(configs, "fleet.toml", '"../demo/logs"', '"../out/logs"')
     assert load(configs).log_root == configs.parent / "out" / "logs"
 
 
