@@ -126,7 +126,7 @@ class LogShelf:
     def _unanswered(self, record: FileRecord) -> FileRecord:
         """The record of a file that is to be tried again by the next run."""
         loss = self._silent[record.path]
-        error = LogError(loss.code, Path(record.path), loss.how)
+        error = LogError(loss.code, Path(record.path), loss.how.removeprefix(f"{record.path} "))
         return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
