@@ -28,7 +28,7 @@ from pipeline.logs import (
 from pipeline.night_rows import utc
 from pipeline.nights import Night, night_of, nights_between
 from pipeline.settings_hashes import reading_hash
-from pipeline.worker_process import Loss, reading
+from pipeline.worker_process import Loss, reading, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
@@ -108,24 +108,21 @@ class LogShelf:
         """Each file as its ends tell it."""
         return {
             name: replace(self._look_at(name), read_with=self._read_with)
-            for name in self._source.names
+            for name in told_alive(self._source.names)
         }
 
     def _look_at(self, name: str) -> FileRecord:
         known = self._known(name)
         if name not in self._silent:
             return self._source.look_at(name, known)
-        # As far as anybody can tell, it is as it was.
-        return (
-            known
-            if known and known.status == "ok"
-            else self._unanswered(FileRecord(name, 0, 0, None))
-        )
+        if known is not None and known.status == "ok":
+            return known  # as far as anybody can tell, it is as it was
+        return self._unanswered(FileRecord(name, 0, 0, None))
 
     def _unanswered(self, record: FileRecord) -> FileRecord:
         """The record of a file that is to be tried again by the next run."""
         loss = self._silent[record.path]
-        error = LogError(loss.code, Path(record.path), loss.how)
+        error = LogError(loss.code, Path(record.path), loss.how.removeprefix(f"{record.path} "))
         return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:

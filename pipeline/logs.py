@@ -23,7 +23,7 @@ from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.wall_clock import LATEST_US
 from pipeline.ledger import FileRecord, content_hash
 from pipeline.nights import DAY, Night, night_of, nights_between, nights_of
-from pipeline.worker_process import asking, reading
+from pipeline.worker_process import asking, reading, told_alive
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
 # a wrong time format.
@@ -66,7 +66,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
             if named.exists():
                 found.add(named)
             elif is_glob:
-                paths = spec.log_root.glob(pattern)
+                paths = told_alive(spec.log_root.glob(pattern))
                 found |= {path for path in paths if not _is_folder(path, spec.log_root, silent)}
             else:
                 absent.append(pattern)

@@ -13,7 +13,7 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import import_module
@@ -24,8 +24,11 @@ log = logging.getLogger(__name__)
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
+Item = TypeVar("Item")
 
 MIB = 1 << 20
+# So many files are looked at between two signs of life.
+ITEMS_A_SIGN = 256
 PR_SET_PDEATHSIG = 1
 
 # The other end is the run; None where tasks are not done in a worker.
@@ -109,6 +112,14 @@ def sign_of_life(part: str) -> None:
 def still_alive() -> None:
     """Say once more what was said last."""
     _say(_said)
+
+
+def told_alive(items: Iterable[Item]) -> Iterator[Item]:
+    """Items of which each takes little time, and all of them may take long."""
+    for number, item in enumerate(items):
+        if number % ITEMS_A_SIGN == 0:
+            still_alive()
+        yield item
 
 
 @contextmanager

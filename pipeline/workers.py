@@ -282,14 +282,15 @@ class Worker:
         self._pass_on_stderr()
         words = self.last_words.decode("utf-8", "replace")
         no_memory = NO_MEMORY.search(words)
-        how = f"its worker process ended with {_died(self.process.exitcode)}"
-        how += f": {no_memory.group().strip()}" if no_memory else ""
         if self.is_late and self.sign.log:
             verb = "answer" if self.sign.is_asked else "come to its end"
             how = f"{self.sign.log} did not {verb} within {self._limit_s:g} s"
             return Loss("log_no_answer", how, self.sign.part, self.sign.log)
         if self.is_late:
             how = f"not done within {self._limit_s:g} s"
+        else:
+            how = f"its worker process ended with {_died(self.process.exitcode)}"
+            how += f": {no_memory.group().strip()}" if no_memory else ""
         how += f", at {self.sign.part}" if self.sign.part else ""
         if frame := FRAME.search(words):
             file, line, function = frame.groups()
@@ -328,8 +329,10 @@ def _deaf_to_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGINT, before)
 
 
-def _died(exit_code: int) -> str:
+def _died(exit_code: int | None) -> str:
     """How a process has ended, in words."""
+    if exit_code is None:
+        return "nothing that could be heard"
     if exit_code >= 0:
         return f"exit code {exit_code}"
     name = signal.Signals(-exit_code).name

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.worker_process import asking, reading, sign_of_life
+from pipeline.worker_process import ITEMS_A_SIGN, asking, reading, sign_of_life, told_alive
 
 GIB = 1 << 30
 
@@ -146,6 +146,13 @@ MISBEHAVIOUR: dict[str, Callable[[], None]] = {
         leave,
     )
 }
+
+
+def slow_by_items(items: int) -> int:
+    """Takes a second for as many items as there are between two signs of life."""
+    for _ in told_alive(range(items)):
+        time.sleep(1.0 / ITEMS_A_SIGN)
+    return items
 
 
 def slow_by_parts(parts: int) -> int:

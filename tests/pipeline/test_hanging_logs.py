@@ -91,7 +91,9 @@ def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
     assert statuses(tmp_path, "M1") == ["ok", "ok", "failed"]
     (row,) = table(tmp_path, "input_files").filter(status="failed").to_dicts()
     assert (row["night"], row["error_code"]) == (BLOCKS, "log_no_answer")
-    assert f"M1/{BLOCKS}.parquet did not answer within 3 s" in row["message"]
+    assert row["message"] == (
+        f"{BLOCKS}.parquet: did not answer within 3 s (night told by its name)"
+    )
 
 
 # What is done of a motor of which nothing is heard

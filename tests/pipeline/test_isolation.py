@@ -23,7 +23,7 @@ from pipeline.fleet import RunRequest, RunResult, run_fleet
 from pipeline.motor_task import run_motor
 from pipeline.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
-from pipeline.worker_process import Loss
+from pipeline.worker_process import ITEMS_A_SIGN, Loss
 from pipeline.workers import Crew, run_tasks
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
@@ -34,6 +34,7 @@ from tests.pipeline.misbehaviour import (
     hang_at_a_log,
     own_pid,
     own_pid_slowly,
+    slow_by_items,
     slow_by_parts,
     workers_of,
 )
@@ -150,6 +151,18 @@ def test_the_first_time_nobody_is_waited_for() -> None:
         "not done within 0.5 s, at the third night"
         in {loss.code: loss.how for loss in losses}["task_timeout"]
     )
+
+
+def test_many_files_take_as_long_as_they_take() -> None:
+    """Each answers; together they take longer than one task may be silent."""
+
+    def lost(_: int, loss: Loss) -> int:
+        raise AssertionError(loss)
+
+    limits = execution().model_copy(update={"answer_s": 2.0})
+    with Crew() as crew:
+        done = crew.run_tasks(slow_by_items, [3 * ITEMS_A_SIGN], lost, limits, first=True)
+        assert list(done) == [3 * ITEMS_A_SIGN]
 
 
 def test_a_task_that_is_lost_once_is_done_the_second_time(tmp_path: Path) -> None:
