@@ -370,7 +370,8 @@ def _run(
         except KeyboardInterrupt:
             interrupted = True
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
-    if any(outcome.error_code == "store_read" for outcome in finished):
+    codes = {outcome.error_code for outcome in finished} | {one.code for one in failures.values()}
+    if "store_read" in codes:
         # What a task could not read is found and named; the next run makes it anew.
         damage.look_into(manifest_keys(fleet.output))
     ends.append(time.perf_counter())
