@@ -412,6 +412,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     older, other = (night_file(output, table, NIGHT) for table in (QUALITY, PARAMETERS))
     write_table(older, pl.read_parquet(older).drop("n_samples"))
     pq.write_table(pq.read_table(other), other, write_page_checksum=True)
+    mine = shutil.copy(older, older.with_name("mine.parquet"))
     result = tiny_fleet.run(output)
     told = {fault.path: fault for fault in result.damage}
     assert (
@@ -420,6 +421,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     )
     altered = [path for path, code in found(result) if code == "table_altered"]
     assert altered == [f"{one}/month={MONTH}/{NIGHT}.parquet" for one in ("fits", "predictions")]
+    mine.unlink()
     assert result.damage_left == ()
     remove_aside(output)
     tiny_fleet.run(output)
