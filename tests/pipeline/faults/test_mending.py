@@ -278,6 +278,25 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     check_repaired(output, tiny_fleet)
 
 
+@pytest.mark.usefixtures("_nothing_due")
+def test_damage_that_is_met_where_a_night_is_published_is_kept_as_well(
+    tiny_fleet: TinyFleet, output: Path
+) -> None:
+    """Trends of a night are made anew, and with them those of later nights."""
+    gone, damaged = (night_file(output, TRENDS, night) for night in (NIGHT, LATER))
+    gone.unlink()
+    rot(damaged)
+    result = tiny_fleet.run(output)
+    expected = [
+        (name_of(gone, output), "table_missing"),
+        (name_of(damaged, output), "table_altered"),
+    ]
+    assert found(result) == expected
+    assert result.damage_left == ()
+    remove_aside(output)
+    check_repaired(output, tiny_fleet)
+
+
 def test_no_flipped_bit_of_a_footer_is_read_as_other_rows(output: Path) -> None:
     """Page checksums do not cover it: a damaged name was a column of nulls, and no error."""
     path = night_file(output, FITS, NIGHT)
