@@ -236,16 +236,16 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
             continue
         path = manifest_file(output, *key)
         place, was_there = path.relative_to(output).as_posix(), path.exists()
-        code = "manifest_damaged" if was_there else "manifest_missing"
+        kind = "manifest_damaged" if was_there else "manifest_missing"
         if restore(place):
-            yield TableFault(place, code, "brought back from the object store")
+            yield TableFault(place, kind, "brought back from the object store")
             continue
         names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]
         proofs = proofs_of(output, names)
         if was_there or proofs:
             update_manifest(output, *key, {name: digest for name, (digest, _) in proofs.items()})
             counts = Counter(proof for _, proof in proofs.values())
-            yield TableFault(place, code, _how_rebuilt(counts))
+            yield TableFault(place, kind, _how_rebuilt(counts))
         for name in names:
             if name not in proofs:
                 message = "it is in no manifest, and is damaged or not what a run publishes"

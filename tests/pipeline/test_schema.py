@@ -221,7 +221,8 @@ class TestFrame:
         """A column that only the last of many rows has."""
         last = table.columns[-1].name
         kind = str(table.schema[last])
-        value: Any = {"Int64": 1, "Float64": 1.0, "Boolean": True}.get(kind, "x")
+        values = {"Int64": 1, "Float64": 1.0, "Boolean": True, "List(String)": ["x"]}
+        value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])
         assert dict(found.schema) == dict(pl.Schema(table.schema))
         assert found[last].to_list() == [None] * 1000 + [value]
