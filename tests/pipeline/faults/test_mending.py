@@ -574,7 +574,7 @@ def test_a_run_that_mends_may_be_killed_anywhere(
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
-    "step", [pytest.param(110, id="some"), pytest.param(3, marks=pytest.mark.full, id="many")]
+    "step", [pytest.param(110, id="some"), pytest.param(11, marks=pytest.mark.full, id="many")]
 )
 def test_the_command_may_be_killed_anywhere(
     tiny_fleet: TinyFleet, tmp_path: Path, output: Path, said: tuple[Decision, ...], step: int
