@@ -102,6 +102,7 @@ MOTOR_STAGES = (
     "store_s",
 )
 STAGES = ("motors_s", "publish_s", "trends_s")
+PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
 # A task of trends reads the tables of all its motors at once.
 MOTORS_A_TREND_TASK = 32
 
@@ -433,9 +434,12 @@ def _run(
         except KeyboardInterrupt:
             interrupted = True
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
-    if any(outcome.error_code == "store_read" for outcome in finished):
+    codes = {outcome.error_code for outcome in finished} | {one.code for one in failures.values()}
+    if "store_read" in codes:
         # What a task could not read is found and named; the next run makes it anew.
         damage.look_into(manifest_keys(fleet.output))
+    for name in publisher.damaged:  # the publisher has said so
+        damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
     ends.append(time.perf_counter())
     stages = zip(STAGES, [begin, *ends], ends, strict=False)
     result = RunResult(

@@ -49,7 +49,7 @@ log = logging.getLogger(__name__)
 
 # Brings back a file of the output, by its path below it, from where it is published as well.
 Restore = Callable[[str], bool]
-# What a motor's night has of these is made anew from its stored blocks where the log is gone.
+# Rows of these are made anew from the night's stored blocks where its log is gone.
 FROM_BLOCKS = {"parameters"}
 LOST = ("table_altered", "table_missing")
 NEXT_RUN = "the next run makes it anew where the logs of that night are there"
@@ -180,7 +180,7 @@ class Damage:
                 note_touched(self.output, folder.name, min(trends))
 
     def left(self, made: Mapping[str, Collection[dt.date]]) -> Iterator[TableFault]:
-        """What was found and is not mended.
+        """Faults that were found and are not mended.
 
         Parameters
         ----------
@@ -236,21 +236,31 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
             continue
         path = manifest_file(output, *key)
         place, was_there = path.relative_to(output).as_posix(), path.exists()
-        code = "manifest_damaged" if was_there else "manifest_missing"
+        kind = "manifest_damaged" if was_there else "manifest_missing"
         if restore(place):
-            yield TableFault(place, code, "brought back from the object store")
+            yield TableFault(place, kind, "brought back from the object store")
             continue
-        names = [name for name in unlisted.get(key, ()) if name.endswith(ENDING)]
-        names = [name for name in names if name.split("/")[0] in TABLE_OF]
+        names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]
         proofs = proofs_of(output, names)
         if was_there or proofs:
             update_manifest(output, *key, {name: digest for name, (digest, _) in proofs.items()})
             counts = Counter(proof for _, proof in proofs.values())
-            yield TableFault(place, code, _how_rebuilt(counts))
+            yield TableFault(place, kind, _how_rebuilt(counts))
         for name in names:
             if name not in proofs:
                 message = "it is in no manifest, and is damaged or not what a run publishes"
                 yield TableFault(name, "table_altered", message)
+
+
+def _is_called_as_ours(name: str) -> bool:
+    """Whether a file has its place and name where a run puts such files."""
+    table, label = name.split("/")[0], key_of(name)[1]
+    if table not in TABLE_OF or not name.endswith(ENDING):
+        return False
+    try:
+        return table not in OF_MOTORS | OF_TRENDS or bool(dt.date.fromisoformat(label))
+    except ValueError:
+        return False
 
 
 def _how_rebuilt(counts: Mapping[Proof, int]) -> str:

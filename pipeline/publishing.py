@@ -50,12 +50,15 @@ class Publisher:
     lost
         Nights of which a file was damaged, with the motors whose rows are new: those of the others
         have to be made anew.
+    damaged
+        Files that were put aside for it, by path relative to the folder of the tables.
     """
 
     output: Path
     staging: Path
     run_id: str
     lost: dict[dt.date, set[str]] = field(default_factory=dict)
+    damaged: list[str] = field(default_factory=list)
 
     def nights(
         self,
@@ -150,6 +153,8 @@ class Publisher:
                 undone.callback(file.drop)
                 files.append(file)
                 if file.lost_rows:
+                    if file.before is not None:
+                        self.damaged.append(name)
                     self.lost.setdefault(night, set()).update(motors)
                     forget(self.output, (night,), set(motors))
             self._land(f"{night:%Y-%m}", night.isoformat(), files)

@@ -7,6 +7,7 @@ what the samples would give. What needs samples keeps its rows, and `fits` marks
 from __future__ import annotations
 
 import datetime as dt
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -48,6 +49,8 @@ from pipeline.stored_blocks import (
     triangular_factors,
 )
 from pipeline.windows import TRAINING
+
+log = logging.getLogger(__name__)
 
 Array = NDArray[np.float64]
 
@@ -168,7 +171,8 @@ class StoredNights:
             columns = tuple(name for name in table.schema if name != "run_id")
         try:
             rows = read_rows(self._output, table, [self._spec.motor_id], columns, month)
-        except StoreError:
+        except StoreError as error:
+            log.warning("%s; no night of %s is made from it", error, month)
             return {}
         nights = rows.sort(table.key).partition_by("night", as_dict=True, maintain_order=True)
         return {key[0]: part for key, part in nights.items()}

@@ -308,16 +308,17 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
     """
     try:
         content = read(path)
-    except OSError as error:
+        stored = _from_parquet(content)
+        _require_known_version(path, stored)
+        rows = pl.from_arrow(stored)
+        assert isinstance(rows, pl.DataFrame)
+        _require_columns(rows.columns, table)
+        of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
+        if of_night and {str(night) for night in rows["night"].unique().drop_nulls()} - {path.stem}:
+            raise ValueError("it has rows of other nights")
+        same = _as_parquet(rows, _version_of(stored)) == content
+    except DAMAGE as error:
         raise _damaged(path, table, error) from error
-    rows = _decode(path, table, content)
-    of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in table.schema
-    if of_night and {str(night) for night in rows["night"].drop_nulls()} - {path.stem}:
-        raise _damaged(path, table, ValueError("it has rows of other nights"))
-    stored = _from_parquet(content)
-    as_stored = pl.from_arrow(stored)
-    assert isinstance(as_stored, pl.DataFrame)
-    same = _as_parquet(as_stored, _version_of(stored)) == content
     return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
 
 

@@ -141,7 +141,7 @@ def _written_ns(path: Path | str) -> int | None:
 
 
 def fault_of(output: Path, name: str) -> TableFault | None:
-    """What is wrong with a table file, by its manifest.
+    """The fault of a table file, by its manifest; None: it has none.
 
     It is looked at twice: a run may have published it in between, and what went wrong on the way
     from the disk is none of its faults.
@@ -173,7 +173,7 @@ def _compare(output: Path, name: str, accepted: tuple[str | None, ...]) -> Table
 
 
 def _again(name: str) -> str:
-    """What comes of a file that is damaged or gone."""
+    """The words for a file that is damaged or gone: who makes it anew."""
     if name.split("/")[0] in OF_MOTORS:
         return f"{AGAIN} where the logs of that night are there"
     if name.split("/")[0] in OF_TRENDS or key_of(name)[0] == WHOLE:

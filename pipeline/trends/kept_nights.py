@@ -87,7 +87,7 @@ class KeptMonth:
 
     @classmethod
     def decoded(cls, content: bytes, key: str, layout: Layout) -> KeptMonth | None:
-        """What unsealed content says; None where it was made by other settings."""
+        """A month from unsealed content; None where it was made by other settings."""
         text, _, numbers = content.partition(b"\n")
         head = json.loads(text)
         if head["key"] != key:

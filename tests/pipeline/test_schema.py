@@ -221,7 +221,13 @@ class TestFrame:
         """A column that only the last of many rows has."""
         last = table.columns[-1].name
         kind = str(table.schema[last])
-        values = {"Int64": 1, "Float64": 1.0, "Boolean": True, "Date": dt.date(2026, 1, 2)}
+        values = {
+            "Int64": 1,
+            "Float64": 1.0,
+            "Boolean": True,
+            "Date": dt.date(2026, 1, 2),
+            "List(String)": ["x"],
+        }
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])
         assert dict(found.schema) == dict(pl.Schema(table.schema))

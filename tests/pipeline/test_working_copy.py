@@ -229,6 +229,25 @@ def test_an_interrupted_run_s_folder_is_brought_back(server: Server, tmp_path: P
     assert table_files(shop.output) == tables
 
 
+@pytest.mark.parametrize("name", ["tables/predictions", "tables/trends", "manifest"])
+def test_what_is_gone_from_a_copy_is_brought_back_and_not_from_the_store(
+    server: Server, tmp_path: Path, name: str
+) -> None:
+    """A run took what its folder lacked for removed, and published that."""
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    (path,) = (shop.output / name / "month=2026-01").glob(f"{FIRST}.*")
+    tables, content = published(), path.read_bytes()
+    path.unlink()
+    result = run(shop.fleet, shop.output)
+    code = "manifest_missing" if name == "manifest" else "table_missing"
+    assert [fault.code for fault in result.damage] == [code]
+    assert (result.damage_left, result.n_nights) == ((), 0)
+    assert path.read_bytes() == content
+    assert published().items() >= {one: tables[one] for one in tables if "runs" not in one}.items()
+
+
 def test_what_people_said_on_two_machines_is_kept(server: Server, tmp_path: Path) -> None:
     store = ObjectStore.at(URL)
     here, there = tmp_path / "here", tmp_path / "there"

@@ -278,6 +278,25 @@ def test_where_trends_meet_damage_it_is_named_and_the_next_run_is_well(
     check_repaired(output, tiny_fleet)
 
 
+@pytest.mark.usefixtures("_nothing_due")
+def test_damage_that_is_met_where_a_night_is_published_is_kept_as_well(
+    tiny_fleet: TinyFleet, output: Path
+) -> None:
+    """Trends of a night are made anew, and with them those of later nights."""
+    gone, damaged = (night_file(output, TRENDS, night) for night in (NIGHT, LATER))
+    gone.unlink()
+    rot(damaged)
+    result = tiny_fleet.run(output)
+    expected = [
+        (name_of(gone, output), "table_missing"),
+        (name_of(damaged, output), "table_altered"),
+    ]
+    assert found(result) == expected
+    assert result.damage_left == ()
+    remove_aside(output)
+    check_repaired(output, tiny_fleet)
+
+
 def test_no_flipped_bit_of_a_footer_is_read_as_other_rows(output: Path) -> None:
     """Page checksums do not cover it: a damaged name was a column of nulls, and no error."""
     path = night_file(output, FITS, NIGHT)
@@ -412,6 +431,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     older, other = (night_file(output, table, NIGHT) for table in (QUALITY, PARAMETERS))
     write_table(older, pl.read_parquet(older).drop("n_samples"))
     pq.write_table(pq.read_table(other), other, write_page_checksum=True)
+    mine = shutil.copy(older, older.with_name("mine.parquet"))
     result = tiny_fleet.run(output)
     told = {fault.path: fault for fault in result.damage}
     assert (
@@ -420,6 +440,7 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     )
     altered = [path for path, code in found(result) if code == "table_altered"]
     assert altered == [f"{one}/month={MONTH}/{NIGHT}.parquet" for one in ("fits", "predictions")]
+    mine.unlink()
     assert result.damage_left == ()
     remove_aside(output)
     tiny_fleet.run(output)
@@ -553,7 +574,7 @@ def test_a_run_that_mends_may_be_killed_anywhere(
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize(
-    "step", [pytest.param(110, id="some"), pytest.param(3, marks=pytest.mark.full, id="many")]
+    "step", [pytest.param(110, id="some"), pytest.param(11, marks=pytest.mark.full, id="many")]
 )
 def test_the_command_may_be_killed_anywhere(
     tiny_fleet: TinyFleet, tmp_path: Path, output: Path, said: tuple[Decision, ...], step: int
