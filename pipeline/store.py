@@ -11,6 +11,7 @@ import errno
 import hashlib
 import logging
 import os
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -31,6 +32,7 @@ VERSION_KEY = "motor_leakage_schema_version"
 PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
 MONTH_PREFIX, ENDING = "month=", ".parquet"
+MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
 
 
 def existing_tables(output: Path) -> Path:
@@ -57,12 +59,32 @@ def night_file(output: Path, table: Table, night: dt.date) -> Path:
     return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
 
 
+def night_paths(output: Path, table: Table, month: str = "*") -> dict[dt.date, Path]:
+    """Files of a table by night, in time order; a stranger's file holds no night of ours."""
+    paths = sorted(table_folder(output, table).glob(f"{MONTH_PREFIX}{month}/*{ENDING}"))
+    found = ((night_named(path.name), path) for path in paths)
+    return {
+        night: path
+        for night, path in found
+        if night is not None and path == night_file(output, table, night)
+    }
+
+
+def night_named(name: str) -> dt.date | None:
+    """The night that a file of a table is called after; None: none."""
+    try:
+        night = dt.date.fromisoformat(name.removesuffix(ENDING))
+    except ValueError:
+        return None
+    return night if name == f"{night}{ENDING}" else None
+
+
 def last_night(output: Path, table: Table) -> dt.date | None:
     """The last night that a table has a file of; None where it has none."""
     for month in sorted(table_folder(output, table).glob("month=*"), reverse=True):
-        labels = [path.stem for path in month.glob("*.parquet")]
-        if labels:
-            return dt.date.fromisoformat(max(labels))
+        nights = night_paths(output, table, month.name.removeprefix(MONTH_PREFIX))
+        if nights:
+            return max(nights)
     return None
 
 
@@ -77,7 +99,7 @@ def month_stamps(output: Path, table: Table) -> dict[str, int]:
     return {
         entry.name.removeprefix(MONTH_PREFIX): entry.stat().st_mtime_ns
         for entry in _entries(table_folder(output, table))
-        if entry.name.startswith(MONTH_PREFIX)
+        if MONTH_FOLDER.fullmatch(entry.name)
     }
 
 
@@ -85,7 +107,8 @@ def night_stamps(output: Path, table: Table, month: str) -> dict[str, str]:
     """What tells the files of a month from all that were in their places before, by night."""
     found = {}
     for entry in _entries(table_folder(output, table) / f"{MONTH_PREFIX}{month}"):
-        if entry.name.endswith(ENDING):
+        night = night_named(entry.name)
+        if night is not None and f"{night:%Y-%m}" == month:
             state = entry.stat()
             stamp = f"{state.st_size:x}.{state.st_mtime_ns:x}.{state.st_ino:x}"
             found[entry.name.removesuffix(ENDING)] = stamp
@@ -238,31 +261,33 @@ def read_rows(
     chosen = list(columns or table.schema)
     empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
     if nights is None:
-        paths = sorted(map(str, table_folder(output, table).glob(f"month={month}/*.parquet")))
+        paths = list(night_paths(output, table, month).values())
     else:
         files = (night_file(output, table, night) for night in sorted(nights))
-        paths = [str(path) for path in files if path.exists()]
+        paths = [path for path in files if path.exists()]
     if not paths:
         return empty.select(chosen)
     empty = empty.select(["motor_id", *(name for name in chosen if name != "motor_id")])
-    try:
-        parts = [_read_motors(path, motor_ids, empty.columns) for path in paths]
-        rows = pl.concat([empty, *parts], how="diagonal_relaxed")
-    except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
-        raise StoreError("store_read", f"a file of {table.name} is damaged: {error}") from error
-    return rows.select(chosen).cast(pl.Schema({name: table.schema[name] for name in chosen}))
+    parts = (_read_motors(path, table, motor_ids, empty.columns) for path in paths)
+    return pl.concat([empty, *parts], how="diagonal").select(chosen)
 
 
-def _read_motors(path: str, motor_ids: Sequence[str], columns: Sequence[str]) -> pl.DataFrame:
+def _read_motors(
+    path: Path, table: Table, motor_ids: Sequence[str], columns: Sequence[str]
+) -> pl.DataFrame:
     """Some motors' rows of a file, in those columns that it has.
 
     File by file, as a scanner of many takes longer for small ones; with checksums, as a flipped bit
     would otherwise be a step in a trend.
     """
-    with pq.ParquetFile(path, page_checksum_verification=True) as file:
-        rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
-    assert isinstance(rows, pl.DataFrame)
-    return rows.filter(pl.col("motor_id").is_in(list(motor_ids)))
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
+        assert isinstance(rows, pl.DataFrame)
+        types = {name: table.schema[name] for name in rows.columns}
+        return rows.filter(pl.col("motor_id").is_in(list(motor_ids))).cast(pl.Schema(types))
+    except (OSError, ValueError, pa.ArrowException, pl.exceptions.PolarsError) as error:
+        raise _damaged(path, table, error) from error
 
 
 def _require_known_version(path: Path, content: pa.Table) -> None:
