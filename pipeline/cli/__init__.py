@@ -11,11 +11,12 @@ from pipeline.cli import checking, housekeeping, model, publishing, runs, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
+    EXIT_MOTORS_FAILED,
     EXIT_NOTHING_PUBLISHED,
     EXIT_OK,
     EXIT_USAGE,
 )
-from pipeline.errors import LockedError, MotorLeakageError, UsageError
+from pipeline.errors import LockedError, LogError, MotorLeakageError, UsageError
 from pipeline.messages import error_line, speak
 
 app = typer.Typer(
@@ -67,6 +68,8 @@ def _exit_code(error: MotorLeakageError) -> int:
 
     if isinstance(error, UsageError | ConfigError):
         return EXIT_USAGE
+    if isinstance(error, LogError):
+        return EXIT_MOTORS_FAILED
     return EXIT_LOCKED if isinstance(error, LockedError) else EXIT_NOTHING_PUBLISHED
 
 
