@@ -14,7 +14,7 @@ from pipeline.errors import StoreError
 from pipeline.ledger import read_ledger
 from pipeline.log_source import logs_of
 from pipeline.schema import FITS
-from pipeline.store import table_folder
+from pipeline.store import night_paths
 from pipeline.workers import Crew
 
 MIB = 1024**2
@@ -78,7 +78,7 @@ def new_files(output: Path, spec: MotorSpec) -> int:
 
 def bytes_a_night(output: Path) -> int:
     """Bytes that a motor's night takes while it is made, from the newest nights of the tables."""
-    files = sorted(table_folder(output, FITS).glob("month=*/*.parquet"), reverse=True)
+    files = reversed(night_paths(output, FITS).values())
     n_motors = sum(1 for _ in (output / "ledger").glob("*/"))
     tables = output / "tables"
     sizes = [

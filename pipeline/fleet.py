@@ -253,6 +253,9 @@ def _joined(first: RunResult, second: RunResult) -> RunResult:
         seconds=first.seconds + second.seconds,
         alarms=(*first.alarms, *second.alarms),
         seconds_by_stage=dict(seconds),
+        damage=(*first.damage, *second.damage),
+        # What the first left may be of a motor that the second did.
+        damage_left=second.damage_left,
     )
 
 

@@ -19,7 +19,7 @@ from pipeline.errors import UsageError
 from pipeline.landing import remove
 from pipeline.manifest import Manifest, announce, read_manifest, update_manifest
 from pipeline.schema import TABLES
-from pipeline.store import table_folder
+from pipeline.store import night_paths
 
 # What goes with each table, in words. Of the others figures, trends and alarms are made.
 LOSSES: Mapping[str, str] = {
@@ -116,11 +116,8 @@ def old_files(
         if table.name not in kept:
             continue
         first_kept = tonight - dt.timedelta(days=kept[table.name] - 1)
-        files = {
-            dt.date.fromisoformat(path.stem): path.stat().st_size
-            for path in table_folder(output, table).glob("month=*/*.parquet")
-        }
-        old = {night: size for night, size in sorted(files.items()) if night < first_kept}
+        files = {night: path.stat().st_size for night, path in night_paths(output, table).items()}
+        old = {night: size for night, size in files.items() if night < first_kept}
         if old:
             size = sum(old.values())
             found.append(OldFiles(table.name, tuple(old), size, LOSSES[table.name]))

@@ -11,8 +11,9 @@ import errno
 import hashlib
 import logging
 import os
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -34,6 +35,7 @@ VERSION_KEY = "motor_leakage_schema_version"
 PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
 ENDING = ".parquet"
+MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
 # What reading a damaged file raises; a damaged name is a UnicodeDecodeError, a ValueError.
 DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
@@ -67,8 +69,28 @@ def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
     folder = table_folder(output, table)
     for month in sorted((entry.name for entry in _entries(folder)), reverse=True):
         for name in sorted((entry.name for entry in _entries(folder / month)), reverse=True):
-            with suppress(ValueError):  # a stranger's file
-                yield dt.date.fromisoformat(name.removesuffix(ENDING))
+            if (night := night_named(name)) is not None:
+                yield night
+
+
+def night_paths(output: Path, table: Table, month: str = "*") -> dict[dt.date, Path]:
+    """Files of a table by night, in time order; a stranger's file holds no night of ours."""
+    paths = sorted(table_folder(output, table).glob(f"{MONTH_PREFIX}{month}/*{ENDING}"))
+    found = ((night_named(path.name), path) for path in paths)
+    return {
+        night: path
+        for night, path in found
+        if night is not None and path == night_file(output, table, night)
+    }
+
+
+def night_named(name: str) -> dt.date | None:
+    """The night that a file of a table is called after; None: none."""
+    try:
+        night = dt.date.fromisoformat(name.removesuffix(ENDING))
+    except ValueError:
+        return None
+    return night if name == f"{night}{ENDING}" else None
 
 
 def month_stamps(output: Path, table: Table) -> dict[str, int]:
@@ -82,7 +104,7 @@ def month_stamps(output: Path, table: Table) -> dict[str, int]:
     return {
         entry.name.removeprefix(MONTH_PREFIX): entry.stat().st_mtime_ns
         for entry in _entries(table_folder(output, table))
-        if entry.name.startswith(MONTH_PREFIX)
+        if MONTH_FOLDER.fullmatch(entry.name)
     }
 
 
@@ -90,7 +112,8 @@ def night_stamps(output: Path, table: Table, month: str) -> dict[str, str]:
     """What tells the files of a month from all that were in their places before, by night."""
     found = {}
     for entry in _entries(table_folder(output, table) / f"{MONTH_PREFIX}{month}"):
-        if entry.name.endswith(ENDING):
+        night = night_named(entry.name)
+        if night is not None and f"{night:%Y-%m}" == month:
             state = entry.stat()
             stamp = f"{state.st_size:x}.{state.st_mtime_ns:x}.{state.st_ino:x}"
             found[entry.name.removesuffix(ENDING)] = stamp
@@ -246,7 +269,7 @@ def read_rows(
     chosen = list(columns or table.schema)
     empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
     if nights is None:
-        paths = sorted(table_folder(output, table).glob(f"month={month}/*.parquet"))
+        paths = list(night_paths(output, table, month).values())
     else:
         files = (night_file(output, table, night) for night in sorted(nights))
         paths = [path for path in files if path.exists()]
@@ -270,10 +293,11 @@ def _read_motors(
         content = _published_content(output, path, table)
         with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
             rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
+        assert isinstance(rows, pl.DataFrame)
+        types = {name: table.schema[name] for name in rows.columns}
+        return rows.filter(pl.col("motor_id").is_in(list(motor_ids))).cast(pl.Schema(types))
     except DAMAGE as error:
         raise _damaged(path, table, error) from error
-    assert isinstance(rows, pl.DataFrame)
-    return rows.filter(pl.col("motor_id").is_in(list(motor_ids)))
 
 
 def _published_content(output: Path, path: Path, table: Table) -> bytes:

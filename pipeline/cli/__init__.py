@@ -11,12 +11,13 @@ from pipeline.cli import checking, housekeeping, model, publishing, runs, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
+    EXIT_MOTORS_FAILED,
     EXIT_NOTHING_PUBLISHED,
     EXIT_OK,
     EXIT_TERMINATED,
     EXIT_USAGE,
 )
-from pipeline.errors import LockedError, MotorLeakageError, UsageError
+from pipeline.errors import LockedError, LogError, MotorLeakageError, UsageError
 from pipeline.messages import error_line, speak
 
 SIGNALS = {EXIT_INTERRUPTED: "SIGINT (Ctrl-C)", EXIT_TERMINATED: "SIGTERM"}
@@ -70,6 +71,8 @@ def _exit_code(error: MotorLeakageError) -> int:
 
     if isinstance(error, UsageError | ConfigError):
         return EXIT_USAGE
+    if isinstance(error, LogError):
+        return EXIT_MOTORS_FAILED
     return EXIT_LOCKED if isinstance(error, LockedError) else EXIT_NOTHING_PUBLISHED
 
 

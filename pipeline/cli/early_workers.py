@@ -34,7 +34,7 @@ def early_crew(config: Path, jobs: int | None) -> Crew:
 def _n_workers(config: Path, jobs: int | None) -> int:
     """A guess, which only costs time where it is wrong: faults of the config are told later."""
     try:
-        execution = tomllib.loads(config.read_text("utf-8")).get("execution", {})
+        execution = tomllib.loads(config.read_text("utf-8-sig")).get("execution", {})
         if execution.get("backend", "loky") != "loky":
             return 0
         return int(jobs or execution.get("workers", 2))

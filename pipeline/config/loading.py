@@ -373,8 +373,8 @@ def _read_folder(folder: Path | None, model: type[Model], faults: list[Fault]) -
 
 def _read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:
     try:
-        with path.open("rb") as stream:
-            document = tomllib.load(stream)
+        # Windows' editors begin a file with a byte order mark.
+        document = tomllib.loads(path.read_bytes().decode("utf-8-sig"))
         # Whatever cannot be written as JSON: too deep, or a number of thousands of digits.
         json.dumps(document, default=str)
     except OSError as error:

@@ -31,10 +31,10 @@ from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
-from pipeline.report.tables import SHOWN_TABLES, History, night_paths, read_history, read_night
+from pipeline.report.tables import SHOWN_TABLES, History, read_history, read_night
 from pipeline.report.trends import standings
 from pipeline.schema import FITS, SCHEMA_VERSION
-from pipeline.store import table_folder
+from pipeline.store import night_paths, table_folder
 from pipeline.worker_process import Loss
 from pipeline.workers import run_tasks
 

@@ -32,7 +32,7 @@ from pipeline.schema import (
     TREND_TABLES,
     Table,
 )
-from pipeline.store import night_file, read_table, table_folder
+from pipeline.store import night_file, night_paths, read_table, table_folder
 
 # Tables of a night that its page shows.
 SHOWN_TABLES = (
@@ -84,17 +84,6 @@ class History:
     decisions: tuple[Decision, ...] = ()
     fleet: str = ""
     faults: tuple[str, ...] = ()
-
-
-def night_paths(output: Path, table: Table) -> dict[dt.date, Path]:
-    """Files of a table by the night's label, in time order."""
-    paths = {}
-    for path in table_folder(output, table).glob("month=*/*.parquet"):
-        try:
-            paths[dt.date.fromisoformat(path.stem)] = path
-        except ValueError:
-            continue  # a stranger's file, which no night of ours is in
-    return dict(sorted(paths.items()))
 
 
 def read_night(output: Path, night: dt.date) -> dict[str, Read]:

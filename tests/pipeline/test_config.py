@@ -576,6 +576,14 @@ def test_a_file_that_is_no_toml_leaves_the_others_judged(
     assert words in found[MOTOR].message
 
 
+def test_a_file_may_begin_with_a_byte_order_mark(configs: Path) -> None:
+    """As editors of Windows write it."""
+    for file in ("fleet.toml", MOTOR, TYPE, OIL):
+        path = configs / file
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    assert len(load(configs).motors) == 6
+
+
 def test_an_empty_motor_file(configs: Path) -> None:
     (configs / MOTOR).write_bytes(b"")
     keys = {fault.key for fault in faults(configs)}

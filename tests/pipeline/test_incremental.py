@@ -143,6 +143,17 @@ def test_content_counts_and_not_the_time_of_a_file(workshop: Workshop) -> None:
     assert planned(workshop) == {}
 
 
+def test_strangers_among_the_tables_spoil_no_run(workshop: Workshop) -> None:
+    """Copies that somebody made, under names that are no night's."""
+    for table in (workshop.output / "tables").iterdir():
+        for month in list(table.glob("month=2*")):
+            (month / f"{NIGHTS[0]} (1).parquet").write_bytes(b"junk")
+            (table / "month=copy").mkdir(exist_ok=True)
+            (table / "month=copy" / f"{NIGHTS[0]}.parquet").write_bytes(b"junk")
+    workshop.log(NIGHTS[-1] + DAY)
+    assert workshop.run().status == "ok"
+
+
 # Settings
 
 

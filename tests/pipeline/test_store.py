@@ -35,8 +35,13 @@ from pipeline.schema import (
 from pipeline.store import (
     NightFile,
     StagedRows,
+    last_night,
+    month_stamps,
     night_file,
+    night_paths,
+    night_stamps,
     prepare_night,
+    read_rows,
     read_table,
     run_file,
     stage,
@@ -114,6 +119,27 @@ class TestLayout:
             found = analyst.read_parquet(pattern).order("night").project("night").fetchall()
         assert found == [(NIGHT,), (LATER,)]
         assert pl.read_parquet(pattern).height == 2
+
+    def test_a_file_that_is_no_night_s_holds_no_rows(self, file: Path, tmp_path: Path) -> None:
+        later = night_file(tmp_path, QUALITY, LATER)
+        write_table(later, rows(row("M000", night=LATER)))
+        for stranger in (
+            "stray.parquet",
+            "month=2026-01/2026-01-02 (1).parquet",
+            "month=2026-01/20260103.parquet",
+            "month=2026-01/2026-13-01.parquet",
+            "month=2026-01/2026-03-01.parquet",
+            "month=copy/2026-03-01.parquet",
+            "month=2026-99/x.parquet",
+        ):
+            path = table_folder(tmp_path, QUALITY) / stranger
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(file.read_bytes())
+        assert night_paths(tmp_path, QUALITY) == {NIGHT: file, LATER: later}
+        assert last_night(tmp_path, QUALITY) == LATER
+        assert read_rows(tmp_path, QUALITY, ["M000"])["night"].to_list() == [NIGHT, LATER]
+        assert month_stamps(tmp_path, QUALITY).keys() == {"2026-01", "2026-02"}
+        assert night_stamps(tmp_path, QUALITY, "2026-01").keys() == {str(NIGHT)}
 
 
 class TestWhole:
@@ -244,6 +270,19 @@ class TestDamage:
         file.write_bytes(content)
         with pytest.raises(StoreError):
             read_table(file, QUALITY)
+
+    @pytest.mark.parametrize("content", ["junk", "other types"])
+    def test_one_of_many_is_told_by_name(self, file: Path, content: str) -> None:
+        output = file.parents[3]
+        path = night_file(output, QUALITY, LATER)
+        path.parent.mkdir()
+        if content == "junk":
+            path.write_bytes(b"junk")
+        else:
+            pl.DataFrame({"motor_id": ["M001"], "night": ["today"]}).write_parquet(path)
+        with pytest.raises(StoreError, match=r"2026-02-01\.parquet of quality is") as raised:
+            read_rows(output, QUALITY, ["M001"])
+        assert raised.value.code == "store_read"
 
     def test_absent(self, tmp_path: Path) -> None:
         with pytest.raises(StoreError):

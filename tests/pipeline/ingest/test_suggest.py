@@ -26,6 +26,8 @@ from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.suggest import suggest
 from tests.pipeline.simulated import load_motor
+from tests.pipeline.test_cli import Call
+from tests.pipeline.test_cli import call as call  # a fixture
 
 from .dialects import EPOCH, Dialect, Label, Samples, in_unit, long, of_one_channel, wide
 
@@ -423,6 +425,14 @@ def test_the_command_prints_it(tmp_path: Path) -> None:
     result = CliRunner().invoke(app, ["check", "--suggest", str(path)])
     assert result.exit_code == 0
     assert result.output == suggest(path)
+
+
+def test_the_command_ends_with_1_where_there_is_nothing_to_suggest(
+    tmp_path: Path, call: Call
+) -> None:
+    code, out, err = call("check", "--suggest", tmp_path / "absent")
+    assert (code, out) == (1, "")
+    assert err == "motor-leakage: log_missing: absent: there is no such file\n"
 
 
 # Any dialect
