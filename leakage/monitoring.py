@@ -168,6 +168,7 @@ def monitor(
     settings: MonitorSettings | None = None,
     others_log_change: Array | None = None,
     others_known_from: int = 0,
+    by_itself: NDArray[np.bool_] | None = None,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -187,16 +188,20 @@ def monitor(
     others_known_from
         Place of the first night on which that was known, of any night: before it the own values
         decide alone, as they did then.
+    by_itself
+        Nights on which the motor itself tells that the change is its own, whatever the others did,
+        shape (n,); none where left out.
 
     Returns
     -------
     Monitoring
         States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
-        value; otherwise what the own and the corrected values both say, the milder of the two; what
-        both have told stays for as long as the own values tell it. The own ones decide alone where
-        the corrected have no baseline or are stale, and until the others are back from a longer
-        silence for as many nights as a level needs. An absolute limit holds whatever the others do,
-        with or without a baseline.
+        value; otherwise what the own and the corrected values both say, the milder of the two. The
+        own ones decide alone where the corrected have no baseline or are stale, until the others
+        are back from a longer silence for as many nights as a level needs, and where all together
+        tell nothing of a change that is the motor's own. What was told in any other way than for
+        want of the others stays for as long as the own values tell it. An absolute limit holds
+        whatever the others do, with or without a baseline.
 
     Raises
     ------
@@ -223,7 +228,8 @@ def monitor(
         corrected = track(nights, values / common, replace(chosen, limits=Limits()))
         circuit = track(nights, common, replace(chosen, limits=Limits()))
         comparable &= _are_back(nights, others_log_change, corrected, chosen)
-    states = _states(own, corrected, circuit, chosen.stale_nights, comparable)
+    alone = np.zeros(len(nights), dtype=np.bool_) if by_itself is None else by_itself
+    states = _states(own, corrected, circuit, chosen.stale_nights, comparable, alone)
     return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
 
 
@@ -428,17 +434,17 @@ def _states(
     circuit: Track | None,
     stale_nights: int,
     comparable: NDArray[np.bool_],
+    by_itself: NDArray[np.bool_],
 ) -> list[State]:
     """State of each night from its tracks."""
     severity, common = own.severity, np.zeros(len(own.severity), dtype=np.bool_)
     if corrected is not None and circuit is not None:
         usable = corrected.has_baseline & (corrected.since_good <= stale_nights) & comparable
         both = np.where(usable, np.minimum(severity, corrected.severity), severity)
-        # What both have told stays told while the own values tell it: that another motor rises
-        # later does not undo it.
-        for told in (1, 2):
-            stays = _latched(usable & (both >= told), severity >= told)
-            both = np.maximum(both, np.where(stays, told, 0))
+        # What was told stays told while the own values tell it, unless there was nobody to ask:
+        # that another motor rises later does not undo it.
+        both = _with_told(both, usable, severity)
+        both = _with_told(np.where(by_itself & (both == 0), severity, both), by_itself, severity)
         common = (both == 0) & (severity > 0) & (circuit.severity > 0)
         severity = both
     severity = np.maximum(severity, own.limit_severity)
@@ -464,13 +470,14 @@ def _are_back(
     return back
 
 
-def _latched(begins: NDArray[np.bool_], lasts: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """On from where it begins for as long as it lasts."""
-    places = np.arange(len(begins))
-    begun = np.maximum.accumulate(np.where(begins, places, -1))
-    ended = np.maximum.accumulate(np.where(lasts, -1, places))
-    latched: NDArray[np.bool_] = begun > ended
-    return latched
+def _with_told(said: Severities, told: NDArray[np.bool_], own: Severities) -> Severities:
+    """Severities; those told in some nights last for as long as the own values tell them."""
+    places = np.arange(len(said))
+    for severity in (1, 2):
+        begun = np.maximum.accumulate(np.where(told & (said >= severity), places, -1))
+        ended = np.maximum.accumulate(np.where(own >= severity, -1, places))
+        said = np.where(begun > ended, np.maximum(said, severity), said)
+    return said
 
 
 def _joined(*reasons: str) -> str:

@@ -332,9 +332,8 @@ def standing_of(part: Part, peers: Mapping[str, Peers]) -> Standing:
     return Standing(
         part.history,
         part.eras,
-        watch(part.history, part.decisions, part.indicators, peers),
+        watch(part.history, part.decisions, part.indicators, peers, part.apart),
         peers,
-        part.apart,
         sudden_changes(part.history, part.decisions, part.indicators, peers),
         sensor_zeros(part.history, part.decisions),
     )

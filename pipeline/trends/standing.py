@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import OF_SEVERITY
 from leakage.baseline import Baseline
 from leakage.monitoring import ChangeSize, Track, change_size
 from pipeline.nights import night as night_labelled
@@ -43,9 +42,6 @@ class Standing:
         By indicator.
     peers
         By indicator, what the other motors of its oil circuit did; empty for a motor on its own.
-    apart
-        By indicator, nights on which it had risen by more than the motor's paths have in common,
-        shape (n,).
     sudden
         Sudden changes that no event explains.
     zeros
@@ -56,7 +52,6 @@ class Standing:
     eras: tuple[Era, ...]
     watched: Mapping[str, Watched]
     peers: Mapping[str, Peers]
-    apart: Mapping[str, NDArray[np.bool_]]
     sudden: tuple[Sudden, ...]
     zeros: Mapping[str, Zero]
 
@@ -74,24 +69,16 @@ class Standing:
     @cached_property
     def states(self) -> dict[str, tuple[str, ...]]:
         """State of each night, by indicator."""
-        found = {name: self._states(name, one) for name, one in self.watched.items()}
+        found = {
+            name: [state for part in one.monitoring for state in part.states]
+            for name, one in self.watched.items()
+        }
         found[DEVIATION] = self._with_sudden(found[DEVIATION])
         return {name: tuple(states) for name, states in found.items()} | {
             name: zero.state for name, zero in self.zeros.items()
         }
 
-    def _states(self, name: str, watched: Watched) -> list[str]:
-        """What moved one path alone is the motor's own, whatever the other motors did."""
-        states: list[str] = []
-        for segment, found in zip(watched.segments, watched.monitoring, strict=True):
-            part: list[str] = list(found.states)
-            for inside in np.flatnonzero(self.apart[name][segment.first : segment.end]).tolist():
-                if part[inside] in ("ok", "common_cause"):
-                    part[inside] = OF_SEVERITY[int(found.own.severity[inside])]
-            states += part
-        return states
-
-    def _with_sudden(self, states: list[str]) -> list[str]:
+    def _with_sudden(self, states: Sequence[str]) -> list[str]:
         """A baseline that no longer holds is a warning: under it, wear would not show."""
         states = list(states)
         for one in self.sudden:

@@ -20,6 +20,7 @@ from pipeline.trends.peers import Peers
 from pipeline.trends.segments import Segment, segments
 
 Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +58,7 @@ def watch(
     decisions: Sequence[Decision],
     indicators: Mapping[str, Indicator],
     peers: Mapping[str, Peers],
+    apart: Mapping[str, Mask],
 ) -> dict[str, Watched]:
     """Watch every indicator of a motor.
 
@@ -68,6 +70,9 @@ def watch(
         By name.
     peers
         By indicator, what the other motors of the oil circuit did; empty for a motor on its own.
+    apart
+        By indicator, nights on which it had risen by more than the motor's paths have in common,
+        shape (n,).
     """
     watched = {}
     for name, indicator in indicators.items():
@@ -78,7 +83,10 @@ def watch(
             indicator,
             series,
             parts,
-            tuple(_monitored(history, part, series, settings, peers.get(name)) for part in parts),
+            tuple(
+                _monitored(history, part, series, settings, peers.get(name), apart[name])
+                for part in parts
+            ),
             settings,
         )
     return watched
@@ -90,6 +98,7 @@ def _monitored(
     series: Array,
     settings: MonitorSettings,
     peers: Peers | None,
+    apart: Mask,
 ) -> Monitoring:
     here = slice(part.first, part.end)
     nights = history.numbers[here]
@@ -101,6 +110,8 @@ def _monitored(
         settings,
         peers.others[here],
         others_known_from=peers.known_from(part) - part.first,
+        # What moved one path alone is the motor's own, whatever the other motors did.
+        by_itself=apart[here],
     )
 
 

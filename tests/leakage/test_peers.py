@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from leakage.errors import ShapeError
-from leakage.peers import peer_deviations
+from leakage.medians import row_medians
+from leakage.peers import medians_of_others, peer_deviations
 
 NAN = np.nan
 
@@ -39,6 +43,22 @@ def test_motors_that_are_not_known_do_not_count() -> None:
     assert np.isnan(found.deviation[1, 0])
     assert np.isnan(found.others[2]).all()
     assert found.n_others.tolist() == [[1, 2, 1], [0, 1, 1], [0, 0, 0]]
+
+
+@given(
+    arrays(
+        np.float64,
+        st.tuples(st.integers(1, 4), st.integers(2, 7)),
+        # Ties are many.
+        elements=st.sampled_from([NAN, -1.5, 0.0, 0.0, 2.0, 3.25]),
+    )
+)
+def test_one_sorting_gives_what_leaving_out_each_gives(values: np.ndarray) -> None:
+    medians, numbers = medians_of_others(values)
+    for motor in range(values.shape[1]):
+        rest = np.delete(values, motor, axis=1)
+        assert np.array_equal(medians[:, motor], row_medians(rest), equal_nan=True)
+        assert numbers[:, motor].tolist() == np.isfinite(rest).sum(axis=1).tolist()
 
 
 def test_words_say_how_much_a_deviation_is_worth() -> None:

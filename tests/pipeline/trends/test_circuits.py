@@ -24,6 +24,7 @@ from tests.pipeline.trends.nights import (
 
 N, AT = 110, 80
 OIL = {path: step(N, AT, 0.25) for path in PATHS}
+OIL_BEFORE, MORE_OIL = (dict.fromkeys(PATHS, step(N, 60, size)) for size in (0.25, 0.5))
 SLEEVE = {"balance_sleeve": step(N, AT, 0.40)}
 
 
@@ -108,6 +109,12 @@ def test_wear_beside_thin_oil_blames_the_worn_path_alone() -> None:
         assert "not this motor" not in why
     for name in ("M2", "M3", "M4"):
         assert raised(found[name]) == set()
+
+
+def test_what_one_path_has_told_stays_in_a_night_that_does_not_tell_it_apart() -> None:
+    """It fell from alarm to common cause for a night, as the others had moved by more."""
+    worn, _ = tank(both(OIL_BEFORE, {"balance_sleeve": step(N, AT, 0.22)}), MORE_OIL).values()
+    assert set(worn.states["K_balance_sleeve"][AT + 2 :]) == {"alarm"}
 
 
 @pytest.mark.parametrize("others", [0, 1, 2])
