@@ -69,7 +69,7 @@ class Standing:
     @cached_property
     def states(self) -> dict[str, tuple[str, ...]]:
         """State of each night, by indicator."""
-        found = {
+        found: dict[str, list[str]] = {
             name: [state for part in one.monitoring for state in part.states]
             for name, one in self.watched.items()
         }
