@@ -51,7 +51,7 @@ lint: $(READY)   ## style, types, and that the generated docs are up to date
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m pipeline.reference --check docs
+	$(BIN)/python -m pipeline.cli.reference --check docs
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
@@ -70,7 +70,7 @@ bench-guard: $(READY) ## whether it is slower than at the last committed results
 	$(BIN)/python -m benchmarks guard
 
 docs: $(READY)   ## make the config and table reference anew
-	$(BIN)/python -m pipeline.reference docs
+	$(BIN)/python -m pipeline.cli.reference docs
 
 clean:           ## remove the virtual environment and the demo's logs; tables stay
 	rm -rf $(VENV) $(DEMO)

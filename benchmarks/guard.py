@@ -109,11 +109,11 @@ def _cases(folder: Path) -> list[Case]:
     from leakage import SearchSettings, fit
     from leakage.block_statistics import factors
     from pipeline.config import load_fleet
-    from pipeline.fleet import RunRequest, run_fleet
+    from pipeline.config.nights import night
     from pipeline.ingest import read_log
-    from pipeline.logs import slice_night
-    from pipeline.motor_night import fit_night
-    from pipeline.nights import night
+    from pipeline.logs.files import slice_night
+    from pipeline.night.fit_night import fit_night
+    from pipeline.run.fleet import RunRequest, run_fleet
 
     logging.disable()
     write_day(folder / "day", MINUTES, RATE_HZ, *MOTORS)

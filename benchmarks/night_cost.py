@@ -30,7 +30,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-import pipeline.fleet
+import pipeline.run.fleet
 from benchmarks.results_file import Part, write_parts
 from pipeline.config import load_fleet
 from pipeline.demo import write_demo
@@ -144,8 +144,8 @@ def _now() -> tuple[float, float, float, float]:
 def _run_here(config: Path) -> Figures:
     """Run the fleet in this process; what it cost, in the trend stage and outside of it."""
     spent = [0.0, 0.0, 0.0, 0.0]
-    stage = pipeline.fleet._publish_trends
-    made: Callable[..., Any] = pipeline.fleet.run_trends
+    stage = pipeline.run.fleet._publish_trends
+    made: Callable[..., Any] = pipeline.run.fleet.run_trends
     making = [0.0]
 
     def timed_stage(*arguments: Any) -> Any:
@@ -161,13 +161,13 @@ def _run_here(config: Path) -> Figures:
         making[0] += time.process_time() - begin
         return result
 
-    pipeline.fleet._publish_trends = timed_stage
-    pipeline.fleet.run_trends = timed_task
+    pipeline.run.fleet._publish_trends = timed_stage
+    pipeline.run.fleet.run_trends = timed_task
     fleet = load_fleet(config)
     execution = fleet.execution.model_copy(update={"workers": 1, "backend": "sequential"})
-    request = pipeline.fleet.RunRequest(pipeline.fleet.replace(fleet, execution=execution))
+    request = pipeline.run.fleet.RunRequest(pipeline.run.fleet.replace(fleet, execution=execution))
     begin = _now()
-    result = pipeline.fleet.run_fleet(request)
+    result = pipeline.run.fleet.run_fleet(request)
     whole = [after - before for before, after in zip(begin, _now(), strict=True)]
     if result.failed:
         raise RuntimeError(f"motors failed: {[one.message for one in result.failed]}")

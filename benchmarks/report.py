@@ -21,10 +21,10 @@ import polars as pl
 from benchmarks.results_file import write_results
 from pipeline.config import Execution, load_fleet
 from pipeline.demo import write_demo
-from pipeline.fleet import RunRequest, run_fleet
 from pipeline.report import ReportRequest, build_report
+from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import NIGHT_TABLES, PREDICTIONS, TREND_TABLES, Table
-from pipeline.store import night_file, write_table
+from pipeline.store.tables import night_file, write_table
 from tests.pipeline.report.browser import installed, opened
 
 MOTORS, NIGHTS = 100, 365

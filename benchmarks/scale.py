@@ -31,9 +31,9 @@ from benchmarks.results_file import RESULTS, Part, write_parts
 from benchmarks.whole_runs import elapsed, first_night, fit_command
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
-from pipeline.engine import open_engine
-from pipeline.fleet import RunRequest, run_fleet
-from pipeline.worker_process import Loss
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.workers.engine import open_engine
+from pipeline.workers.process import Loss
 
 ROOT = Path(__file__).parent.parent
 MIB = 1 << 20

@@ -57,7 +57,7 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
 
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
-        from pipeline.fleet import RunRequest, run_fleet
+        from pipeline.run.fleet import RunRequest, run_fleet
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})

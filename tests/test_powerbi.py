@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.schema import FITS, NIGHT_TABLES, PARAMETERS, QUALITY, TABLES, Table, data_dictionary
-from pipeline.store import table_folder
+from pipeline.store.tables import table_folder
 
 PAGE = (Path(__file__).parents[1] / "docs" / "powerbi.md").read_text("utf-8")
 CODE = {

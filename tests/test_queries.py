@@ -14,7 +14,6 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-from pipeline.decisions import Decision
 from pipeline.schema import (
     BLOCK_STATISTICS,
     DECISIONS,
@@ -27,9 +26,10 @@ from pipeline.schema import (
     Table,
     frame,
 )
-from pipeline.store import night_file, read_table, table_folder, write_table
+from pipeline.store.tables import night_file, read_table, table_folder, write_table
 from pipeline.trends.alarm_rows import alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.decisions import Decision
 from pipeline.trends.stage import with_q_values
 from pipeline.trends.standing import Standing
 from pipeline.trends.trend_rows import trend_rows

@@ -22,9 +22,9 @@ from pipeline.errors import UsageError
 from pipeline.messages import error_line
 
 if TYPE_CHECKING:
-    from pipeline.channel_check import ChannelCheck
-    from pipeline.check import MotorCheck
-    from pipeline.verification import TableFault
+    from pipeline.run.verification import TableFault
+    from pipeline.setup.channel_check import ChannelCheck
+    from pipeline.setup.check import MotorCheck
 
 
 def check(
@@ -63,12 +63,12 @@ def check(
     Exit code 0: no fault; 1: a log cannot be read, there is none at all, or a file of the output
     is damaged; 2: a fault in the config.
     """
-    from pipeline.check import check_fleet
+    from pipeline.setup.check import check_fleet
 
     if tables or mend:
         raise typer.Exit(_check_tables(config, output, as_json=as_json, mend=mend))
     if suggest is not None:
-        from pipeline.ingest.suggest import suggest as suggested
+        from pipeline.setup.suggest import suggest as suggested
 
         typer.echo(suggested(suggest), nl=False)
         return
@@ -92,11 +92,11 @@ def check(
 
 def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, mend: bool) -> int:
     """Compare the files of an output with what was left there; returns the exit code."""
-    from pipeline.fleet import locked
-    from pipeline.mending import mend_output
-    from pipeline.store import existing_tables
-    from pipeline.verification import verify_tables
-    from pipeline.working_copy import working_copy
+    from pipeline.run.fleet import locked
+    from pipeline.run.mending import mend_output
+    from pipeline.run.verification import verify_tables
+    from pipeline.store.tables import existing_tables
+    from pipeline.store.working_copy import working_copy
 
     if config is None:
         raise UsageError("config", "name the fleet file whose tables are to be checked")

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from pipeline.workers import Crew
+    from pipeline.workers.local import Crew
 
-MODULES = ("pipeline.motor_task", "pipeline.trends.stage")
+MODULES = ("pipeline.run.motor_task", "pipeline.trends.stage")
 
 
 def early_crew(config: Path, jobs: int | None) -> Crew:
@@ -26,7 +26,7 @@ def early_crew(config: Path, jobs: int | None) -> Crew:
     jobs
         As said on the command line.
     """
-    from pipeline.workers import Crew
+    from pipeline.workers.local import Crew
 
     return Crew(min(_n_workers(config, jobs), os.cpu_count() or 1), MODULES)
 

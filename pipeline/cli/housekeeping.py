@@ -34,11 +34,11 @@ def prune(
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
-    from pipeline.fleet import fleets_tonight, locked
-    from pipeline.retention import nights_kept, old_files
-    from pipeline.retention import prune as remove
-    from pipeline.store import existing_tables
-    from pipeline.working_copy import working_copy
+    from pipeline.run.fleet import fleets_tonight, locked
+    from pipeline.store.retention import nights_kept, old_files
+    from pipeline.store.retention import prune as remove
+    from pipeline.store.tables import existing_tables
+    from pipeline.store.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     existing_tables(fleet.output)
@@ -89,12 +89,12 @@ def migrate(
     """
     from collections import Counter
 
-    from pipeline.fleet import locked
-    from pipeline.migration import migrate as rewrite
-    from pipeline.migration import old_table_files
+    from pipeline.run.fleet import locked
     from pipeline.schema import SCHEMA_VERSION
-    from pipeline.store import existing_tables
-    from pipeline.working_copy import working_copy
+    from pipeline.store.migration import migrate as rewrite
+    from pipeline.store.migration import old_table_files
+    from pipeline.store.tables import existing_tables
+    from pipeline.store.working_copy import working_copy
 
     fleet = load(config, output, None, logs=False)
     if dry_run or not fleet.object_store:
@@ -128,7 +128,7 @@ def pull(
 
     Example: motor-leakage pull configs/fleet.toml
     """
-    from pipeline.fleet import refresh
+    from pipeline.run.fleet import refresh
 
     fleet = load(config, None, None, logs=False)
     if output is not None:

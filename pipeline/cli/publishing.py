@@ -37,7 +37,7 @@ def explain(
 
     Example: motor-leakage explain configs/fleet.toml CB560-01 2026-01-03
     """
-    from pipeline.explain import explain as explained
+    from pipeline.report.explain import explain as explained
 
     fleet = load(config, output, None)
     known_motors([motor], fleet)
@@ -140,8 +140,8 @@ def export(
 
     Delta Lake tables are written whole, each in one transaction.
     """
-    from pipeline.csv_export import Selection, export_csv, tables_named
-    from pipeline.delta_export import export_delta
+    from pipeline.export.csv import Selection, export_csv, tables_named
+    from pipeline.export.delta import export_delta
 
     if (csv is None) == (delta is None):
         raise UsageError("export_format", "name what to write: --csv FOLDER or --delta PLACE")

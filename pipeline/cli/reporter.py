@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from pipeline.cli.arguments import say
 
 if TYPE_CHECKING:
-    from pipeline.fleet import RunRequest, RunResult
-    from pipeline.tasks import MotorOutcome
+    from pipeline.run.fleet import RunRequest, RunResult
+    from pipeline.run.tasks import MotorOutcome
 
 # Reasons of a plan that are told one by one.
 PLAN_REASONS = 8
@@ -22,9 +22,9 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     """What a run would do: nights by motor, and why."""
     from collections import Counter
 
-    from pipeline.fleet import plan_fleet, plan_trends
-    from pipeline.manifest import manifest_keys
-    from pipeline.verification import look_at_published
+    from pipeline.run.fleet import plan_fleet, plan_trends
+    from pipeline.run.verification import look_at_published
+    from pipeline.store.manifest import manifest_keys
 
     total = 0
     for motor_id, plan in plan_fleet(request):
@@ -159,7 +159,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
     """Seconds by stage: those of the motors' tasks added up, then those of the run."""
     from collections import Counter
 
-    from pipeline.fleet import MOTOR_STAGES
+    from pipeline.run.fleet import MOTOR_STAGES
 
     spent = Counter[str]()
     for outcome in result.outcomes:
@@ -182,6 +182,6 @@ def _by_code(result: RunResult) -> dict[str, int]:
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
     """Log files by what came of them, all of which there can be, in a fixed order."""
-    from pipeline.log_shelf import FATES
+    from pipeline.logs.motor_logs import FATES
 
     return {fate: files.get(fate, 0) for fate in FATES}

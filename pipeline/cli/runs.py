@@ -35,9 +35,9 @@ from pipeline.errors import MotorLeakageError, UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
-    from pipeline.fleet import RunRequest
-    from pipeline.tasks import MotorOutcome
-    from pipeline.workers import Crew
+    from pipeline.run.fleet import RunRequest
+    from pipeline.run.tasks import MotorOutcome
+    from pipeline.workers.local import Crew
 
 
 def fit_fleet(
@@ -72,7 +72,7 @@ def fit_fleet(
     lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
     """
     with _stoppable(), nullcontext() if dry_run else early_crew(config, jobs) as crew:
-        from pipeline.fleet import RunRequest
+        from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
         request = RunRequest(
@@ -106,7 +106,7 @@ def retry(
     Exit codes as those of fit-fleet.
     """
     with _stoppable(), early_crew(config, jobs) as crew:
-        from pipeline.fleet import RunRequest
+        from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
         request = RunRequest(fleet, known_motors(motors.split(), fleet), retry=True)
@@ -117,7 +117,7 @@ def _run(
     request: RunRequest, crew: Crew, as_json: bool, *, fail_on_alarm: bool = False
 ) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
-    from pipeline.fleet import run_fleet
+    from pipeline.run.fleet import run_fleet
 
     fleet = request.fleet
     with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
@@ -141,8 +141,8 @@ def fit(
     """
     from tempfile import TemporaryDirectory
 
-    from pipeline.explain import explain as explained
-    from pipeline.fleet import RunRequest, run_fleet
+    from pipeline.report.explain import explain as explained
+    from pipeline.run.fleet import RunRequest, run_fleet
 
     label = night_label(night, "NIGHT")
     assert label is not None
@@ -163,7 +163,7 @@ def fit(
 
 def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoReturn:
     """Say why there is nothing to fit in a night."""
-    from pipeline.check import check_motor
+    from pipeline.setup.check import check_motor
 
     motor = outcome.motor_id
     if outcome.error_code:

@@ -34,8 +34,8 @@ def status(
 
     Exit code 0; with --max-age 1 where the last good run is too old, or there was none.
     """
-    from pipeline.status import age_in_hours, fleet_status
-    from pipeline.status_lines import print_status
+    from pipeline.cli.status_lines import print_status
+    from pipeline.report.status import age_in_hours, fleet_status
     from pipeline.telling.receivers import receivers_of
 
     limit_h = age_in_hours(max_age) if max_age else None
@@ -70,8 +70,8 @@ def ack(
 
     Once somebody has looked, add --finding confirmed, or --finding not_confirmed.
     """
-    from pipeline.decisions import FINDINGS, Decision, record_decision
-    from pipeline.status import RAISED, TOLD, last_alarm
+    from pipeline.report.status import RAISED, TOLD, last_alarm
+    from pipeline.trends.decisions import FINDINGS, Decision, record_decision
 
     if finding not in ("", *FINDINGS):
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
@@ -106,8 +106,8 @@ def baseline_reset(
 
     Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
-    from pipeline.decisions import Decision, record_decision
-    from pipeline.status import known_indicators
+    from pipeline.report.status import known_indicators
+    from pipeline.trends.decisions import Decision, record_decision
 
     label = night_label(night, "NIGHT")
     assert label is not None

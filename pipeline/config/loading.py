@@ -19,7 +19,7 @@ from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
-from pipeline.object_store import is_url
+from pipeline.store.object_store import is_url
 
 Model = TypeVar("Model", bound=BaseModel)
 Document = Mapping[str, Any]

@@ -12,9 +12,9 @@ from typing import NamedTuple
 
 from pipeline.config.motors import Channels, Logs
 from pipeline.ingest.contract import RawChannel, RawLog, readable
-from pipeline.ingest.csv_log import csv_time_span, read_csv_log
-from pipeline.ingest.mcap_log import mcap_time_span, read_mcap_log
-from pipeline.ingest.parquet_log import parquet_time_span, read_parquet_log
+from pipeline.ingest.csv.log import csv_time_span, read_csv_log
+from pipeline.ingest.mcap.log import mcap_time_span, read_mcap_log
+from pipeline.ingest.parquet.log import parquet_time_span, read_parquet_log
 from pipeline.units import CHANNELS
 
 __all__ = ["RawChannel", "RawLog", "read_log", "time_span"]

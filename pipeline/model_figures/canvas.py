@@ -19,7 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from pipeline.landing import put
+from pipeline.store.atomic_files import put
 
 ImageFormat = Literal["png", "svg"]
 Dashes: TypeAlias = str | tuple[int, tuple[int, ...]]

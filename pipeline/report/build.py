@@ -14,7 +14,6 @@ import polars as pl
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
-from pipeline.landing import remove_leftovers
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
@@ -34,9 +33,10 @@ from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
 from pipeline.report.tables import SHOWN_TABLES, History, read_history, read_night
 from pipeline.report.trends import standings
 from pipeline.schema import FITS, SCHEMA_VERSION
-from pipeline.store import night_paths, table_folder
-from pipeline.worker_process import Loss
-from pipeline.workers import run_tasks
+from pipeline.store.atomic_files import remove_leftovers
+from pipeline.store.tables import night_paths, table_folder
+from pipeline.workers.local import run_tasks
+from pipeline.workers.process import Loss
 
 INDEX = "index.html"
 CHART_LIBRARY = "assets/plotly.min.js"

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.landing import TEMPORARY_PREFIX, flush_all, put, read
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_all, put, read
 
 FILE = "manifest.json"
 FORMAT = 1

@@ -14,7 +14,6 @@ from pathlib import Path
 
 import polars as pl
 
-from pipeline.decisions import Decision, read_decisions
 from pipeline.errors import StoreError
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -32,7 +31,8 @@ from pipeline.schema import (
     TREND_TABLES,
     Table,
 )
-from pipeline.store import night_file, night_paths, read_table, table_folder
+from pipeline.store.tables import night_file, night_paths, read_table, table_folder
+from pipeline.trends.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
 SHOWN_TABLES = (

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from pipeline.decisions import Decision
 from pipeline.report.encoding import numbers, whole_numbers
+from pipeline.report.status import ORDER, motor_state
 from pipeline.report.tables import History
-from pipeline.status import ORDER, motor_state
 from pipeline.thinning import keep_extremes
+from pipeline.trends.decisions import Decision
 from pipeline.trends.words import name_of
 
 Payload = dict[str, Any]
@@ -65,7 +65,7 @@ class Standing:
     Attributes
     ----------
     state
-        One of `pipeline.status.ORDER`.
+        One of `pipeline.report.status.ORDER`.
     reason
         Why, in words, and what somebody said of it.
     sensor_health

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
-from pipeline.landing import put, read
 from pipeline.schema import ALARMS
-from pipeline.sealed import seal, unseal
-from pipeline.store import month_stamps, read_table, table_folder
+from pipeline.store.atomic_files import put, read
+from pipeline.store.sealed import seal, unseal
+from pipeline.store.tables import month_stamps, read_table, table_folder
 from pipeline.telling.delivery import Receiver
 
 log = logging.getLogger(__name__)

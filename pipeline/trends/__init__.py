@@ -1,1 +1,4 @@
-"""Each motor against its own past, from the published tables alone."""
+"""A motor against its own past and its oil circuit: baselines, states, alarms.
+
+Works on the published tables alone; imports `night` and what lies below.
+"""

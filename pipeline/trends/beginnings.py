@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from pipeline.config import MotorSpec
 from pipeline.config.motors import Event
-from pipeline.decisions import Decision
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 
 DAY = dt.timedelta(days=1)

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
-from pipeline.tonight import Tonight
 from pipeline.trends.beginnings import beginnings
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.record import Record, read_record, trend_hash
+from pipeline.trends.tonight import Tonight
 
 
 def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:

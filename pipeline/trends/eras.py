@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.decisions import Decision
 from pipeline.trends.baseline_flow import baseline_model, deviation, log_ratio
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator, coefficients, reference_leakage
 from pipeline.trends.own_conditions import (

@@ -13,8 +13,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
-from pipeline.motor_night import NO_NEW_DATA
-from pipeline.nights import nights_between
+from pipeline.config.nights import nights_between
+from pipeline.night.fit_night import NO_NEW_DATA
 from pipeline.trends.night_records import (
     GATED,
     Layout,

@@ -17,13 +17,13 @@ import polars as pl
 import scipy
 
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
-from pipeline.landing import put
-from pipeline.night_statistics import hash_of
+from pipeline.config.hashes import config_hash
+from pipeline.night.statistics import hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
-from pipeline.sealed import read_sealed, seal_bytes, unseal_bytes
-from pipeline.settings_hashes import config_hash
-from pipeline.store import month_stamps, night_stamps
+from pipeline.store.atomic_files import put
+from pipeline.store.sealed import read_sealed, seal_bytes, unseal_bytes
+from pipeline.store.tables import month_stamps, night_stamps
+from pipeline.trends.decisions import Decision
 from pipeline.trends.night_records import Layout, Records
 from pipeline.trends.record import TRENDS_VERSION, resets_of
 from pipeline.versions import own_version

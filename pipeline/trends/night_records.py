@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from leakage.identifiability import LEAST_MINUTES_INTERVAL
 from pipeline.config import MotorSpec
-from pipeline.motor_night import INSUFFICIENT_DATA, OK
+from pipeline.night.fit_night import INSUFFICIENT_DATA, OK
 
 Array = NDArray[np.float64]
 # A structured array, one record a night.

@@ -22,10 +22,9 @@ from leakage.identifiability import (
     LEAST_MINUTES_INTERVAL,
     Excitation,
 )
-from pipeline.block_fit import BlockFit, fit_blocks
-from pipeline.decisions import Decision
-from pipeline.night_rows import upper_triangle
-from pipeline.stored_blocks import (
+from pipeline.night.block_fit import BlockFit, fit_blocks
+from pipeline.night.rows import upper_triangle
+from pipeline.night.stored_blocks import (
     CHANNELS,
     block_length_s,
     have_columns,
@@ -33,6 +32,7 @@ from pipeline.stored_blocks import (
     training_of,
     triangular_factors,
 )
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
 from pipeline.trends.segments import segments

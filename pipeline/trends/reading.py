@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS
-from pipeline.store import read_rows
-from pipeline.tonight import Tonight
+from pipeline.store.tables import read_rows
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History, every_night, rows_by_night
 from pipeline.trends.kept_nights import KeptMonth, TableFolders, key_of, read_months, write_month
 from pipeline.trends.night_records import (
@@ -29,6 +28,7 @@ from pipeline.trends.night_records import (
     Records,
     blank_records,
 )
+from pipeline.trends.tonight import Tonight
 
 log = logging.getLogger(__name__)
 

@@ -9,10 +9,10 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
-from pipeline.night_statistics import hash_of
-from pipeline.sealed import put_sealed, read_sealed, unseal
-from pipeline.settings_hashes import config_hash
+from pipeline.config.hashes import config_hash
+from pipeline.night.statistics import hash_of
+from pipeline.store.sealed import put_sealed, read_sealed, unseal
+from pipeline.trends.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
 TRENDS_VERSION = 4

@@ -8,10 +8,10 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.decisions import Decision
-from pipeline.nights import night as night_labelled
+from pipeline.config.nights import night as night_labelled
+from pipeline.night.windows import HandSet
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
-from pipeline.windows import HandSet
 
 EVENT_WORDS = {
     "overhaul": "overhaul",

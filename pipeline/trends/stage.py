@@ -23,16 +23,15 @@ from threadpoolctl import threadpool_limits
 
 from leakage.slope import benjamini_hochberg
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
 from pipeline.errors import StoreError
+from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import BLOCK_STATISTICS, TREND_TABLES, TRENDS
-from pipeline.store import nights_back, read_rows, stage
-from pipeline.stored_blocks import BLOCK_COLUMNS
-from pipeline.tonight import Tonight
+from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.beginnings import earlier_views
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
+from pipeline.trends.decisions import Decision
 from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
@@ -51,10 +50,11 @@ from pipeline.trends.record import Record
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
 from pipeline.trends.sudden import sudden_changes
+from pipeline.trends.tonight import Tonight
 from pipeline.trends.trend_rows import trend_rows
 from pipeline.trends.watch import watch
 from pipeline.trends.zeros import sensor_zeros
-from pipeline.worker_process import Loss, loss_of, sign_of_life
+from pipeline.workers.process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 

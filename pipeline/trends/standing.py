@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from leakage.baseline import Baseline
 from leakage.monitoring import ChangeSize, Track, change_size
-from pipeline.nights import night as night_labelled
+from pipeline.config.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION

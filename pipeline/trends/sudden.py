@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.jumps import AFTER, LEAST_BEFORE, MOST_BEFORE, Jump, find_jumps, is_undone
-from pipeline.decisions import Decision
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, Indicator
 from pipeline.trends.peers import Peers

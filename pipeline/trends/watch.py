@@ -13,7 +13,7 @@ from leakage.baseline import Baseline, BaselineSettings
 from leakage.cusum_limits import RATES
 from leakage.monitoring import Monitoring, MonitorSettings, monitor
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.indicators import REFERENCE, Indicator
 from pipeline.trends.peers import Peers

@@ -12,7 +12,7 @@ from scipy.special import ndtri
 from leakage.alarms import Levels, above_level
 from leakage.sensor_zero import zero_course
 from pipeline.config import MotorSpec
-from pipeline.decisions import Decision
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.segments import Segment, segments
 

@@ -56,7 +56,7 @@ def wait_for_word(task: Wait) -> int:
 
 def kill_worker_of_parquet(task: Any) -> Any:
     """Takes every worker with it that tries the one motor."""
-    from pipeline.motor_task import run_motor
+    from pipeline.run.motor_task import run_motor
 
     if task.spec.motor_id == "CB400-02":
         os.kill(os.getppid(), signal.SIGKILL)
@@ -66,7 +66,7 @@ def kill_worker_of_parquet(task: Any) -> Any:
 
 def die_in_a_night(task: Any) -> Any:
     """The process that has a motor's part dies in one night of it."""
-    import pipeline.motor_task as module
+    import pipeline.run.motor_task as module
 
     fit_night = module.fit_night
 

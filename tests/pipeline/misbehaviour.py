@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from pipeline.worker_process import ITEMS_A_SIGN, asking, reading, sign_of_life, told_alive
+from pipeline.workers.process import ITEMS_A_SIGN, asking, reading, sign_of_life, told_alive
 
 GIB = 1 << 30
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec, Nights, load_fleet
+from pipeline.config.nights import Night, night
 from pipeline.demo import shipped_configs
 from pipeline.ingest import RawChannel
-from pipeline.nights import Night, night
 
 Array = NDArray[np.float64]
 

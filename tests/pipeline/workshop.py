@@ -12,9 +12,9 @@ import polars as pl
 from polars.testing import assert_frame_equal
 
 from pipeline.config import load_fleet
-from pipeline.fleet import RunRequest, run_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import NIGHT_TABLES, TABLES
-from pipeline.tasks import MotorOutcome, MotorTask
 from tests.pipeline.simulated import (
     FLEET,
     Operation,

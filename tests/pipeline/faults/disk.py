@@ -12,9 +12,9 @@ from typing import Any, Literal
 
 import pytest
 
-from pipeline import landing
+from pipeline.store import atomic_files as landing
 
-# The calls of `pipeline.landing`, and how each of them fails on a disk.
+# The calls of `pipeline.store.atomic_files`, and how each of them fails on a disk.
 CALLS = {
     "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
     "fchmod": (errno.EIO,),

@@ -15,15 +15,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-import pipeline.motor_task
+import pipeline.run.motor_task
 from pipeline.config import load_fleet
-from pipeline.fleet import RunRequest, RunResult, run_fleet
-from pipeline.ledger import read_ledger
-from pipeline.motor_night import NightOutcome, fit_night
+from pipeline.logs.ledger import read_ledger
+from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.verification import verify_tables
 from pipeline.schema import TABLES, TREND_TABLES, Table
-from pipeline.store import read_table
+from pipeline.store.tables import read_table
 from pipeline.trends.record import read_record
-from pipeline.verification import verify_tables
 from tests.pipeline.simulated import NIGHT, Operation, motor_toml, operate, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK
 
@@ -123,7 +123,7 @@ def remembered_fits() -> Iterator[None]:
         return known[key]
 
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(pipeline.motor_task, "fit_night", fit)
+        patched.setattr(pipeline.run.motor_task, "fit_night", fit)
         yield
 
 

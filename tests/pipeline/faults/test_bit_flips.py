@@ -13,11 +13,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.decisions import Decision, journal_file, read_decisions, record_decision
-from pipeline.manifest import manifest_file, read_manifest
+from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
-from pipeline.store import night_file, prepare_night
-from pipeline.verification import verify_tables
+from pipeline.store.manifest import manifest_file, read_manifest
+from pipeline.store.tables import night_file, prepare_night
+from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables, remembered_fits
 from tests.pipeline.simulated import NIGHT
@@ -145,7 +145,7 @@ def test_a_run_puts_a_damaged_file_aside_and_the_next_one_makes_all_of_it_anew(
     output: Path, tiny_fleet: TinyFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the footer, where no checksum of Parquet's would tell; seen when its night is made."""
-    monkeypatch.setattr("pipeline.fleet.share_due", lambda *_: lambda _: False)
+    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
     journal_file(output).unlink()
     path = night_file(output, QUALITY, LATER)
     whole, state = path.read_bytes(), path.stat()

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline import landing
+from pipeline.store import atomic_files as landing
 from tests.pipeline.faults import disk
 from tests.pipeline.faults.disk import CALLS, KINDS, Disk, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet
@@ -136,7 +136,7 @@ def test_nothing_reaches_the_disk_but_through_the_one_door(
     landing_remove_all = landing.remove_all
     sys.addaudithook(listen)  # there is no way to take it away again, only to close its ears
     with pytest.MonkeyPatch.context() as patched, on(Watched("EIO", 0)):
-        patched.setattr("pipeline.fleet.remove_all", remove_all)
+        patched.setattr("pipeline.run.fleet.remove_all", remove_all)
         tiny_fleet.run(output)
     listening = False
     after = contents(output)

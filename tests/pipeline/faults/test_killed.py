@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import pipeline.fleet
-from pipeline.motor_task import run_motor
-from pipeline.tasks import MotorOutcome, MotorTask
+import pipeline.run.fleet
+from pipeline.run.motor_task import run_motor
+from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
 from tests.pipeline.faults.fleet import (
     MOTORS,
@@ -117,7 +117,7 @@ def test_killed_at_many_calls(tiny_fleet: TinyFleet, tmp_path: Path, kill: Kill,
 
 
 # Workers. What is to be done reaches them with the task. (In the tests of every change, workers are
-# killed in `tests/pipeline/test_fleet.py`: starting some takes longer than all of the above.)
+# killed in `tests/pipeline/run/test_fleet.py`: starting some takes longer than all of the above.)
 
 
 def killing_motor(stage: str, motor: str, marker: Path | None) -> Callable[..., MotorOutcome]:
@@ -169,11 +169,11 @@ def check_worker(
     output, motor = fleet.copy(tmp_path / "out"), MOTORS[1]
     marker = None if always else tmp_path / "died"
     if stage in OF_MOTORS:
-        patched.setattr(pipeline.fleet, "run_motor", killing_motor(stage, motor, marker))
+        patched.setattr(pipeline.run.fleet, "run_motor", killing_motor(stage, motor, marker))
     else:
-        patched.setattr(pipeline.fleet, "run_trends", killing_trends(stage, motor, marker))
+        patched.setattr(pipeline.run.fleet, "run_trends", killing_trends(stage, motor, marker))
         # A task a motor: one alone would be done in this very process.
-        patched.setattr(pipeline.fleet, "MOTORS_A_TREND_TASK", 1)
+        patched.setattr(pipeline.run.fleet, "MOTORS_A_TREND_TASK", 1)
     result = fleet.run(output, workers=2, backend="loky")
     patched.undo()
     failed = [outcome.motor_id for outcome in result.failed]

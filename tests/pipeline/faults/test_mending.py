@@ -20,12 +20,11 @@ import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.errors import StoreError
-from pipeline.fleet import RunResult
-from pipeline.ledger import read_ledger
-from pipeline.manifest import manifest_file
-from pipeline.mending import mend_output, share_due
+from pipeline.logs.ledger import read_ledger
+from pipeline.run.fleet import RunResult
+from pipeline.run.mending import mend_output, share_due
+from pipeline.run.verification import verify_tables
 from pipeline.schema import (
     BLOCK_STATISTICS,
     FITS,
@@ -37,9 +36,12 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
-from pipeline.store import night_file, read_rows, run_file, write_table
+from pipeline.store.manifest import manifest_file
+from pipeline.store.tables import night_file, read_rows, run_file, write_table
+from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.trends.night_records import FIT_COLUMNS
-from pipeline.verification import verify_tables
+from tests.pipeline.cli.test_cli import Call
+from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import (
     LATER,
@@ -50,8 +52,6 @@ from tests.pipeline.faults.fleet import (
     remembered_fits,
 )
 from tests.pipeline.simulated import NIGHT
-from tests.pipeline.test_cli import Call
-from tests.pipeline.test_cli import call as call  # a fixture
 
 MONTH = f"{NIGHT:%Y-%m}"
 # Of a file: all of it is due in the next run.
@@ -100,7 +100,7 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
 @pytest.fixture
 def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
     """What a run proves is not said by the day on which the test is run."""
-    monkeypatch.setattr("pipeline.fleet.share_due", lambda *_: lambda _: False)
+    monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
 
 
 def flip(path: Path, place: int) -> None:

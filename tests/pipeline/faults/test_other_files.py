@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.csv_export import Selection, export_csv
-from pipeline.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.errors import StoreError
-from pipeline.fleet import run_fleet
+from pipeline.export.csv import Selection, export_csv
 from pipeline.report.build import ReportRequest, build_report
+from pipeline.run.fleet import run_fleet
+from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
-from pipeline.tasks import MotorOutcome
+from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables
 from tests.pipeline.simulated import NIGHT

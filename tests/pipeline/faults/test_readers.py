@@ -18,8 +18,8 @@ import duckdb
 import polars as pl
 import pytest
 
+from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, INPUT_FILES, PARAMETERS, QUALITY, TRENDS, Table
-from pipeline.verification import verify_tables
 from tests.pipeline.faults.fleet import LATER, TinyFleet, remembered_fits
 from tests.pipeline.simulated import NIGHT
 
@@ -192,7 +192,7 @@ def test_a_file_that_moves_to_another_night_never_stands_in_two(
     seen = []
     publish = TinyFleet.run
 
-    from pipeline.landing import Prepared
+    from pipeline.store.atomic_files import Prepared
 
     land = Prepared.land
 

@@ -17,31 +17,31 @@ from typing import Any
 
 import pytest
 
-import pipeline.fleet
+import pipeline.run.fleet
 from tests.pipeline.faults.disk import Disk, on
 from tests.pipeline.faults.fleet import TinyFleet
 
 # Where a run is when it enters a stage.
 STAGES = {
-    "planning": "pipeline.motor_task.LogShelf",
-    "reading": "pipeline.log_shelf.read_log",
-    "fitting": "pipeline.motor_task.fit_night",
-    "staging": "pipeline.motor_task.stage",
-    "publishing": "pipeline.publishing.prepare_night",
-    "announcing": "pipeline.publishing.announce",
-    "landing": "pipeline.landing.Prepared.land",
-    "recording": "pipeline.publishing.update_manifest",
-    "remembering": "pipeline.fleet.write_months",
+    "planning": "pipeline.run.motor_task.LogShelf",
+    "reading": "pipeline.logs.motor_logs.read_log",
+    "fitting": "pipeline.run.motor_task.fit_night",
+    "staging": "pipeline.run.motor_task.stage",
+    "publishing": "pipeline.store.publishing.prepare_night",
+    "announcing": "pipeline.store.publishing.announce",
+    "landing": "pipeline.store.atomic_files.Prepared.land",
+    "recording": "pipeline.store.publishing.update_manifest",
+    "remembering": "pipeline.run.fleet.write_months",
     "trends": "pipeline.trends.stage.read_nights",
     "staging trends": "pipeline.trends.stage.stage",
-    "remembering trends": "pipeline.fleet.write_record",
-    "publishing the run": "pipeline.publishing.Publisher.of_run",
+    "remembering trends": "pipeline.run.fleet.write_record",
+    "publishing the run": "pipeline.store.publishing.Publisher.of_run",
 }
 # Those of a run whose fleet tells somebody of its alarms.
 OF_TELLING = {
-    "opening the outbox": "pipeline.fleet.open_outbox",
-    "taking up": "pipeline.fleet.take_up",
-    "telling": "pipeline.fleet.deliver",
+    "opening the outbox": "pipeline.run.fleet.open_outbox",
+    "taking up": "pipeline.run.fleet.take_up",
+    "telling": "pipeline.run.fleet.deliver",
     "told": "pipeline.telling.delivering.write_outbox",
 }
 # Those that a worker goes through.
@@ -107,5 +107,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    assert pipeline.fleet
+    assert pipeline.run.fleet
     main()

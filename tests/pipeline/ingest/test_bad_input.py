@@ -19,8 +19,8 @@ from pipeline.config import load_fleet
 from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
-from pipeline.ledger import FileRecord
-from pipeline.logs import covered
+from pipeline.logs.files import covered
+from pipeline.logs.ledger import FileRecord
 from tests.pipeline.simulated import motor_toml, write_configs
 
 from .sources import Source, column

@@ -19,12 +19,12 @@ from hypothesis import strategies as st
 from mcap.writer import Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
-import pipeline.ingest.csv_log
-import pipeline.ingest.mcap_log
+import pipeline.ingest.csv.log
+import pipeline.ingest.mcap.log
 from pipeline.config import ConfigError, load_fleet
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
-from pipeline.ingest.csv_text import read_lines
+from pipeline.ingest.csv.text import read_lines
 from pipeline.ingest.quality import quality_states
 from tests.pipeline.simulated import motor_toml, write_configs
 
@@ -292,12 +292,12 @@ def test_pieces_of_a_file_change_nothing(
 ) -> None:
     path, source = wide_csv(tmp_path)
     monkeypatch.setattr(
-        pipeline.ingest.csv_log, "read_lines", lambda *at: read_lines(*at[:2], piece)
+        pipeline.ingest.csv.log, "read_lines", lambda *at: read_lines(*at[:2], piece)
     )
     bad = read_log(path, *source).channels["speed"].bad_quality
     assert bad is not None
     assert bad.tolist() == EXPECTED
-    monkeypatch.setattr(pipeline.ingest.mcap_log, "_PIECE", piece)
+    monkeypatch.setattr(pipeline.ingest.mcap.log, "_PIECE", piece)
     for write in (json_mcap(CASES), protobuf_mcap):
         bad = read(write(tmp_path)).channels["speed"].bad_quality
         assert bad is not None

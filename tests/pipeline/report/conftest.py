@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.report import ReportRequest, build_report
 from pipeline.schema import TABLES
-from pipeline.store import read_table, write_table
+from pipeline.store.tables import read_table, write_table
 from tests.conftest import made_once
 
 BY_NAME = {table.name: table for table in TABLES}

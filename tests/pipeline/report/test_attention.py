@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from pipeline.decisions import Decision
 from pipeline.report.attention import STATES, Attention, attention, changes
 from pipeline.report.history import MotorHistory
 from pipeline.report.tables import History
@@ -22,6 +21,7 @@ from pipeline.schema import (
     TRENDS,
     frame,
 )
+from pipeline.trends.decisions import Decision
 from tests.pipeline.report.nights import (
     FIRST,
     ONE_DAY,

@@ -21,7 +21,7 @@ from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
-from pipeline.store import VERSION_KEY, night_file, read_table, write_table
+from pipeline.store.tables import VERSION_KEY, night_file, read_table, write_table
 from tests.pipeline.report.conftest import change_table
 from tests.pipeline.report.packed import night_file as read_night_file
 from tests.pipeline.report.packed import page_payload, unpacked

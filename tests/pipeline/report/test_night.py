@@ -11,11 +11,11 @@ import polars as pl
 import pytest
 
 from pipeline.config import load_fleet
-from pipeline.fleet import RunRequest, run_fleet
 from pipeline.report.night import night_payloads
 from pipeline.report.tables import read_night
+from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import BLOCK_STATISTICS, PARAMETERS, PREDICTIONS, QUALITY, SENSITIVITIES
-from pipeline.store import night_file, read_table
+from pipeline.store.tables import night_file, read_table
 from tests.conftest import OwnFleet
 from tests.pipeline.report.conftest import change_table
 from tests.pipeline.report.packed import unpacked

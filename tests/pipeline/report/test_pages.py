@@ -15,7 +15,6 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from pipeline.decisions import Decision, record_decision
 from pipeline.report import KnownMotor, ReportRequest, build_report
 from pipeline.schema import (
     ALARMS,
@@ -26,7 +25,8 @@ from pipeline.schema import (
     TREND_TABLES,
     frame,
 )
-from pipeline.store import night_file, write_table
+from pipeline.store.tables import night_file, write_table
+from pipeline.trends.decisions import Decision, record_decision
 from tests.pipeline.report.browser import installed, opened
 from tests.pipeline.report.conftest import change_table
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import polars as pl
 
 from pipeline.config import load_fleet
-from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from tests.pipeline.trends.nights import Nights, configure, night_of, publish
 
 QUICK = '[estimation]\nstarting_points = 0\n[execution]\nbackend = "sequential"\n'

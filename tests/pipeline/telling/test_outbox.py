@@ -14,8 +14,9 @@ from typing import Any
 import pytest
 
 from pipeline.errors import StoreError
+from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, frame
-from pipeline.store import night_file, write_table
+from pipeline.store.tables import night_file, write_table
 from pipeline.telling import outbox as module
 from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
 from pipeline.telling.delivery import Delivery, UndeliveredError
@@ -29,7 +30,6 @@ from pipeline.telling.outbox import (
     take_up,
     write_outbox,
 )
-from pipeline.verification import verify_tables
 
 FLEET = "Mill"
 FIRST = dt.date(2026, 2, 17)

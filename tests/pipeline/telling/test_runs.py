@@ -10,13 +10,13 @@ from typing import Any
 import pytest
 
 from pipeline.config import load_fleet
-from pipeline.fleet import RunRequest, run_fleet
-from pipeline.landing import remove_all
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.store.atomic_files import remove_all
 from pipeline.telling import delivering
+from tests.pipeline.cli.test_cli import Call
+from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.telling.fleet import add_night, keep, run, told_fleet, write_config
 from tests.pipeline.telling.servers import Hook, hook
-from tests.pipeline.test_cli import Call
-from tests.pipeline.test_cli import call as call  # a fixture
 
 
 @pytest.fixture(autouse=True)

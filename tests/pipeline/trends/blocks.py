@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from leakage import OperatingConditions, regressors
 from leakage.block_statistics import factors
-from pipeline.night_rows import upper_triangle
+from pipeline.night.rows import upper_triangle
 from pipeline.schema import BLOCK_STATISTICS, frame
 from tests.pipeline.trends.nights import Nights, night_of
 

@@ -23,12 +23,12 @@ from leakage import OperatingConditions, regressors
 from leakage.block_statistics import factor
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.motors import Event
-from pipeline.decisions import Decision
+from pipeline.config.nights import nights_between
 from pipeline.demo import shipped_configs
-from pipeline.night_rows import upper_triangle
-from pipeline.nights import nights_between
+from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
-from pipeline.store import night_file, write_table
+from pipeline.store.tables import night_file, write_table
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History, histories_of
 from pipeline.trends.stage import Part, circuit_peers, standing_of
 from pipeline.trends.standing import Standing

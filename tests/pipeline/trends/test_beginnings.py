@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.decisions import Decision
 from pipeline.trends import record
 from pipeline.trends.beginnings import beginnings, earlier_views
 from pipeline.trends.circuits import Circuit, decisions_of
+from pipeline.trends.decisions import Decision
 from pipeline.trends.record import Record, forget_records, read_record, trend_hash, write_record
 from tests.pipeline.trends.nights import Nights, event, history, motor, named, night_of, reset
 

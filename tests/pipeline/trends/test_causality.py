@@ -10,9 +10,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.decisions import Decision
 from pipeline.trends.alarm_rows import alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.standing import Standing

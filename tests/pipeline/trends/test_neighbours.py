@@ -17,9 +17,9 @@ import numpy as np
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pipeline.decisions import Decision
 from pipeline.schema import Table
 from pipeline.trends import alarm_rows, stage
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.record import write_record
 from pipeline.trends.standing import Standing

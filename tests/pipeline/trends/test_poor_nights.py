@@ -13,7 +13,7 @@ from scipy.optimize import lsq_linear
 
 from leakage import Parametrisation
 from leakage.block_statistics import factors
-from pipeline.decisions import Decision
+from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.poor_nights import memory_of_blocks, with_poor_nights
 from pipeline.trends.trend_rows import trend_rows

@@ -15,20 +15,20 @@ import polars as pl
 import pytest
 
 from pipeline.config import load_fleet
-from pipeline.decisions import record_decision
 from pipeline.errors import StoreError
-from pipeline.fleet import RunRequest, run_fleet
-from pipeline.retention import old_files, prune
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
-from pipeline.sealed import seal_bytes
-from pipeline.store import night_file, read_rows, write_table
-from pipeline.tonight import Tonight
+from pipeline.store.retention import old_files, prune
+from pipeline.store.sealed import seal_bytes
+from pipeline.store.tables import night_file, read_rows, write_table
 from pipeline.trends import kept_nights, reading, stage
+from pipeline.trends.decisions import record_decision
 from pipeline.trends.kept_nights import key_of
 from pipeline.trends.night_records import Layout
 from pipeline.trends.reading import read_nights
 from pipeline.trends.record import note_touched
-from pipeline.verification import verify_tables
+from pipeline.trends.tonight import Tonight
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.blocks import POOR, blocks_of
 from tests.pipeline.trends.nights import Nights, night_of, publish, ramp, reset

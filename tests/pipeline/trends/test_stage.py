@@ -12,16 +12,16 @@ import pytest
 
 from leakage.slope import benjamini_hochberg
 from pipeline.config import load_fleet
-from pipeline.decisions import Decision, record_decision
-from pipeline.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
-from pipeline.store import read_rows
-from pipeline.tonight import Tonight
+from pipeline.store.tables import read_rows
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
+from pipeline.trends.decisions import Decision, record_decision
 from pipeline.trends.record import Record, note_touched, read_record, trend_hash, write_record
 from pipeline.trends.stage import TrendTask, new_alarms, trend_tasks, with_q_values
-from pipeline.verification import verify_tables
-from pipeline.worker_process import Loss
+from pipeline.trends.tonight import Tonight
+from pipeline.workers.process import Loss
 from tests.pipeline.trends.nights import (
     Nights,
     configure,

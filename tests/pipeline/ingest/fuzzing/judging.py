@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, contract, read_log, time_span
-from pipeline.ingest.suggest import suggest
+from pipeline.setup.suggest import suggest
 from tests.pipeline.ingest.fuzzing.checksums import has_blank_checksum
 from tests.pipeline.ingest.fuzzing.mutations import Mutation
 from tests.pipeline.ingest.fuzzing.seeds import Seed

@@ -1,0 +1,318 @@
+"""The reference pages `docs/config.md` and `docs/tables.md`, made from the code they describe.
+
+``python -m pipeline.cli.reference docs`` writes them. With ``--check`` nothing is written: pages that
+are out of date are named on stderr, and the exit code is 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import polars as pl
+
+from pipeline.config import MotorFile, Settings
+from pipeline.config.motor_types import MotorTypeFile, OilFile
+from pipeline.config.motors import FALLBACK_VALID_RANGE
+from pipeline.config.settings import FleetFile, Section
+from pipeline.schema import (
+    DATA_DICTIONARY,
+    DECISIONS,
+    NIGHT_TABLES,
+    QUALITY,
+    QUALITY_REASONS,
+    SCHEMA_VERSION,
+    TABLES,
+    TREND_TABLES,
+    Table,
+    data_dictionary,
+)
+from pipeline.store.tables import table_folder
+from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
+
+Schema = Mapping[str, Any]
+
+EXAMPLE: Final = Path(__file__).resolve().parents[1] / "docs" / "example"
+NOTE: Final = "<!-- Made by `make docs` from the code; edit that, not this page. -->"
+FILES: Final[Mapping[str, type[Section]]] = {
+    "fleet.toml": FleetFile,
+    "motor_types/CB560.toml": MotorTypeFile,
+    "oils/vg68.toml": OilFile,
+    "motors/CB560-07.toml": MotorFile,
+}
+# Endings of keys and what they stand for; the first that fits counts, so the longer come first.
+UNIT_ENDINGS: Final[Mapping[str, str]] = {
+    "_kg_per_m3": "kg/m³",
+    "_mm2_per_s": "mm²/s",
+    "_bar_per_s": "bar/s",
+    "_rpm_per_s": "rpm/s",
+    "_l_per_min": "l/min",
+    "_mpa_s": "mPa·s",
+    "_per_pa": "1/Pa",
+    "_per_k": "1/K",
+    "_minutes": "min",
+    "_percent": "%",
+    "_bar": "bar",
+    "_rpm": "rpm",
+    "_hz": "Hz",
+    "_cm3": "cm³",
+    "_mm": "mm",
+    "_um": "µm",
+    "_m3": "m³",
+    "_c": "°C",
+    "_m": "m",
+    "_s": "s",
+}
+LIMITS: Final[Mapping[str, str]] = {
+    "minimum": ">=",
+    "exclusiveMinimum": ">",
+    "maximum": "<=",
+    "exclusiveMaximum": "<",
+}
+KINDS: Final[Mapping[str, str]] = {
+    "boolean": "true or false",
+    "integer": "whole number",
+    "number": "number",
+    "object": "table",
+    "string": "text",
+}
+
+
+def config_reference() -> str:
+    """The page `config.md`: every key of every config file, from the models that read them."""
+    lines = [
+        "# Config files",
+        NOTE,
+        "Config is TOML. A fleet file names the folders in which motors, motor types and oils lie, "
+        "one file each; a file's name without its ending is the name by which others call it. "
+        "A key that is not listed here is an error, and so is a value of another type. "
+        "`motor-leakage check` reports every fault of every file at once.",
+        "The examples on this page make up one complete fleet; it lies in `docs/example/`.",
+    ]
+    for file, model in FILES.items():
+        schema = model.model_json_schema()
+        folder, _, _ = file.rpartition("/")
+        lines += [f"## `{folder + '/<name>.toml' if folder else file}`", *_model_lines(schema)]
+        if model is MotorFile:
+            lines += [*_channel_lines(), *_override_lines()]
+        example = (EXAMPLE / file).read_text("utf-8")
+        lines += ["### Example", f"`docs/example/{file}`:", f"```toml\n{example}```"]
+    return "\n\n".join(lines) + "\n"
+
+
+def table_reference() -> str:
+    """The page `tables.md`: every column of every table, from `pipeline.schema`."""
+    lines = [
+        "# Tables",
+        NOTE,
+        f"Schema version {SCHEMA_VERSION}. All tables are Parquet below `<output>/tables/`, where "
+        "`<output>` is `out` in the folder from which the run was started, unless the config or "
+        "`--output` says otherwise. Rows are sorted by key and no two share it. Times are UTC. "
+        "Null means that there is no such figure, never 0. The table `data_dictionary` holds what "
+        "this page says.",
+        "Columns are added at the end and never removed, renamed or given another meaning. Files "
+        "that an older version wrote lack what came later: have a reader match columns by name. "
+        "[queries.md](queries.md) does so for DuckDB, Polars and pandas and answers common "
+        "questions; [powerbi.md](powerbi.md) is for Power BI; `motor-leakage export` writes CSV "
+        "([operations.md](operations.md)). The last column names what some readers cannot hold.",
+        _grid(("Table", "One row is", "Columns that are lists"), map(_index_row, TABLES)),
+    ]
+    columns = data_dictionary()
+    for table in TABLES:
+        rows = columns.filter(pl.col("table") == table.name).iter_rows(named=True)
+        lines += [
+            f"## {table.name}",
+            f"One row is {table.row}. Key: {', '.join(f'`{name}`' for name in table.key)}. "
+            f"File: `{_place(table)}`.",
+            _grid(
+                ("Column", "Key", "Type", "Unit", "Meaning"),
+                (
+                    (
+                        f"`{row['column']}`",
+                        "yes" if row["in_key"] else "",
+                        row["type"],
+                        row["unit"],
+                        row["description"],
+                    )
+                    for row in rows
+                ),
+            ),
+        ]
+        if table is QUALITY:
+            reasons = (f"- `{name}`: {meaning}." for name, meaning in QUALITY_REASONS.items())
+            lines += ["What each reason refuses:", "\n".join(reasons)]
+    return "\n\n".join(lines) + "\n"
+
+
+PAGES: Final[Mapping[str, Callable[[], str]]] = {
+    "config.md": config_reference,
+    "tables.md": table_reference,
+}
+
+
+def _index_row(table: Table) -> Sequence[str]:
+    lists = [name for name, kind in table.schema.items() if isinstance(kind, pl.List)]
+    return f"[{table.name}](#{table.name})", table.row, ", ".join(f"`{name}`" for name in lists)
+
+
+def _place(table: Table) -> str:
+    folder = table_folder(Path("<output>"), table).as_posix()
+    if table in (DATA_DICTIONARY, DECISIONS):
+        return f"{folder}/{table.name}.parquet"
+    name = "<night>" if table in (*NIGHT_TABLES, *TREND_TABLES) else "<start of the run>"
+    return f"{folder}/month=YYYY-MM/{name}.parquet"
+
+
+def _grid(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    cells = [head, ["---"] * len(head), *rows]
+    return "\n".join(
+        "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |" for row in cells
+    )
+
+
+def _model_lines(schema: Schema) -> Iterator[str]:
+    """A file's own keys first, then a part for each of its tables."""
+    tables = {name: list(_tables(name, field, schema)) for name, field in _fields(schema).items()}
+    own = [name for name, parts in tables.items() if not parts]
+    yield _key_grid({**schema, "properties": {name: _fields(schema)[name] for name in own}}, schema)
+    for heading, prefix, part in (one for parts in tables.values() for one in parts):
+        yield f"### {heading}"
+        yield _paragraph(part["description"])
+        yield _key_grid(part, schema, prefix)
+
+
+def _tables(name: str, field: Schema, root: Schema) -> Iterator[tuple[str, str, Schema]]:
+    """Heading, prefix of its keys, and schema of each kind of TOML table that a key can hold."""
+    target = _resolved(field, root)
+    named, items = target.get("additionalProperties"), _resolved(target.get("items", {}), root)
+    if "properties" in target:
+        yield f"`[{name}]`", f"{name}.", target
+    elif isinstance(named, Mapping):
+        yield f"`[{name}.<name>]`", f"{name}.<name>.", _resolved(named, root)
+    elif "oneOf" in items:
+        tag = items["discriminator"]["propertyName"]
+        for one in (_resolved(option, root) for option in items["oneOf"]):
+            yield f'`[[{name}]]` with `{tag} = "{_fields(one)[tag]["const"]}"`', f"{name}.", one
+    elif "properties" in items:
+        yield f"`[[{name}]]`", f"{name}.", items
+
+
+def _key_grid(part: Schema, root: Schema, prefix: str = "") -> str:
+    return _grid(("Key", "Type", "Default", "Unit", "Meaning"), _key_rows(part, root, prefix))
+
+
+def _key_rows(part: Schema, root: Schema, prefix: str, unit: str = "") -> Iterator[Sequence[str]]:
+    for name, field in _fields(part).items():
+        target = _resolved(field, root)
+        own = next((unit for end, unit in UNIT_ENDINGS.items() if name.endswith(end)), unit)
+        counts = target.get("type") in ("number", "array")
+        yield (
+            f"`{prefix}{name}`",
+            _kind(target, root),
+            "required" if name in part.get("required", ()) else _default(field),
+            own if counts else "",
+            _paragraph(field.get("description") or target["description"]),
+        )
+        if "properties" in target:
+            yield from _key_rows(target, root, f"{prefix}{name}.", own)
+
+
+def _kind(field: Schema, root: Schema) -> str:
+    if "enum" in field or "const" in field:
+        return " or ".join(f'`"{value}"`' for value in field.get("enum", [field.get("const")]))
+    if "prefixItems" in field:
+        return f"[{', '.join(_kind(_resolved(one, root), root) for one in field['prefixItems'])}]"
+    if field.get("type") == "array":
+        kinds = [_kind(_resolved(one, root), root) for one in _options(field["items"])]
+        return f"list of {', '.join(kinds)}"
+    if isinstance(field.get("additionalProperties"), Mapping):
+        return f"table of {_kind(field['additionalProperties'], root)}"
+    if "pattern" in field:
+        return f"text as `{field['pattern']}`"
+    # An exclusive limit takes the place of an inclusive one on the same side.
+    limits = {sign[:1]: f"{sign} {field[key]:g}" for key, sign in LIMITS.items() if key in field}
+    kind = "date" if field.get("format") == "date" else KINDS[field["type"]]
+    return f"{kind} {', '.join(limits.values())}".strip()
+
+
+def _default(field: Schema) -> str:
+    """The default; nothing for a table, whose keys have theirs."""
+    if "default" not in field:
+        return ""
+    value = field["default"]
+    return "none" if value is None else f"`{json.dumps(value, ensure_ascii=False)}`"
+
+
+def _fields(schema: Schema) -> Mapping[str, Schema]:
+    fields: Mapping[str, Schema] = schema["properties"]
+    return fields
+
+
+def _resolved(field: Schema, root: Schema) -> Schema:
+    """What a field can hold, references and "or null" taken away; a table has its own words."""
+    options = [one for one in field.get("anyOf", ()) if one.get("type") != "null"]
+    plain: Schema = {**field, **options[0]} if options else field
+    reference = plain.get("$ref", "").rpartition("/")[2]
+    return {**plain, **root["$defs"][reference]} if reference else plain
+
+
+def _options(items: Schema) -> Sequence[Schema]:
+    """What an element of a list can be."""
+    options: Sequence[Schema] = items.get("anyOf", [items])
+    return options
+
+
+def _paragraph(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _channel_lines() -> Iterator[str]:
+    yield "### Channels, their units in a log, and their usual valid ranges"
+    yield _grid(
+        ("Channel", "Units", "Valid range unless stated"),
+        (
+            (
+                f"`{name}`",
+                ", ".join(f"`{unit}`" for unit in UNITS[QUANTITIES[name]]),
+                " to ".join(f"{end:g}" for end in FALLBACK_VALID_RANGE[name])
+                + f" {canonical_unit(name)}",
+            )
+            for name in CHANNELS
+        ),
+    )
+
+
+def _override_lines() -> Iterator[str]:
+    sections = ", ".join(f"`{name}`" for name in Settings.model_fields)
+    yield "### `[override.<section>]`"
+    yield (
+        f"Sections that a motor may override: {sections}. Keys as in the fleet file; those that "
+        "are not named keep the fleet's value."
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Write the pages into a folder, or check that those in it are what the code says."""
+    parser = argparse.ArgumentParser(prog="python -m pipeline.cli.reference", description=__doc__)
+    parser.add_argument("folder", type=Path, help="folder of the pages, such as docs")
+    parser.add_argument("--check", action="store_true", help="write nothing, compare")
+    options = parser.parse_args(arguments)
+    paths = {options.folder / name: page() for name, page in PAGES.items()}
+    if not options.check:
+        for path, text in paths.items():
+            path.write_text(text, "utf-8")
+        return
+    stale = [
+        path.as_posix()
+        for path, text in paths.items()
+        if not path.is_file() or path.read_text("utf-8") != text
+    ]
+    if stale:
+        parser.exit(1, f"{', '.join(stale)}: out of date; run `make docs`\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,127 @@
+"""`motor-leakage status` on a terminal, in a file, or for programs."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+from collections.abc import Iterator
+from dataclasses import asdict
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from pipeline.errors import one_line
+from pipeline.report.status import FleetStatus, MotorState
+from pipeline.store.heartbeat import FINISHED, RUNNING
+from pipeline.telling.outbox import Backlog
+
+# Words beside colours: a state is never told by colour alone.
+COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
+COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "sensors", "why")
+
+
+def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
+    """Print a fleet's state: for people, or one JSON object a motor and one for the fleet.
+
+    `too_old`: the last good run is older than was asked for.
+    """
+    if as_json:
+        _print_json(found, too_old=too_old)
+        return
+    console = Console()
+    if console.is_terminal:
+        table = Table(*COLUMNS, title=escape(one_line(name)))
+        for motor in found.motors:
+            cells = (escape(one_line(cell)) for cell in _cells(motor))
+            table.add_row(*cells, style=COLOURS.get(motor.state))
+        console.print(table)
+    else:
+        for motor in found.motors:
+            typer.echo(one_line("; ".join(_cells(motor))))
+    for line in _fleet_lines(found, too_old=too_old):
+        typer.echo(line)
+
+
+def _print_json(found: FleetStatus, *, too_old: bool) -> None:
+    for motor in found.motors:
+        typer.echo(json.dumps({"event": "motor", **asdict(motor)}, default=str))
+    fleet = {
+        "event": "fleet",
+        "last_good_run": found.last_good_run,
+        "too_old": too_old,
+        "findings": found.findings,
+        "findings_confirmed": found.findings_confirmed,
+        "run": None if found.beat is None else asdict(found.beat),
+        "receivers": [asdict(one) for one in found.receivers],
+        "damage": [asdict(fault) for fault in found.damage],
+    }
+    typer.echo(json.dumps(fleet, default=str))
+
+
+def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
+    """Lines below the motors: last run, deliveries, damage, inspections."""
+    ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
+    yield f"last good run: {ended}{', which is too old' if too_old else ''}"
+    if (line := _run_line(found)) is not None:
+        yield line
+    yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
+    if found.damage:
+        first, n = found.damage[0], len(found.damage)
+        yield f"{n} published files are damaged or gone, such as {first.path}: {first.code}"
+    if found.findings:
+        share = 100 * found.findings_confirmed / found.findings
+        yield (
+            f"inspections that confirmed an alarm: {found.findings_confirmed} of "
+            f"{found.findings} ({share:.0f} %)"
+        )
+
+
+def _undelivered_line(one: Backlog) -> str:
+    why = f"; last try: {one.fault}" if one.fault else ""
+    return (
+        f"not delivered to {one.receiver}: {one.undelivered} changes of state, since "
+        f"{one.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+    )
+
+
+def _run_line(found: FleetStatus) -> str | None:
+    """What there is to say of a run that is under way, or did not come to its end."""
+    beat = found.beat
+    if beat is None or beat.state == FINISHED:
+        return None
+    done = f"{beat.n_motors_done} of {beat.n_motors} motors done"
+    since = f"{beat.started_at:%Y-%m-%d %H:%M} UTC"
+    if beat.state != RUNNING:
+        return f"the run of {since} {beat.state} ({beat.error_code or beat.stage}), {done}"
+    if beat.is_missing(dt.datetime.now(dt.UTC)):
+        return (
+            f"the run of {since} (process {beat.pid} on {beat.host}) died or hangs: its last sign "
+            f"of life is of {beat.beaten_at:%Y-%m-%d %H:%M} UTC, in the stage {beat.stage}, {done}"
+        )
+    return f"a run is under way since {since} (process {beat.pid}): {beat.stage}, {done}"
+
+
+def _cells(motor: MotorState) -> tuple[str, ...]:
+    leakage, deviation = "unknown", "none yet"
+    if motor.leakage_l_per_min is not None:
+        leakage = f"{motor.leakage_l_per_min:.3g}"
+    elif motor.leakage_night is not None:
+        leakage, deviation = f"not known since {motor.leakage_night}", "not known"
+    if motor.deviation_percent is not None:
+        deviation = f"{motor.deviation_percent:+.1f} %"
+    why = motor.reason or "no change of external leakage"
+    if motor.poor_fit:
+        why += f"; {motor.poor_fit}"
+    if motor.acknowledged:
+        why += f" (acknowledged: {motor.acknowledged})"
+    return (
+        motor.motor_id,
+        motor.state.replace("_", " "),
+        leakage,
+        deviation,
+        str(motor.last_good_night or "never"),
+        motor.sensor_health or "unknown",
+        why,
+    )

@@ -1,0 +1,186 @@
+"""What a change of the config makes out of date: the reading, the statistics, or their figures.
+
+Each stage has a hash of the settings that shape it. A night whose statistics were shaped by others
+is read again; one whose figures alone were is fitted again from its stored statistics, without a
+log.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from pipeline.config import MotorSpec
+from pipeline.config.nights import night as night_labelled
+from pipeline.night.statistics import STATISTICS_VERSION, hash_of, model_hash
+from pipeline.night.windows import HandSet
+
+# Raise it when the code makes other figures of the same statistics: every night is then refitted.
+FIGURES_VERSION = 2
+# Raise it when a reader makes other samples of the same file.
+READING_VERSION = 2
+
+WORDS = {"source", "note"}
+# Of changed settings, so many are named.
+SETTINGS_NAMED = 4
+# Sections that shape trends and alarms alone: no night is made anew for them.
+OF_TRENDS = ("trend.", "alarms.")
+# Settings that shape no figure: how people are told.
+UNSHAPING = {"alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"}}
+TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
+
+
+def settings_of(spec: MotorSpec) -> dict[str, str]:
+    """All settings of a motor by dotted key, as text: what a run before had, to name what changed.
+
+    Examples
+    --------
+    >>> changed_settings({"reference.speed_rpm": "30.0"}, {"reference.speed_rpm": "31.0"})
+    ('reference.speed_rpm',)
+    """
+    versions = {"reading": READING_VERSION, "statistics": STATISTICS_VERSION}
+    versions |= {"figures": FIGURES_VERSION}
+    return dict(_flat("", _document(spec) | {"versions": versions}))
+
+
+def changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> tuple[str, ...]:
+    """Dotted keys of the settings that differ, sorted."""
+    keys = before.keys() | now.keys()
+    return tuple(sorted(key for key in keys if before.get(key) != now.get(key)))
+
+
+def why_anew(before: Mapping[str, str], now: Mapping[str, str], *, trends: bool = False) -> str:
+    """Why nights, or trends, are to be made anew, in words: the settings that changed.
+
+    Examples
+    --------
+    >>> why_anew({"versions.figures": "1"}, {"versions.figures": "2", "trend.x": "3"})
+    'another version of the program (figures 1 to 2)'
+    >>> why_anew({"trend.x": "2"}, {"trend.x": "3"}, trends=True)
+    'changed setting trend.x'
+    """
+    if not before:
+        return "changed settings"
+    changed = [
+        key for key in changed_settings(before, now) if trends or not key.startswith(OF_TRENDS)
+    ]
+    versions = [key for key in changed if key.startswith("versions.")]
+    settings = [key for key in changed if key not in versions]
+    steps = [
+        f"{key.removeprefix('versions.')} {before.get(key, '?')} to {now.get(key, '?')}"
+        for key in versions
+    ]
+    parts = [f"another version of the program ({', '.join(steps)})"] if steps else []
+    if settings:
+        more = ", …" if len(settings) > SETTINGS_NAMED else ""
+        parts.append(f"changed setting {', '.join(settings[:SETTINGS_NAMED])}{more}")
+    return "; ".join(parts) or "changed settings"
+
+
+def _flat(prefix: str, value: object) -> Iterator[tuple[str, str]]:
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _flat(f"{prefix}.{key}" if prefix else str(key), inner)
+    elif isinstance(value, list) and value and isinstance(value[0], dict):
+        for number, inner in enumerate(value):
+            yield from _flat(f"{prefix}.{inner.get('name', number)}", inner)
+    else:
+        yield prefix.removeprefix("settings.").removeprefix("motor."), json.dumps(value)
+
+
+def config_hash(spec: MotorSpec) -> str:
+    """Hash of all that shapes a motor's figures; not of how the work is spread, or where."""
+    return hash_of(_document(spec))
+
+
+def _document(spec: MotorSpec) -> dict[str, Any]:
+    return {
+        "versions": (READING_VERSION, FIGURES_VERSION),
+        "motor": spec.file.model_dump(
+            mode="json",
+            exclude={
+                "override": True,
+                "events": {"__all__": {"note"}},
+                "logs": {"settle_s"},
+            },
+        ),
+        "type": spec.motor_type.model_dump(mode="json"),
+        "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
+        "settings": spec.settings.model_dump(mode="json", exclude=UNSHAPING),
+    }
+
+
+def reading_hash(spec: MotorSpec) -> str:
+    """Hash of how a log's content is understood: its dialect, its channels, and what a night is."""
+    return hash_of(
+        {
+            "version": READING_VERSION,
+            "logs": spec.file.logs.model_dump(mode="json", exclude={"files", "settle_s"}),
+            "channels": {
+                name: channel.model_dump(mode="json", exclude=TOLERANCES)
+                for name, channel in spec.file.channels.items()
+            },
+            "nights": spec.settings.nights.model_dump(mode="json"),
+        }
+    )
+
+
+@dataclass(slots=True)
+class SettingsHashes:
+    """Hashes of the settings that shape a motor's nights; a night's oil and periods are dated.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    """
+
+    spec: MotorSpec
+    _statistics: dict[object, str] = field(default_factory=dict)
+    _figures: dict[str, str] = field(default_factory=dict)
+
+    def statistics(self, night: dt.date) -> str:
+        """Hash of all that shapes a night's statistics, from its samples on."""
+        spec = self.spec
+        by_hand = HandSet.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+        key = (spec.file.oil_on(night), by_hand)
+        if key not in self._statistics:
+            motor = spec.motor(night, spec.file.flushing.mode)
+            self._statistics[key] = hash_of(
+                {
+                    "model_hash": model_hash(spec, motor, night),
+                    "windows": spec.settings.windows.model_dump(mode="json"),
+                    "sensor_health": spec.settings.sensor_health.model_dump(mode="json"),
+                }
+            )
+        return self._statistics[key]
+
+    def figures(self, night: dt.date) -> str:
+        """Hash of all that shapes the figures that are made from a night's statistics."""
+        spec = self.spec
+        oil = spec.file.oil_on(night)
+        if oil not in self._figures:
+            settings = spec.settings
+            self._figures[oil] = hash_of(
+                {
+                    "version": FIGURES_VERSION,
+                    "type": spec.motor_type.model_dump(mode="json", exclude={"limits"}),
+                    "oil": spec.oil_on(night).model_dump(mode="json", exclude=WORDS),
+                    "flushing": spec.file.flushing.model_dump(mode="json"),
+                    "channels": {
+                        name: (
+                            channel.resolution,
+                            channel.offset_tolerance,
+                            channel.gain_tolerance_percent,
+                        )
+                        for name, channel in spec.file.channels.items()
+                    },
+                    "estimation": settings.estimation.model_dump(mode="json"),
+                    "reference": settings.reference.model_dump(mode="json"),
+                    "model": settings.model.model_dump(mode="json"),
+                }
+            )
+        return self._figures[oil]

@@ -1,0 +1,4 @@
+"""Published tables in other formats.
+
+Imports `store` and `schema`.
+"""

@@ -1,0 +1,211 @@
+"""Tables as CSV, for spreadsheets and whatever else does not read Parquet.
+
+Text from logs and file names can be made to look like a formula, which a spreadsheet would run
+when it opens the file; it is written so that it stays text.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import polars as pl
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.schema import TABLES, TIMESTAMP, Table
+from pipeline.store.atomic_files import put, remove_leftovers
+from pipeline.store.tables import existing_tables, read_table, table_folder
+
+BYTE_ORDER_MARK = "\ufeff"
+TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
+
+# What makes a cell a formula for Excel, LibreOffice or Google Sheets, full-width forms included:
+# OWASP, "CSV Injection"; ASVS 5, requirement 1.2.10.
+_FORMULA_START = "=+\\-@＝＋－＠"
+_UNSAFE_START = rf"^([{_FORMULA_START}\t\r\n\x00])"
+# The same within a text, where a spreadsheet with another separator would begin a cell.
+_UNSAFE_WITHIN = rf"([;\t\r\n\x00])([{_FORMULA_START}])"
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Which rows are exported.
+
+    Attributes
+    ----------
+    tables
+        Tables, in the order in which they are written.
+    motors
+        Ids; empty: all. Tables without a motor are not affected.
+    since, until
+        First and last night, or day (UTC) of what has a time instead. Others are not affected.
+    """
+
+    tables: tuple[Table, ...] = TABLES
+    motors: tuple[str, ...] = ()
+    since: dt.date | None = None
+    until: dt.date | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """A file that was written, with the number of its rows."""
+
+    table: str
+    path: Path
+    n_rows: int
+
+
+def tables_named(names: Sequence[str]) -> tuple[Table, ...]:
+    """Tables by their names; all of them where none is named.
+
+    Raises
+    ------
+    UsageError
+        ``unknown_table``, if there is no table of a name.
+    """
+    known = {table.name: table for table in TABLES}
+    strangers = [name for name in names if name not in known]
+    if strangers:
+        raise UsageError(
+            "unknown_table",
+            f"--tables: no table {', '.join(strangers)}; there are {', '.join(known)}",
+        )
+    return tuple(known[name] for name in dict.fromkeys(names)) or TABLES
+
+
+def export_csv(
+    output: Path, folder: Path, selection: Selection, *, byte_order_mark: bool = False
+) -> Iterator[Exported]:
+    """Write tables as one CSV file each, each whole or not at all.
+
+    UTF-8, separated by commas, a header line, cells quoted where they must be. Null is an empty
+    cell, an empty text a quoted one; times are ISO 8601 in UTC, numbers as short as they can be
+    read back unchanged, lists JSON.
+
+    Parameters
+    ----------
+    output
+        Output folder of the runs.
+    folder
+        Where the files go, ``<table>.csv``; it is made.
+    selection
+        What is exported. Rows come in the order of nights, within a night in the table's order.
+    byte_order_mark
+        Begin each file with one: Excel then takes it for UTF-8.
+
+    Yields
+    ------
+    Exported
+        Each file as it is finished.
+
+    Raises
+    ------
+    UsageError
+        ``no_tables`` if there are none yet; ``csv_folder`` if the folder is the tables' own.
+    StoreError
+        If a table is damaged (``store_read``), newer than the program (``store_newer``), or a
+        file cannot be written (``store_write``).
+    """
+    tables = existing_tables(output)
+    if folder.resolve().is_relative_to(tables.resolve()):
+        raise UsageError("csv_folder", f"{folder} lies within the tables; name another folder")
+    remove_leftovers([folder], below=False)
+    for table in selection.tables:
+        yield _export_table(output, folder, table, selection, byte_order_mark)
+
+
+def _export_table(
+    output: Path, folder: Path, table: Table, selection: Selection, byte_order_mark: bool
+) -> Exported:
+    path, count = folder / f"{table.name}.csv", 0
+
+    def write(file: BinaryIO) -> None:
+        nonlocal count
+        file.write((BYTE_ORDER_MARK if byte_order_mark else "").encode())
+        file.write((",".join(table.schema) + "\n").encode())
+        for rows in _parts(output, table, selection):
+            count += rows.height
+            file.write(as_text(rows).write_csv(include_header=False).encode())
+
+    put(path, write)
+    return Exported(table.name, path, count)
+
+
+def _parts(output: Path, table: Table, selection: Selection) -> Iterator[pl.DataFrame]:
+    """The chosen rows of a table, file after file: memory does not grow with the history."""
+    for path in sorted(table_folder(output, table).rglob("*.parquet")):
+        try:
+            rows = read_table(path, table)
+        except StoreError:
+            if path.exists():
+                raise
+            continue  # a run has taken it away since it was listed
+        yield rows.filter(_chosen(table, selection))
+
+
+def _chosen(table: Table, selection: Selection) -> pl.Expr:
+    chosen = pl.lit(value=True)
+    if selection.motors and "motor_id" in table.schema:
+        chosen &= pl.col("motor_id").is_in(selection.motors)
+    day = _day(table)
+    if day is not None and selection.since is not None:
+        chosen &= day >= selection.since
+    if day is not None and selection.until is not None:
+        chosen &= day <= selection.until
+    return chosen
+
+
+def _day(table: Table) -> pl.Expr | None:
+    """The night of a row, or the day of the time in its key; None: it has neither."""
+    if "night" in table.schema:
+        return pl.col("night")
+    times = [name for name in table.key if table.schema[name] == TIMESTAMP]
+    return pl.col(times[0]).dt.date() if times else None
+
+
+def as_text(rows: pl.DataFrame) -> pl.DataFrame:
+    """Rows as they go into CSV: times in ISO 8601, lists in JSON, text that stays text.
+
+    Examples
+    --------
+    >>> as_text(pl.DataFrame({"message": ["=1+1", "a;-b", "1 - 2"], "x": [-1.5, 2.0, None]}))
+    shape: (3, 2)
+    ┌─────────┬──────┐
+    │ message ┆ x    │
+    │ ---     ┆ ---  │
+    │ str     ┆ f64  │
+    ╞═════════╪══════╡
+    │ '=1+1   ┆ -1.5 │
+    │ a;'-b   ┆ 2.0  │
+    │ 1 - 2   ┆ null │
+    └─────────┴──────┘
+    """
+    columns = []
+    for name, kind in rows.schema.items():
+        if kind == pl.String:
+            columns.append(_harmless(pl.col(name)))
+        elif kind == TIMESTAMP:
+            columns.append(pl.col(name).dt.strftime(TIME_FORMAT))
+        elif isinstance(kind, pl.List):
+            texts = [None if value is None else _json(value) for value in rows[name].to_list()]
+            columns.append(pl.lit(pl.Series(name, texts, dtype=pl.String)))
+    return rows.with_columns(columns)
+
+
+def _harmless(text: pl.Expr) -> pl.Expr:
+    within = text.str.replace_all(_UNSAFE_WITHIN, "${1}'${2}")
+    return within.str.replace(_UNSAFE_START, "'${1}")
+
+
+def _json(values: Sequence[object]) -> str:
+    """A list as JSON, which has no number that is not finite: null stands for it."""
+    finite = [
+        None if isinstance(value, float) and not math.isfinite(value) else value for value in values
+    ]
+    return json.dumps(finite, ensure_ascii=False)

@@ -1,0 +1,110 @@
+"""Tables as Delta Lake tables, for engines that read those: one line, and a version each time.
+
+What is written is the tables as they are, night after night in one transaction a table; a reader
+sees the export before or this one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.schema import TABLES, Table
+from pipeline.store.object_store import ObjectStore, is_url
+from pipeline.store.tables import existing_tables, read_table, table_folder
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedTable:
+    """A Delta table that was written: where, its version, and how many rows it has."""
+
+    place: str
+    version: int
+    n_rows: int
+
+
+def export_delta(
+    output: Path, place: str, tables: tuple[Table, ...] = TABLES
+) -> Iterator[ExportedTable]:
+    """Write tables as Delta Lake tables; those that are there get a new version.
+
+    Parameters
+    ----------
+    output
+        Output folder of the runs.
+    place
+        Folder or URL that the tables are written below.
+    tables
+        Which.
+
+    Yields
+    ------
+    ExportedTable
+        Each table as it is finished; one without a file yet is left out.
+
+    Raises
+    ------
+    UsageError
+        ``delta_missing`` without the extra; ``no_tables`` if there are none; ``delta_folder`` if
+        the place lies within the tables.
+    StoreError
+        If a table is damaged, or cannot be written there.
+    """
+    try:
+        from deltalake import write_deltalake
+        from deltalake.exceptions import DeltaError
+    except ImportError as error:
+        raise UsageError(
+            "delta_missing", f"--delta needs the extra `delta` ({error}): motor-leakage[delta]"
+        ) from error
+    root = existing_tables(output)
+    if is_url(place):
+        ObjectStore.at(place)  # for its words on credentials
+    elif Path(place).resolve().is_relative_to(root.resolve()):
+        raise UsageError("delta_folder", f"{place} lies within the tables; name another folder")
+    for table in tables:
+        target = f"{place.rstrip('/')}/{table.name}"
+        paths = sorted(table_folder(output, table).rglob("*.parquet"))
+        if not paths:
+            continue
+        count = [0]
+        try:
+            write_deltalake(
+                target,
+                _reader(paths, table, count),
+                mode="overwrite",
+                schema_mode="overwrite",
+                description=f"One row is {table.row}",
+            )
+            version = _version(target)
+        except (DeltaError, OSError) as error:
+            raise StoreError("store_write", f"{target} cannot be written: {error}") from error
+        yield ExportedTable(target, version, count[0])
+
+
+def _reader(paths: list[Path], table: Table, count: list[int]) -> pa.RecordBatchReader:
+    """The rows file after file: memory does not grow with the history."""
+    schema = (
+        pl.DataFrame(schema=pl.Schema(table.schema))
+        .to_arrow(compat_level=pl.CompatLevel.oldest())
+        .schema
+    )
+
+    def batches() -> Iterator[pa.RecordBatch]:
+        for path in paths:
+            rows = read_table(path, table)
+            count[0] += rows.height
+            yield from rows.to_arrow(compat_level=pl.CompatLevel.oldest()).to_batches()
+
+    return pa.RecordBatchReader.from_batches(schema, batches())
+
+
+def _version(target: str) -> int:
+    from deltalake import DeltaTable
+
+    return DeltaTable(target).version()

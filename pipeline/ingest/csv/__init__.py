@@ -1,0 +1,4 @@
+"""Logs as delimited text.
+
+Imports `ingest`'s contract, `config` and what lies below.
+"""

@@ -1,0 +1,4 @@
+"""Logs as MCAP, and the message encodings in it.
+
+Imports `ingest`'s contract, `config` and what lies below.
+"""

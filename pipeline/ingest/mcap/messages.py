@@ -1,0 +1,293 @@
+"""The messages of an MCAP file: arrays of their times, channels, and places of their payloads.
+
+Messages stand bare in the data section, or in compressed chunks, which hold records again. Only
+stepping from length to length is done record by record, and that only where no index tells the
+steps; all fields are then taken at once.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import pairwise, takewhile
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import LogError
+from pipeline.ingest.mcap.chunks import indexed_positions, offsets_in_chunk, unpacked_chunk
+from pipeline.ingest.mcap.layout import (
+    CHANNEL,
+    CHUNK,
+    DATA_END,
+    IN_DATA_SECTION,
+    LONGEST_RECORD,
+    MAGIC,
+    MESSAGE,
+    MESSAGE_INDEX,
+    PREFIX,
+    SCHEMA,
+    ChannelRecord,
+    Declared,
+    Schema,
+    Statistics,
+    Summary,
+    fields_at,
+    read_summary,
+    record_offsets,
+)
+
+_MESSAGE_HEAD = 31
+"""Bytes before a payload: opcode, length, channel id, sequence, log time, publish time."""
+
+_INDEX_HEAD = struct.Struct("<BQHI")
+_BLOCK = 8 * 2**20
+_ANYWHERE = "data section"
+"""Place of a damage that may lie before any message: nothing can be salvaged then."""
+
+
+@dataclass(frozen=True, slots=True)
+class Messages:
+    """Messages that lie in one buffer, in the order of the file."""
+
+    buffer: memoryview  # records, of which these messages are some
+    channels: Mapping[int, ChannelRecord]  # declared so far, by id
+    schemas: Mapping[int, Schema]
+    channel_id: NDArray[np.uint16]
+    log_time: NDArray[np.uint64]  # [ns]
+    publish_time: NDArray[np.uint64]
+    payload_start: NDArray[np.int64]  # in the buffer
+    payload_end: NDArray[np.int64]
+    read_to: int  # position in the file up to which it has been read
+    loss: str = ""  # what was lost to damage, in words; in the last piece only
+
+
+def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
+    """All messages of a file, piece by piece in the order of the file.
+
+    The last piece is empty and knows all channels, also those without a message. Checksums of
+    chunks, data section and summary are checked where they are not zero, and the number of messages
+    against what the summary says.
+
+    With `salvage`, a truncated or damaged file gives the messages before the damage, as far as that
+    has a place: a wrong checksum of the whole data section, or a wrong number of messages, has
+    none. Damaged chunks are lost whole.
+
+    Raises
+    ------
+    LogError
+        ``log_not_mcap``, ``log_truncated``, ``log_damaged``, ``log_compression``,
+        ``log_too_large``.
+    """
+    counts: NDArray[np.int64] = np.zeros(2**16, dtype=np.int64)
+    declared = Declared()
+    read_to = len(MAGIC)
+    with path.open("rb") as file:
+        summary, damage = _summary(path, file, salvage=salvage)
+        pieces = _data_section(path, file, summary.start, declared, damage is None)
+        try:
+            for messages in pieces:
+                of_channels = np.bincount(messages.channel_id)
+                counts[: of_channels.size] += of_channels
+                read_to = messages.read_to
+                yield messages
+        except LogError as error:
+            if not salvage or not _has_place(error):
+                raise
+            damage = error
+    if summary.statistics is not None and damage is None:
+        _require_counts(path, summary.statistics, counts)
+    yield replace(
+        _messages(path, memoryview(b""), np.empty(0, np.int64), declared, read_to),
+        channels={**summary.declared.channels, **declared.channels},
+        schemas={**summary.declared.schemas, **declared.schemas},
+        loss="" if damage is None else _loss(path, damage, read_to, summary, int(counts.sum())),
+    )
+
+
+def _has_place(error: LogError) -> bool:
+    return error.code in ("log_damaged", "log_truncated") and error.place != _ANYWHERE
+
+
+def _summary(path: Path, file: BinaryIO, *, salvage: bool) -> tuple[Summary, LogError | None]:
+    """The summary; where it cannot be read, and may be missing, an empty one and why."""
+    try:
+        return read_summary(path, file), None
+    except LogError as error:
+        if not salvage or not _has_place(error):
+            raise
+        return Summary(file.seek(0, 2), Declared(), None), error
+
+
+def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: int) -> str:
+    size = path.stat().st_size
+    stated = summary.statistics
+    of_all = "" if stated is None else f" of {stated.message_count}"
+    return (
+        f"salvaged: {count}{of_all} messages stand before the damage, the file's last "
+        f"{size - read_to} of {size} bytes are not read ({damage.message})"
+    )
+
+
+def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64]) -> None:
+    wrong = [i for i, count in statistics.counts_by_channel.items() if counts[i] != count]
+    if wrong or counts.sum() != statistics.message_count:
+        raise LogError(
+            "log_damaged",
+            path,
+            f"the file holds {counts.sum()} messages and its summary says "
+            f"{statistics.message_count}, or they differ for some channel",
+        )
+
+
+def _data_section(
+    path: Path,
+    file: BinaryIO,
+    end: int,
+    declared: Declared,
+    end_is_known: bool,
+) -> Iterator[Messages]:
+    """Messages of the data section, the last record of which has to be its end record."""
+    checksum = zlib.crc32(MAGIC)
+    place, last_opcode, is_chunked = len(MAGIC), 0, False
+    for block, offsets in _blocks(path, file, end):
+        kept = len(offsets) if end_is_known else _sound_records(block, offsets, is_chunked)
+        stop = offsets[kept] if kept < len(offsets) else len(block)
+        last = offsets[kept - 1] if kept else 0
+        last_opcode = block[last] if kept else 0
+        if last_opcode == DATA_END:
+            _require_checksum(path, block[last:stop], zlib.crc32(block[:last], checksum))
+        checksum = zlib.crc32(block[:stop], checksum)
+        wanted = np.array(offsets[:kept], np.int64)
+        yield from _messages_of_block(path, block[:stop], wanted, declared, place)
+        place += stop
+        is_chunked |= bool((np.frombuffer(block, np.uint8)[offsets] == CHUNK).any())
+        if stop < len(block) or (last_opcode == DATA_END and not end_is_known):
+            break
+    if last_opcode != DATA_END:
+        where = None if end_is_known else f"byte {place}"
+        message = "the data section does not end in its end record"
+        raise LogError("log_damaged", path, message, where)
+
+
+def _sound_records(block: memoryview, offsets: list[int], is_chunked: bool) -> int:
+    """Number of records up to the end of the data section, or to what is no record of it.
+
+    Without a summary nothing else tells a chunk whose opcode is damaged from a private record, or
+    its index from a message that stands bare behind it.
+    """
+    opcodes = np.frombuffer(block, np.uint8)[offsets]
+    strange = ~np.isin(opcodes, IN_DATA_SECTION)
+    for i in np.flatnonzero(opcodes == MESSAGE_INDEX).tolist():
+        head = bytes(block[offsets[i] :][: _INDEX_HEAD.size]).ljust(_INDEX_HEAD.size)
+        _, length, _, size = _INDEX_HEAD.unpack(head)
+        strange[i] = length != size + 6
+    strange |= (opcodes == MESSAGE) & (is_chunked | np.logical_or.accumulate(opcodes == CHUNK))
+    ends = np.flatnonzero(strange | (opcodes == DATA_END))
+    if not ends.size:
+        return len(offsets)
+    return int(ends[0]) + (0 if strange[ends[0]] else 1)
+
+
+def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None:
+    stated = int.from_bytes(end_record[PREFIX.size : PREFIX.size + 4], "little")
+    if stated not in (0, checksum):
+        raise LogError("log_damaged", path, "its checksum is wrong", _ANYWHERE)
+
+
+def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:
+    """Stretches of whole records, a few megabytes or one record long, and where records begin."""
+    file.seek(len(MAGIC))
+    rest, left = b"", end - len(MAGIC)
+    while left or rest:
+        wanted = min(max(_BLOCK, _missing_bytes(path, rest, left)), left)
+        block = rest + file.read(wanted)
+        left -= wanted
+        offsets, whole = record_offsets(memoryview(block))
+        if not whole and not left:
+            raise LogError("log_damaged", path, f"the record at byte {end - len(block)} is cut")
+        if whole:
+            yield memoryview(block)[:whole], offsets
+        rest = block[whole:]
+
+
+def _missing_bytes(path: Path, rest: bytes, left: int) -> int:
+    """Bytes that the record begun in `rest` still lacks."""
+    if len(rest) < PREFIX.size:
+        return 0
+    _, length = PREFIX.unpack_from(rest)
+    missing: int = PREFIX.size + length - len(rest)
+    if missing > left:
+        raise LogError("log_damaged", path, f"a record claims {length} bytes, more than there are")
+    if length > LONGEST_RECORD:
+        raise LogError("log_too_large", path, f"a record has {length} bytes: split the log")
+    return missing
+
+
+def _messages_of_block(
+    path: Path,
+    block: memoryview,
+    offsets: NDArray[np.int64],
+    declared: Declared,
+    place: int,
+) -> Iterator[Messages]:
+    """Messages that stand bare, and those of chunks, in the order of the file."""
+    opcodes = np.frombuffer(block, np.uint8)[offsets]
+    chunks = np.flatnonzero(opcodes == CHUNK).tolist()
+    stops = [*offsets[1:].tolist(), len(block)]
+
+    def content(i: int) -> memoryview:
+        return block[offsets[i] + PREFIX.size : stops[i]]
+
+    for before, chunk in pairwise([-1, *chunks, len(offsets)]):
+        stop = len(block) if chunk == len(offsets) else int(offsets[chunk])
+        kept = offsets[before + 1 : chunk]
+        yield _messages(path, block, kept, declared, place + stop)
+        if chunk == len(offsets):
+            return
+        where = f"chunk at byte {place + offsets[chunk]}"
+        records = unpacked_chunk(path, content(chunk), where)
+        indexes = takewhile(lambda i: opcodes[i] == MESSAGE_INDEX, range(chunk + 1, len(offsets)))
+        inside, end = offsets_in_chunk(records, indexed_positions(list(map(content, indexes))))
+        if end != len(records):
+            raise LogError("log_damaged", path, "its records do not fill it", where)
+        yield _messages(path, records, inside, declared, place + stops[chunk])
+
+
+def _messages(
+    path: Path,
+    buffer: memoryview,
+    offsets: NDArray[np.int64],
+    declared: Declared,
+    read_to: int,
+) -> Messages:
+    """The messages among records, whose channels are added to those known so far."""
+    opcodes = np.frombuffer(buffer, np.uint8)[offsets]
+    for start in offsets[(opcodes == CHANNEL) | (opcodes == SCHEMA)].tolist():
+        opcode, length = PREFIX.unpack_from(buffer, start)
+        declared.add(path, opcode, bytes(buffer[start + PREFIX.size :][:length]))
+    starts = offsets[opcodes == MESSAGE]
+    ends = starts + PREFIX.size + fields_at(buffer, starts + 1, "<u8").astype(np.int64)
+    if (ends - starts < _MESSAGE_HEAD).any():
+        raise LogError("log_damaged", path, "a message is shorter than its own head")
+    channel_id_of_each = fields_at(buffer, starts + 9, "<u2")
+    unknown = (
+        set(np.flatnonzero(np.bincount(channel_id_of_each)).tolist()) - declared.channels.keys()
+    )
+    if unknown:
+        raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
+    return Messages(
+        buffer=buffer,
+        channels=declared.channels,
+        schemas=declared.schemas,
+        channel_id=channel_id_of_each,
+        log_time=fields_at(buffer, starts + 15, "<u8"),
+        publish_time=fields_at(buffer, starts + 23, "<u8"),
+        payload_start=starts + _MESSAGE_HEAD,
+        payload_end=ends,
+        read_to=read_to,
+    )

@@ -1,0 +1,4 @@
+"""Logs as Parquet, written by others.
+
+Imports `ingest`'s contract, `config` and what lies below.
+"""

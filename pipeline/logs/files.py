@@ -1,0 +1,487 @@
+"""A motor's log files: which there are, what is known of each, and the samples of a night."""
+
+from __future__ import annotations
+
+import datetime as dt
+import re
+import stat
+import time
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import SECOND_US, chosen_rows
+from pipeline.config import MotorSpec
+from pipeline.config.nights import DAY, Night, night_of, nights_between, nights_of
+from pipeline.errors import LogError, one_line
+from pipeline.ingest import RawChannel, RawLog, read_log, time_span
+from pipeline.ingest.wall_clock import LATEST_US
+from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.workers.process import asking, reading, told_alive
+
+# Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
+# a wrong time format.
+LONGEST_LOG_DAYS = 750
+DAY_US = 86_400_000_000
+# A night that only a file's name or time tells lies this near to those of the motor's other logs.
+FARTHEST_NIGHT = 31 * DAY
+# How a message ends that says by what a file's night is told.
+TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
+DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+LONGEST_PATH = 4096
+GLOB_CHARACTERS = frozenset("*?[")
+NO_REACH: Mapping[str, int] = MappingProxyType({})
+
+
+def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
+    """The log files of a motor that there are, and those that are named but absent.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    silent
+        Files and patterns that did not answer: they are not looked at.
+
+    Returns
+    -------
+    dict of str to Path, list of str
+        Paths relative to the log root, sorted; a glob without a match is no fault.
+    """
+    found: set[Path] = set()
+    absent: list[str] = []
+    for pattern in spec.file.logs.files:
+        named, is_glob = spec.log_root / pattern, bool(GLOB_CHARACTERS & set(pattern))
+        if pattern in silent:
+            found |= set() if is_glob else {named}
+            continue
+        with asking(pattern):
+            # A file may be called `a[1].csv`: what exists under its very name is no glob.
+            if named.exists():
+                found.add(named)
+            elif is_glob:
+                paths = told_alive(spec.log_root.glob(pattern))
+                found |= {path for path in paths if not _is_folder(path, spec.log_root, silent)}
+            else:
+                absent.append(pattern)
+    names: dict[str, Path] = {}
+    for path in sorted(found):
+        name = legible(path.relative_to(spec.log_root).as_posix())
+        while name in names:  # Another file's name is what this one's is shown as.
+            name += "'"
+        names[name] = path
+    return names, absent
+
+
+def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
+    """A path leads to a folder; one that did not answer is taken for a file."""
+    if not path.is_symlink():
+        return path.is_dir()
+    name = legible(path.relative_to(root).as_posix())
+    # A link may lead to a mount that hangs.
+    with asking(name):
+        return name not in silent and path.is_dir()
+
+
+def require_answer(name: str, path: Path) -> None:
+    """Open a log that is about to be read, if it is one: where it hangs, this is told of it."""
+    with asking(name), suppress(OSError):  # which its reader tells
+        if path.is_file():
+            with path.open("rb", buffering=0) as log:
+                log.read(1)
+
+
+def without_match(spec: MotorSpec) -> tuple[str, ...]:
+    """What to say of the globs of a motor's logs that match no file."""
+    return tuple(
+        f"no file matches {pattern} below {spec.log_root}"
+        for pattern in spec.file.logs.files
+        if GLOB_CHARACTERS & set(pattern)
+        and not (spec.log_root / pattern).exists()
+        and not any(not path.is_dir() for path in spec.log_root.glob(pattern))
+    )
+
+
+def legible(text: str) -> str:
+    """Text that tables, terminals and pages can show: what does not print becomes its escape."""
+    return one_line(text, LONGEST_PATH)
+
+
+def inspect_log(
+    name: str, path: Path, before: FileRecord | None, spec: MotorSpec, latest_us: int | None = None
+) -> FileRecord:
+    """What is known of a file: as before while its content is the same, else from a look at it.
+
+    Parameters
+    ----------
+    name, path
+        Path relative to the log root, and where it is.
+    before
+        What was known of it; None for a file not seen.
+    spec
+        The motor.
+    latest_us
+        Samples after this time are refused [µs since 1970]; None: those a day after now.
+
+    Returns
+    -------
+    FileRecord
+        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told;
+        ``growing`` where it is changed meanwhile, or was too lately.
+    """
+    record = look_at(name, path)
+    if record.status == "failed":
+        return record
+    same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
+    # What could not be read has no hash: its permissions may be others by now.
+    if before and before.sha256 and same:
+        return before if before.inode == record.inode else replace(before, inode=record.inode)
+    found = _inspected(record, path, before, spec, latest_us)
+    why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
+    return found if why is None else growing(found, why)
+
+
+def _inspected(
+    record: FileRecord,
+    path: Path,
+    before: FileRecord | None,
+    spec: MotorSpec,
+    latest_us: int | None,
+) -> FileRecord:
+    """What a look into a file of another size or time tells."""
+    try:
+        with asking(record.path):
+            record = replace(record, sha256=content_hash(path))
+    except OSError as error:
+        return failed(record, _not_readable(path, error))
+    if before and before.sha256 == record.sha256:
+        return replace(before, modified_ns=record.modified_ns, inode=record.inode)
+    with reading(record.path):
+        return spanned(record, path, spec, latest_us)
+
+
+def change_of(record: FileRecord, path: Path) -> LogError | None:
+    """What is no more as it was when a file was looked at; None: nothing, or the file is gone."""
+    try:
+        state = path.stat()
+    except OSError:
+        return None
+    size, known = state.st_size, (record.size, record.modified_ns, record.inode)
+    if (size, state.st_mtime_ns, state.st_ino) == known:
+        return None
+    how = f"it went from {record.size} to {size} bytes" if size != record.size else "it changed"
+    return LogError("log_growing", path, f"{how} while it was read; the next run reads it")
+
+
+def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
+    """Why a file that was written to a moment ago is left to a later run; None: it is not."""
+    age_s = (time.time_ns() - record.modified_ns) / 1e9
+    # A clock that is far ahead must not keep a file out for good.
+    if abs(age_s) >= settle_s:
+        return None
+    ago = f"it was written to {max(age_s, 0.0):.0f} s ago"
+    return LogError(
+        "log_growing", path, f"{ago}, and logs.settle_s is {settle_s:g}; a later run reads it"
+    )
+
+
+def growing(record: FileRecord, why: LogError) -> FileRecord:
+    """The record of a file that is left to the next run, as it is being written."""
+    return replace(record, status="growing", error_code=why.code, message=legible(why.message))
+
+
+def look_at(name: str, path: Path) -> FileRecord:
+    """Size and time of a file; ``failed`` where there is no such file any more, or it is none."""
+    try:
+        state = path.stat()
+    except OSError as error:
+        return failed(
+            FileRecord(name, 0, _link_modified_ns(path), None), _not_readable(path, error)
+        )
+    record = FileRecord(name, state.st_size, state.st_mtime_ns, None, inode=state.st_ino)
+    if not stat.S_ISREG(state.st_mode):
+        # A pipe would keep whoever opens it waiting.
+        fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
+        return failed(record, fault)
+    return record
+
+
+def _link_modified_ns(path: Path) -> int:
+    """When a link that leads nowhere was made; 0 where it is gone, too."""
+    try:
+        return path.lstat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def _not_readable(path: Path, error: OSError) -> LogError:
+    return LogError("log_not_readable", path, f"{error.strerror}; check that it may be read")
+
+
+def spanned(
+    record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
+) -> FileRecord:
+    """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
+    file = spec.file
+    try:
+        first, last = time_span(path, file.logs, file.channels, latest_us)
+        if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
+            # The ends of the file are no measure of it, so all of it is.
+            return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)
+    except LogError as error:
+        return failed(record, error)
+    nights = spec.settings.nights
+    labels = nights_between(night_of(first, nights), night_of(last, nights))
+    return replace(
+        record, first_us=first, last_us=last, nights=tuple(map(dt.date.isoformat, labels))
+    )
+
+
+def failed(record: FileRecord, error: LogError) -> FileRecord:
+    """The record of a file that cannot be read."""
+    return replace(record, status="failed", error_code=error.code, message=legible(error.message))
+
+
+def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
+    """The record of a file that was read: its span, its nights, and what was left out of it.
+
+    Raises
+    ------
+    LogError
+        ``log_empty``: there are rows, and all cells of all channels in them are blank.
+    """
+    stamps = log.stamps()
+    notes = list(log.notes)
+    unparsed = {name: part.unparsed for name, part in log.channels.items() if part.unparsed}
+    notes += [f"{count} cells of {name} hold no number" for name, count in unparsed.items()]
+    notes += _blank_channels(record, log, spec)
+    if not stamps:
+        notes.append("no samples")
+        return replace(record, rows=log.rows, message="; ".join(notes))
+    first, last = _ends(stamps)
+    if last - first > LONGEST_LOG_DAYS / 2 * DAY_US:
+        every = np.concatenate([channel.time_us for channel in log.channels.values()])
+        stamps = [_near_the_others(every, notes)]
+        first, last = _ends(stamps)
+    labels = set().union(*(nights_of(part, spec.settings.nights) for part in stamps))
+    return replace(
+        record,
+        rows=log.rows,
+        first_us=first,
+        last_us=last,
+        nights=tuple(map(dt.date.isoformat, sorted(labels))),
+        message="; ".join(notes) or None,
+    )
+
+
+def _ends(stamps: Sequence[NDArray[np.int64]]) -> tuple[int, int]:
+    return min(int(part.min()) for part in stamps), max(int(part.max()) for part in stamps)
+
+
+def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:
+    """Stamps without those that lie over a year from most; a note says how many there were."""
+    # A stamp that there is, not a mean of two: it is never far from itself.
+    middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
+    far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
+    if far.any():
+        notes.append(
+            f"{len(np.unique(stamps[far]))} time stamps lie over a year from the others and are "
+            "left out"
+        )
+    near: NDArray[np.int64] = stamps[~far]
+    return near
+
+
+def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
+    """What there is to say of channels that are there, and neither have a value nor say why."""
+    cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
+    blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
+    told = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
+    if blank and len(blank) == len(cells):
+        message = f"there is no sample: {', '.join(told)}"
+        raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
+    # What did not change has no value in a table of what did.
+    silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
+    return [note for name, note in zip(blank, told, strict=True) if name not in silent]
+
+
+def _is_blank(channel: RawChannel) -> bool:
+    if channel.unparsed or not channel.missing.all():
+        return False
+    return channel.bad_quality is None or not channel.bad_quality.any()
+
+
+def labels_of(record: FileRecord) -> set[dt.date]:
+    """Nights that a file touches."""
+    return set(map(dt.date.fromisoformat, record.nights))
+
+
+@dataclass(frozen=True, slots=True)
+class PlausibleNights:
+    """Nights that a file's name or time may tell where the file itself cannot be read.
+
+    Attributes
+    ----------
+    first, last
+        Of the motor's readable logs; None without one.
+    latest
+        The night of a day from now.
+    """
+
+    first: dt.date | None
+    last: dt.date | None
+    latest: dt.date
+
+    @classmethod
+    def of(cls, files: Iterable[FileRecord], latest: dt.date) -> PlausibleNights:
+        """From all files of a motor; those that cannot be read say nothing."""
+        known = {label for one in files if one.status == "ok" for label in labels_of(one)}
+        return cls(min(known, default=None), max(known, default=None), latest)
+
+    def why_not(self, label: dt.date) -> str | None:
+        """Reason why a name or time cannot tell a night; None: it can."""
+        if label > self.latest:
+            return "more than a day ahead"
+        if self.first is None or self.last is None:
+            return None
+        if self.first - FARTHEST_NIGHT <= label <= self.last + FARTHEST_NIGHT:
+            return None
+        return f"more than {FARTHEST_NIGHT.days} days from those of the motor's other logs"
+
+    def only_plausible(self, record: FileRecord) -> FileRecord:
+        """The record of a file without nights that its name or time cannot tell."""
+        if not is_guess(record):
+            return record
+        kept = [label for label in sorted(labels_of(record)) if self.why_not(label) is None]
+        return replace(record, nights=tuple(map(dt.date.isoformat, kept)))
+
+
+def is_guess(record: FileRecord) -> bool:
+    """A file that cannot be read: its nights, if any, are told by its name or time alone."""
+    return record.status != "ok" and record.first_us is None
+
+
+def is_newly_told(before: FileRecord, now: FileRecord) -> bool:
+    """The name or time of a file that is as it was tells a night that it did not tell before."""
+    return is_guess(now) and not labels_of(now) <= labels_of(before)
+
+
+def place_failed(
+    records: Mapping[str, FileRecord],
+    before: Mapping[str, FileRecord],
+    spec: MotorSpec,
+    plausible: PlausibleNights,
+) -> dict[str, FileRecord]:
+    """Give each unreadable file the night that it would have been of.
+
+    By what was known of it before, by the date in its name compared with those of its readable
+    neighbours, or by when it was last written: in that order, and the message says which. One
+    that vanished in between stays without a night, and so does one whose night is none that may
+    be told.
+    """
+    lag = _lag_of_names(one for one in records.values() if one.status == "ok" and one.nights)
+    return {
+        name: _placed(record, before.get(name), lag, spec, plausible)
+        if is_guess(record)
+        else record
+        for name, record in records.items()
+    }
+
+
+def _placed(
+    record: FileRecord,
+    before: FileRecord | None,
+    lag: dt.timedelta,
+    spec: MotorSpec,
+    plausible: PlausibleNights,
+) -> FileRecord:
+    told = _told(record, before, lag, spec)
+    if told is None:
+        return record
+    labels, basis = told
+    placed = plausible.only_plausible(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
+    if placed.nights and placed.nights == record.nights:
+        return record
+    # The night itself stands beside the message wherever that is shown.
+    how = f"night told {basis}"
+    if not placed.nights:
+        how = f"told {basis}, its night would lie {plausible.why_not(labels[0])}: it is of none"
+    return replace(placed, message=f"{TOLD.sub('', record.message or '')} ({how})")
+
+
+def _told(
+    record: FileRecord, before: FileRecord | None, lag: dt.timedelta, spec: MotorSpec
+) -> tuple[list[dt.date], str] | None:
+    """Nights that a file seems to be of, and by what they are told; None where nothing tells."""
+    if record.nights:  # as a run before has told
+        said = TOLD.search(record.message or "")
+        return sorted(labels_of(record)), said[1] if said else "by what it held before"
+    if record.error_code == "log_not_readable" and not record.modified_ns:
+        return None  # it vanished
+    if before is not None and before.nights:
+        return sorted(labels_of(before)), "by what it held before"
+    named = _date_in(record.path)
+    if named is not None:
+        return [named + lag], "by its name"
+    if not record.modified_ns:
+        return None
+    # A file may be of a time that no date can say.
+    written_us = min(record.modified_ns // 1000, LATEST_US)
+    return [night_of(written_us, spec.settings.nights)], "by when it was written"
+
+
+def _date_in(name: str) -> dt.date | None:
+    found = DATE_IN_NAME.findall(name)
+    try:
+        return dt.date(*map(int, found[-1])) if found else None
+    except ValueError:
+        return None
+
+
+def _lag_of_names(records: Iterable[FileRecord]) -> dt.timedelta:
+    """What lies between the date in a file's name and its first night, for most files."""
+    lags = Counter(
+        min(labels_of(record)) - date for record in records if (date := _date_in(record.path))
+    )
+    return lags.most_common(1)[0][0] if lags else 0 * DAY
+
+
+def slice_night(
+    logs: Iterable[RawLog], night: Night, reach_us: Mapping[str, int] = NO_REACH
+) -> dict[str, RawChannel]:
+    """The samples of a night from all files that have some, file after file.
+
+    Parameters
+    ----------
+    logs
+        The files' content.
+    night
+        The night.
+    reach_us
+        By channel, from how long before the night samples carry over into it [µs].
+    """
+    parts: dict[str, list[RawChannel]] = {}
+    for log in logs:
+        for name, channel in log.channels.items():
+            start_us = night.start_us - reach_us.get(name, 0)
+            inside = (channel.time_us >= start_us) & (channel.time_us < night.end_us)
+            parts.setdefault(name, []).append(channel.rows(chosen_rows(inside)))
+    return {
+        name: pieces[0] if len(pieces) == 1 else RawChannel.joined(pieces)
+        for name, pieces in parts.items()
+    }
+
+
+def reaches_us(spec: MotorSpec) -> dict[str, int]:
+    """How long the last sample of each on-change channel may hold into the next night [µs]."""
+    return {
+        name: round(channel.longest_silence_s * SECOND_US)
+        for name, channel in spec.file.channels.items()
+        if channel.sampling == "on_change" and channel.longest_silence_s
+    }

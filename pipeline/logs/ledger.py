@@ -1,0 +1,277 @@
+"""What a motor's task remembers: which files were read, and what came of which night.
+
+One JSON file a motor and month, beside the tables, so that a night writes no more however long the
+history is. It only saves work: without it everything is read again and the same tables come out.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+from collections import defaultdict
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.store.atomic_files import put
+from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
+from pipeline.workers.process import still_alive
+
+# Of a file that is read for its hash, at a time.
+PIECE_BYTES = 1 << 20
+# Where files of which no night is known are kept.
+NO_MONTH = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class FileRecord:
+    """A log file as it was read.
+
+    Attributes
+    ----------
+    size, modified_ns
+        While both stay, the content counts as unchanged.
+    read_with
+        Hash of how its content was understood: dialect, channels, nights.
+    sha256
+        Hash of the content; None where it could not be read.
+    first_us, last_us
+        First and last sample, UTC microseconds; None where unknown.
+    nights
+        Labels of the nights in which it has samples, or which its failure failed.
+    status, error_code, message
+        ``ok``, ``failed``, or ``growing`` for one that is changed while it is read, and why; of an
+        ``ok`` file what was left out.
+    inode
+        Number of the file on its disk: another one has taken its name where this differs.
+    """
+
+    path: str
+    size: int
+    modified_ns: int
+    sha256: str | None
+    read_with: str = ""
+    rows: int | None = None
+    first_us: int | None = None
+    last_us: int | None = None
+    nights: tuple[str, ...] = ()
+    status: str = "ok"
+    error_code: str | None = None
+    message: str | None = None
+    inode: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class NightRecord:
+    """What came of a night.
+
+    Attributes
+    ----------
+    status
+        One of the five outcomes.
+    model
+        The model that the next night is judged with; empty without a fit.
+    judged_with
+        Hash of the model before that the night was judged with.
+    statistics_hash, figures_hash
+        Hashes of the settings that shaped its statistics, and of those that shaped the figures
+        made from them; empty where none did.
+    """
+
+    status: str
+    model: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    judged_with: str = ""
+    statistics_hash: str = ""
+    figures_hash: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Ledger:
+    """All that is remembered of a motor.
+
+    Attributes
+    ----------
+    files
+        By path relative to the log root.
+    nights
+        By label.
+    """
+
+    files: Mapping[str, FileRecord] = field(default_factory=dict)
+    nights: Mapping[dt.date, NightRecord] = field(default_factory=dict)
+
+    def model_before(self, night: dt.date) -> Mapping[str, tuple[float, ...]]:
+        """The motor's last model before a night; empty where there is none."""
+        earlier = [label for label, record in self.nights.items() if label < night and record.model]
+        return self.nights[max(earlier)].model if earlier else {}
+
+    def without(self, nights: Collection[dt.date], refit: Collection[dt.date] = ()) -> Ledger:
+        """A ledger with which some nights are made anew: it knows no file that has samples of them.
+
+        What came of a night with a fit is kept: where its log is gone, the night after is still
+        judged with its model. Those of `refit` are then fitted anew from their statistics.
+        """
+        labels = {night.isoformat() for night in nights}
+        return Ledger(
+            {name: one for name, one in self.files.items() if labels.isdisjoint(one.nights)},
+            {
+                night: replace(one, figures_hash="") if night in refit else one
+                for night, one in self.nights.items()
+                if one.model or night not in nights
+            },
+        )
+
+    def by_month(self) -> dict[str, Ledger]:
+        """What is kept in each month's file: a night by its label, a file by its first night."""
+        files: defaultdict[str, dict[str, FileRecord]] = defaultdict(dict)
+        nights: defaultdict[str, dict[dt.date, NightRecord]] = defaultdict(dict)
+        for path, record in self.files.items():
+            files[min(record.nights)[:7] if record.nights else NO_MONTH][path] = record
+        for label, one in self.nights.items():
+            nights[f"{label:%Y-%m}"][label] = one
+        return {month: Ledger(files[month], nights[month]) for month in sorted({*files, *nights})}
+
+
+def changed_months(before: Ledger, after: Ledger) -> dict[str, Ledger]:
+    """The months of which something else is to be remembered; an empty one has nothing left."""
+    old, new = before.by_month(), after.by_month()
+    return {
+        month: new.get(month, Ledger())
+        for month in sorted({*old, *new})
+        if old.get(month) != new.get(month)
+    }
+
+
+def ledger_folder(output: Path, motor_id: str) -> Path:
+    """Where a motor's ledger lies."""
+    return output / "ledger" / motor_id
+
+
+def read_ledger(output: Path, motor_id: str) -> Ledger:
+    """A motor's ledger, without the months that are absent or damaged."""
+    files: dict[str, FileRecord] = {}
+    nights: dict[dt.date, NightRecord] = {}
+    for path in sorted(ledger_folder(output, motor_id).glob("*.json")):
+        month = _read_month(path)
+        files |= month.files
+        nights |= month.nights
+    return Ledger(files, nights)
+
+
+def _read_month(path: Path) -> Ledger:
+    document = read_sealed(path, unseal)
+    if document is None:
+        return Ledger()
+    try:
+        files = {
+            name: FileRecord(**(record | {"nights": tuple(record["nights"])}))
+            for name, record in document["files"].items()
+        }
+        nights = {
+            dt.date.fromisoformat(label): NightRecord(
+                **(record | {"model": {k: tuple(v) for k, v in record["model"].items()}})
+            )
+            for label, record in document["nights"].items()
+        }
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return Ledger()
+    return Ledger(files, nights)
+
+
+def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> None:
+    """Replace what is remembered of some months of a motor.
+
+    Raises
+    ------
+    StoreError
+        If a file cannot be written.
+    """
+    for month, ledger in months.items():
+        document: dict[str, Any] = {
+            "files": {path: asdict(record) for path, record in sorted(ledger.files.items())},
+            "nights": {
+                label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
+            },
+        }
+        put(ledger_folder(output, motor_id) / f"{month}.json", seal(document))
+
+
+def settings_file(output: Path, motor_id: str) -> Path:
+    """Where the settings lie that a motor's last run had."""
+    return ledger_folder(output, motor_id) / "settings"
+
+
+def read_settings(output: Path, motor_id: str) -> dict[str, str]:
+    """Settings of a motor's last run by dotted key; empty where they are not known."""
+    document = read_sealed(settings_file(output, motor_id), unseal) or {}
+    return {str(key): str(value) for key, value in document.items()}
+
+
+def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:
+    """Remember the settings of a motor's run, to name what changed in the next.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be written.
+    """
+    put_sealed(settings_file(output, motor_id), settings)
+
+
+def forget_nights(
+    output: Path,
+    nights: Collection[dt.date],
+    keep: Collection[str] = (),
+    refit: Collection[dt.date] = (),
+) -> dict[str, set[dt.date]]:
+    """Let the next run make some nights anew for all motors but some.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    nights
+        Labels of nights whose tables were lost.
+    keep
+        Ids of motors whose rows of these nights are published.
+    refit
+        Those of the nights that may be fitted from their statistics where their logs are gone.
+
+    Returns
+    -------
+    dict of str to set
+        By motor, those of the nights that it had a fit of.
+
+    Raises
+    ------
+    StoreError
+        If a ledger cannot be written.
+    """
+    fitted = {}
+    for folder in sorted((output / "ledger").glob("*")):
+        if folder.name in keep:
+            continue
+        before = read_ledger(output, folder.name)
+        fitted[folder.name] = {
+            night for night, one in before.nights.items() if one.model and night in nights
+        }
+        after = before.without(nights, refit)
+        write_months(output, folder.name, changed_months(before, after))
+    return fitted
+
+
+def content_hash(path: Path) -> str:
+    """SHA-256 of a file's content.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    """
+    digest, piece = hashlib.sha256(), bytearray(PIECE_BYTES)
+    with path.open("rb", buffering=0) as stream:
+        while size := stream.readinto(piece):
+            digest.update(memoryview(piece)[:size])
+            still_alive()
+    return digest.hexdigest()

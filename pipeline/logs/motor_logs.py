@@ -1,0 +1,320 @@
+"""A motor's log files while its task works through them: what each is, and what is new of it."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections import Counter, OrderedDict
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import MotorSpec
+from pipeline.config.hashes import reading_hash
+from pipeline.config.nights import Night, night_of, nights_between
+from pipeline.errors import LogError
+from pipeline.ingest import RawLog, read_log
+from pipeline.logs.files import (
+    PlausibleNights,
+    covered,
+    failed,
+    growing,
+    is_newly_told,
+    labels_of,
+    place_failed,
+    reaches_us,
+    require_answer,
+)
+from pipeline.logs.ledger import FileRecord
+from pipeline.logs.locations import logs_of
+from pipeline.night.rows import utc
+from pipeline.workers.process import Loss, reading, told_alive
+
+# Logs kept in memory: one that ends and one that begins within a night.
+LOGS_IN_MEMORY = 2
+# What may come of a file in a run: read; unchanged since a run before; growing while it is read;
+# failed; or left to another run, as one of its nights was not done.
+FATES = ("read", "unchanged", "growing", "failed", "left")
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """What a task knew of a file before it used it and after, and whether it could read it."""
+
+    before: FileRecord
+    after: FileRecord
+    was_read: bool
+
+
+class LogShelf:
+    """The log files of a motor, each read once while it is needed.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    before
+        What was known of its files.
+    latest_us
+        Samples after this time are refused [µs since 1970].
+    silent
+        Those that did not answer: none is opened.
+    looked_at
+        What another task of this run has seen of them; none is then looked at again.
+
+    Attributes
+    ----------
+    files
+        What is known of each file by now, by path relative to the log root.
+    before
+        What was known of them, without nights that are no longer told.
+    absent
+        Those that are named in the config and absent.
+    unmatched
+        Tells of the globs that match none.
+    read
+        Paths of those whose content was read.
+    plausible
+        Nights that the name or time of an unreadable one may tell.
+    """
+
+    def __init__(
+        self,
+        spec: MotorSpec,
+        before: Mapping[str, FileRecord],
+        latest_us: int,
+        silent: Mapping[str, Loss],
+        looked_at: Mapping[str, FileRecord] | None = None,
+    ) -> None:
+        self._spec = spec
+        self.before: Mapping[str, FileRecord] = before
+        self._read_with = reading_hash(spec)
+        self._latest_us = latest_us
+        self._silent = silent
+        self._source = logs_of(spec, latest_us, silent)
+        self.absent = self._source.absent
+        self.unmatched = self._source.unmatched
+        found = self._look() if looked_at is None else looked_at
+        latest = night_of(latest_us, spec.settings.nights)
+        self.plausible = PlausibleNights.of((*found.values(), *before.values()), latest)
+        self.before = {name: self.plausible.only_plausible(one) for name, one in before.items()}
+        self.files = place_failed(found, self.before, spec, self.plausible)
+        self.read: set[str] = set()
+        self._open: OrderedDict[str, RawLog] = OrderedDict()
+        # How long the last sample of an on-change channel may hold into the next night.
+        self._reach_us = max(reaches_us(spec).values(), default=0)
+
+    def _look(self) -> dict[str, FileRecord]:
+        """Each file as its ends tell it."""
+        return {
+            name: replace(self._look_at(name), read_with=self._read_with)
+            for name in told_alive(self._source.names)
+        }
+
+    def _look_at(self, name: str) -> FileRecord:
+        known = self._known(name)
+        if name not in self._silent:
+            return self._source.look_at(name, known)
+        if known is not None and known.status == "ok":
+            return known  # as far as anybody can tell, it is as it was
+        return self._unanswered(FileRecord(name, 0, 0, None))
+
+    def _unanswered(self, record: FileRecord) -> FileRecord:
+        """The record of a file that is to be tried again by the next run."""
+        loss = self._silent[record.path]
+        error = LogError(loss.code, Path(record.path), loss.how.removeprefix(f"{record.path} "))
+        return failed(replace(record, sha256=None), error)
+
+    def _known(self, name: str) -> FileRecord | None:
+        """What was known of a file, if it was understood as it is now."""
+        record = self.before.get(name)
+        return record if record and record.read_with == self._read_with else None
+
+    def news_of(self, name: str) -> str | None:
+        """What is new of a file that no run has finished with, in words; None: nothing."""
+        before, known, now = self.before.get(name), self._known(name), self.files[name]
+        if before is None:
+            return f"new file {name}"
+        if known is None:
+            return f"{name} is to be read with other settings"
+        # What could not be read has no hash: it may be legible by now.
+        if now.sha256 is None or known.sha256 != now.sha256:
+            return f"changed file {name}"
+        return f"the night of {name} is told now" if is_newly_told(known, now) else None
+
+    def touched(self, name: str) -> set[dt.date]:
+        """Nights in which a file has samples, or had them before it was changed."""
+        record = self.files[name]
+        return labels_of(record) | labels_of(self.before.get(name, record))
+
+    def reached(self, name: str) -> set[dt.date]:
+        """Nights into which a file's last samples may hold, or might before it was changed."""
+        if not self._reach_us:
+            return set()
+        record, nights = self.files[name], self._spec.settings.nights
+        ends = {one.last_us for one in (record, self.before.get(name, record))}
+        found: set[dt.date] = set()
+        for last_us in ends:
+            if last_us is not None:
+                last = night_of(last_us + self._reach_us, nights)
+                found |= set(nights_between(night_of(last_us, nights), last))
+        return found
+
+    def present(self) -> set[dt.date]:
+        """Nights in which any file has samples."""
+        return {label for record in self.files.values() for label in labels_of(record)}
+
+    def waiting(self) -> set[dt.date]:
+        """Nights that wait for the next run, as a file of theirs changes while it is read."""
+        return {
+            label
+            for name, record in self.files.items()
+            if record.status == "growing"
+            for label in self.touched(name)
+        }
+
+    def of_night(self, label: dt.date) -> list[str]:
+        """Files of a night, in order of time."""
+        names = [name for name, record in self.files.items() if label in labels_of(record)]
+        return self._in_order(names)
+
+    def before_night(self, here: Night) -> list[str]:
+        """Files that end before a night, and so late that an on-change channel may hold into it."""
+        names = [
+            name
+            for name, record in self.files.items()
+            if record.status == "ok"
+            and record.last_us is not None
+            and here.start_us - self._reach_us <= record.last_us < here.start_us
+        ]
+        return self._in_order(names)
+
+    def _in_order(self, names: Collection[str]) -> list[str]:
+        return sorted(names, key=lambda name: (self.files[name].first_us or 0, name))
+
+    def content(self, name: str) -> RawLog | None:
+        """A log's content, read once while it is needed.
+
+        None where it cannot be read, or was changed since it was looked at: that goes into its
+        record.
+        """
+        if name in self._open:
+            self._open.move_to_end(name)
+            return self._open[name]
+        record = self.files[name]
+        if record.status != "ok":
+            return None
+        if name in self._silent:
+            self.files[name] = self._unanswered(record)
+            return None
+        content: RawLog | None = None
+        try:
+            file, path = self._spec.file, self._source.path(name)
+            require_answer(name, path)
+            with reading(name):
+                content = read_log(path, file.logs, file.channels, self._latest_us)
+            found = covered(record, content, self._spec)
+        except LogError as error:
+            found, content = failed(record, error), None
+        why = self._source.change_of(record)
+        if why is not None:
+            found, content = growing(record, why), None
+        self.files[name] = found
+        if content is None:
+            self.read.discard(name)
+            return None
+        self.read.add(name)
+        self._open[name] = content
+        if len(self._open) > LOGS_IN_MEMORY:
+            self._open.popitem(last=False)
+        return content
+
+    def let_go_until(self, label: dt.date) -> None:
+        """Give up contents that no night after this one needs."""
+        for name in list(self._open):
+            if max(self.touched(name) | self.reached(name), default=label) <= label:
+                del self._open[name]
+
+    def recall(self, here: Night, known: Mapping[str, Sight], used: tuple[str, ...]) -> bool:
+        """Take over what another task saw when it read a night's files.
+
+        Parameters
+        ----------
+        here
+            The night.
+        known
+            What it knew of each file before and after.
+        used
+            Files that it used, in order.
+
+        Returns
+        -------
+        bool
+            False, and nothing is taken over, where this task would use other files, or knows
+            something else of one.
+        """
+        if (*self.before_night(here), *self.of_night(here.date)) != used:
+            return False
+        if any(self.files[name] not in (one.before, one.after) for name, one in known.items()):
+            return False
+        for name, one in known.items():
+            self.files[name] = one.after
+            (self.read.add if one.was_read else self.read.discard)(name)
+        return True
+
+    def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:
+        """Files of which every night is done: the others stay new, for a run that wants them."""
+        nights, present = set(done), self.present()
+        return {
+            name: record
+            for name, record in self.files.items()
+            if record.status != "growing"
+            and (
+                self.news_of(name) is None
+                or self.touched(name) | (self.reached(name) & present) <= nights
+            )
+        }
+
+    def counts(self, done: Collection[dt.date]) -> Counter[str]:
+        """Files by what came of them in this run.
+
+        Returns
+        -------
+        Counter of str
+            By those of `FATES`.
+        """
+        finished = self.finished(done)
+        return Counter(self._fate(name, finished) for name in self.files)
+
+    def _fate(self, name: str, finished: Mapping[str, FileRecord]) -> str:
+        if self.files[name].status != "ok":
+            return self.files[name].status
+        if name not in finished:
+            return "left"
+        return "read" if name in self.read else "unchanged"
+
+    def growing(self) -> list[str]:
+        """What there is to say of each file that changes while it is read."""
+        records = (record for _, record in sorted(self.files.items()))
+        return [record.message or "" for record in records if record.status == "growing"]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Rows of `input_files`: each file once, with its first night, or none if it is of none."""
+        return [
+            {
+                "motor_id": self._spec.motor_id,
+                "path": name,
+                "night": min(labels_of(record), default=None),
+                "format": self._spec.file.logs.format,
+                "size_bytes": record.size,
+                "sha256": record.sha256,
+                "rows": record.rows,
+                "first_time": None if record.first_us is None else utc(record.first_us),
+                "last_time": None if record.last_us is None else utc(record.last_us),
+                "status": record.status,
+                "error_code": record.error_code,
+                "message": record.message,
+            }
+            for name, record in sorted(self.files.items())
+            if record.status != "growing"
+        ]

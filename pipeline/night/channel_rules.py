@@ -1,0 +1,92 @@
+"""The rules that a channel's samples are judged by: its own keys where stated, else the fleet's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.config import Channel, Cleaning
+from pipeline.config.motors import FALLBACK_VALID_RANGE, Logs
+from pipeline.night.sampling import PERIODIC, Sampling
+
+TEMPERATURE_FROZEN_AFTER_S = 900.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelRules:
+    """The rules of one channel, resolved from the motor's and the fleet's config.
+
+    Attributes
+    ----------
+    valid_range
+        Lowest and highest plausible value [bar, °C, rpm or l/min].
+    sensor_maximum
+        Highest value the sensor gives, or None.
+    resolution
+        Smallest step of the sensor.
+    hampel_window, hampel_threshold
+        Samples in the window; limit in scaled MAD.
+    frozen_after_s
+        Longest credible time without a change [s].
+    gap_sample_periods, longest_gap_s
+        Silence that is a gap: in sample periods, unless stated in seconds.
+    at_rest_below
+        Values smaller in magnitude never count as frozen: a halted motor's speed stays 0.
+    sampling
+        What the samples are.
+    puts_in_order
+        Samples written late are put back in their place, not refused.
+    has_rows_of_its_own
+        A row of the log is of this channel alone, so that one without a value says that there is
+        none; else it may only be a row of another channel.
+    """
+
+    valid_range: tuple[float, float]
+    sensor_maximum: float | None
+    resolution: float
+    hampel_window: int
+    hampel_threshold: float
+    frozen_after_s: float
+    gap_sample_periods: float
+    longest_gap_s: float | None
+    at_rest_below: float = 0.0
+    sampling: Sampling = PERIODIC
+    puts_in_order: bool = True
+    has_rows_of_its_own: bool = False
+
+    @classmethod
+    def of(
+        cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
+    ) -> ChannelRules:
+        """The rules of a channel: its own keys where stated, else the fleet's.
+
+        Parameters
+        ----------
+        name, channel
+            The channel.
+        cleaning
+            Settings of the fleet, or the motor's own.
+        logs
+            The motor's logs, for their layout; None: columns side by side.
+        """
+        is_temperature = name == "oil_temperature"
+        fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
+        # A value that did not change was not sent: silence is no sign of a frozen sensor.
+        silence_s = channel.longest_silence_s or 0.0
+        fallback = max(fallback, silence_s) if channel.sampling == "on_change" else fallback
+        temperature_gap_s = max(
+            cleaning.temperature_gap_s, cleaning.gap_sample_periods * (channel.mean_of_s or 0.0)
+        )
+        return cls(
+            valid_range=channel.valid_range or FALLBACK_VALID_RANGE[name],
+            sensor_maximum=channel.sensor_maximum,
+            resolution=channel.resolution,
+            hampel_window=cleaning.hampel_window,
+            hampel_threshold=cleaning.hampel_threshold,
+            frozen_after_s=channel.frozen_after_s or fallback,
+            gap_sample_periods=cleaning.gap_sample_periods,
+            longest_gap_s=silence_s or (temperature_gap_s if is_temperature else None),
+            at_rest_below=cleaning.standstill_rpm if name == "speed" else 0.0,
+            sampling=Sampling.of(channel),
+            puts_in_order=cleaning.out_of_order == "sort",
+            has_rows_of_its_own=logs is not None and logs.layout != "wide",
+        )

@@ -1,0 +1,288 @@
+"""A channel's samples in order, every rule applied, and what each of them refused counted.
+
+Channels are cleaned on their own samples, before the time base: one bad temperature sample,
+interpolated to 10 Hz, would spoil nineteen. The rules themselves are in `pipeline.night.masks`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
+from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.clocks import typical_period_us
+from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
+from pipeline.night.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
+from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, samples_of
+
+
+@dataclass(frozen=True, slots=True)
+class CleanChannel:
+    """A channel's samples in order of time, the refused ones marked.
+
+    Attributes
+    ----------
+    time_us
+        UTC microseconds, strictly increasing, shape (n,).
+    value
+        In the unit of the tables, shape (n,).
+    refused
+        Samples that a rule refused, shape (n,).
+    at_maximum
+        Samples at which the sensor was at its maximum, shape (n,).
+    period_us
+        Typical distance of two samples; None for fewer than two.
+    longest_gap_us
+        Longer silence than this is a gap.
+    counts
+        Refused samples by reason, and ``any`` for those refused at all.
+    n_samples
+        Samples that the rules looked at.
+    noted
+        Samples by reason that were kept although it applies: `backward_time` for those put back
+        in order, `jitter` for those that came off their period.
+    sampling
+        What the samples are.
+    ends
+        Samples of an on-change channel from which on there is no value, shape (n,); None: none.
+    n_carried
+        Samples at the front that are from before the night, 0 or 1; no count has them.
+    """
+
+    time_us: Times
+    value: Values
+    refused: Mask
+    at_maximum: Mask
+    period_us: float | None
+    longest_gap_us: float
+    counts: Mapping[str, int]
+    n_samples: int
+    noted: Mapping[str, int] = field(default_factory=dict)
+    sampling: Sampling = PERIODIC
+    ends: Mask | None = None
+    n_carried: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Ordered:
+    """A channel's cells of a night in strict order of time, before any rule has judged them.
+
+    Attributes
+    ----------
+    cells
+        Of the night.
+    disorder
+        What it took.
+    early
+        Cells from before the night, as they came; None: there are none.
+    night_start_us
+        Where the night begins; None: all cells are of it.
+    """
+
+    cells: RawChannel
+    disorder: Disorder
+    early: RawChannel | None
+    night_start_us: int | None
+
+
+def ordered_channel(
+    raw: RawChannel, rules: ChannelRules, night_start_us: int | None, stamps: Stamps
+) -> Ordered:
+    """Put a channel's cells in order; parameters as of `clean_channel`."""
+    early, here = None, raw
+    if night_start_us is not None:
+        before = raw.time_us < night_start_us
+        if before.any():
+            early, here = raw.rows(before), raw.rows(chosen_rows(~before))
+    return Ordered(*in_order(here, rules, stamps), early, night_start_us)
+
+
+def clean_channel(
+    raw: RawChannel, rules: ChannelRules, night_start_us: int | None = None
+) -> CleanChannel:
+    """Apply every rule of a channel to its own samples.
+
+    Parameters
+    ----------
+    raw
+        Samples as read, in the order of the log.
+    rules
+        The channel's rules.
+    night_start_us
+        Of what lies before it, the last sample of an on-change channel carries over, and no rule
+        counts it; None: all samples are of the night.
+
+    Returns
+    -------
+    CleanChannel
+        Sorted, with blank cells that are no sample left out and all others judged.
+    """
+    stamps = Stamps()
+    return judged_channel(ordered_channel(raw, rules, night_start_us, stamps), rules, stamps)
+
+
+def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> CleanChannel:
+    """Apply every rule to cells in order.
+
+    Parameters
+    ----------
+    ordered, rules
+        The channel.
+    stamps
+        What is known of the stamps of channels that were judged before.
+
+    Returns
+    -------
+    CleanChannel
+        As of `clean_channel`.
+    """
+    cells, disorder = ordered.cells, ordered.disorder
+    blank = cells.missing.any()
+    period = (
+        typical_period_us(cells.time_us[~cells.missing])
+        if blank
+        else stamps.period_us(cells.time_us)
+    )
+    longest_gap_us = _longest_gap_us(period, rules)
+    samples = samples_of(cells, rules, period, stamps)
+    noted = {"backward_time": disorder.n_put_back}
+    if not rules.sampling.on_change:
+        noted["jitter"] = stamps.n_jittered(samples.time_us, period)
+    n_carried = 0
+    if ordered.early is not None and ordered.night_start_us is not None:
+        earliest_us = ordered.night_start_us - longest_gap_us
+        carried = carried_over(ordered.early, rules, earliest_us)
+        n_carried = len(carried.time_us)
+        if n_carried:
+            samples = RawChannel.joined([carried, samples])
+    time, value, masks = _judged(samples, rules, period, longest_gap_us)
+    refused = np.logical_or.reduce(list(masks.values()))
+    counts = {reason: int(np.count_nonzero(mask[n_carried:])) for reason, mask in masks.items()}
+    counts |= {"backward_time": disorder.n_backward, "duplicate_time": disorder.n_duplicate}
+    out_of_order = disorder.n_backward + disorder.n_duplicate
+    return CleanChannel(
+        time_us=time,
+        value=value,
+        refused=refused,
+        at_maximum=masks["at_maximum"],
+        period_us=period,
+        longest_gap_us=longest_gap_us,
+        counts=counts | {"any": int(np.count_nonzero(refused[n_carried:])) + out_of_order},
+        n_samples=len(time) - n_carried + out_of_order,
+        noted=noted,
+        sampling=rules.sampling,
+        ends=_ends(masks) if rules.sampling.on_change else None,
+        n_carried=n_carried,
+    )
+
+
+def _ends(masks: Mapping[str, Mask]) -> Mask:
+    """Samples that say that there is no value from there on."""
+    found: Mask = masks["missing"] | masks["not_finite"]
+    return found | masks["bad_quality"] if "bad_quality" in masks else found
+
+
+def _judged(
+    samples: RawChannel, rules: ChannelRules, period_us: float | None, longest_gap_us: float
+) -> tuple[Times, Values, dict[str, Mask]]:
+    """Times and values, of a counter as a flow, and which samples each rule refuses."""
+    time, value, sampling = samples.time_us, samples.value, rules.sampling
+    masks = {"missing": samples.missing, "not_finite": ~samples.missing & ~np.isfinite(value)}
+    if samples.bad_quality is not None:
+        masks["bad_quality"] = samples.bad_quality
+    if sampling.counts is not None:
+        trusted = (
+            value if samples.bad_quality is None else np.where(samples.bad_quality, np.nan, value)
+        )
+        counted = flow_from_counts(time, trusted, longest_gap_us, sampling)
+        time, value = counted.time_us, counted.flow_l_per_min
+        masks |= {"no_interval": counted.no_interval, "counter_reset": counted.counter_reset}
+    masks |= {
+        "out_of_range": out_of_range(value, rules.valid_range),
+        "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
+    }
+    credible = ~np.logical_or.reduce(list(masks.values()))
+    seen = _Seen.of(time, value, credible, longest_gap_us)
+    resolution = max(rules.resolution, sampling.resolution_l_per_min(period_us))
+    resolution = resolution or step_of_readings(seen.value)
+    # A compressed archive holds only what differs from its neighbourhood.
+    stands_out = (
+        np.zeros(len(seen.value), dtype=np.bool_)
+        if sampling.on_change
+        else seen.spikes(rules, resolution)
+    )
+    masks["spike"] = _within(credible, stands_out)
+    masks["frozen"] = _within(credible, seen.frozen(rules))
+    return time, value, masks
+
+
+def _within(chosen: Mask, flags: Mask) -> Mask:
+    """Flags of the chosen samples laid back among all of them."""
+    mask = np.zeros(len(chosen), dtype=np.bool_)
+    mask[chosen] = flags
+    return mask
+
+
+@dataclass(frozen=True, slots=True)
+class _Seen:
+    """Credible samples of a channel, and where nobody saw the sensor.
+
+    Attributes
+    ----------
+    time_us, value
+        Shape (n,).
+    borders
+        First samples after a gap.
+    """
+
+    time_us: Times
+    value: Values
+    borders: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, time_us: Times, value: Values, credible: Mask, longest_gap_us: float) -> _Seen:
+        rows = chosen_rows(credible)
+        time_us = time_us[rows]
+        borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
+        return cls(time_us, value[rows], borders)
+
+    def spikes(self, rules: ChannelRules, resolution: float) -> Mask:
+        """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
+        window, threshold = rules.hampel_window, rules.hampel_threshold
+        parts = np.split(self.value, self.borders)
+        return np.concatenate([spike(part, window, threshold, resolution) for part in parts])
+
+    def frozen(self, rules: ChannelRules) -> Mask:
+        """Frozen values; a gap, in which nobody saw the sensor, adds no time to a stretch."""
+        stuck = frozen(
+            self._time_in_sight_us(), self.value, rules.resolution, rules.frozen_after_s * SECOND_US
+        )
+        if stuck.any():
+            # As many counts in each period are a steady flow; none for long is a counter that
+            # stopped.
+            at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
+            counts = rules.sampling.counts
+            stuck &= (self.value == 0.0) if counts else np.abs(self.value) >= at_rest_below
+        return stuck
+
+    def _time_in_sight_us(self) -> Times:
+        """Times without those of the gaps."""
+        if not len(self.borders):
+            return self.time_us
+        gaps_us = self.time_us[self.borders] - self.time_us[self.borders - 1]
+        edges = np.concatenate([[0], self.borders, [len(self.time_us)]])
+        before_us: Times = np.repeat(np.append(0, np.cumsum(gaps_us)), np.diff(edges))
+        before_us *= -1
+        before_us += self.time_us
+        return before_us
+
+
+def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:
+    if rules.longest_gap_s is not None:
+        return rules.longest_gap_s * SECOND_US
+    return rules.gap_sample_periods * (period_us or 0.0)

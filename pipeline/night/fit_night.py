@@ -1,0 +1,314 @@
+"""One motor, one night: raw channels in, rows of the tables out.
+
+Pure: no files, no shared state, and errors are data. The order of the stages is the order of the
+data: clean each channel, one time base, joint rules, regressors, matched smoothing, blocks, split,
+fit, validation, rows.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import time
+from collections.abc import Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from leakage import EstimationError, LeakageError
+from pipeline.config import MotorSpec
+from pipeline.config.nights import Night
+from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
+from pipeline.night.fit import fit_modes, with_residuals
+from pipeline.night.operation_rows import operation_row
+from pipeline.night.rows import (
+    Rows,
+    fit_rows,
+    prediction_rows,
+    quality_rows,
+    statistics_rows,
+    unfitted_row,
+)
+from pipeline.night.sampling import means_too_long
+from pipeline.night.statistics import NightStatistics, night_statistics
+from pipeline.night.time_base import Quality, Samples, bring_together
+from pipeline.night.time_order import Stamps
+from pipeline.night.windows import TRAINING, HandSet, left_out, too_uniform
+from pipeline.units import RUNNING_HOURS
+
+OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
+INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
+
+# Tables that have rows of a night without a fit, too.
+WITHOUT_A_FIT = ("quality", "operation", "block_statistics")
+
+PreviousModel = Mapping[str, tuple[float, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class NightOutcome:
+    """What came of a motor's night.
+
+    Attributes
+    ----------
+    status, reason, error_code
+        One of the five outcomes, why in words, and the code of a failure.
+    rows
+        Rows by table name, without ``run_id``.
+    model
+        θ by flushing mode, for judging this model on the next night; empty without a fit.
+    seconds
+        Time by stage.
+    tables
+        Names of the tables that are new; None: all.
+    """
+
+    night: dt.date
+    status: str
+    reason: str | None
+    error_code: str | None
+    rows: Rows
+    model: PreviousModel = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    tables: tuple[str, ...] | None = None
+
+
+class Insufficient(Exception):  # noqa: N818 - an outcome on its way out, not an error
+    """The night has too little to fit; carries the outcome, the reason and a failure's code."""
+
+    def __init__(self, status: str, reason: str, *, code: str | None = None) -> None:
+        super().__init__(status, reason)
+        self.status = status
+        self.reason = reason
+        self.code = code
+
+
+def fit_night(
+    spec: MotorSpec,
+    night: Night,
+    channels: MutableMapping[str, RawChannel],
+    previous: PreviousModel,
+) -> NightOutcome:
+    """Fit one motor's night.
+
+    Parameters
+    ----------
+    spec
+        The motor with its resolved config.
+    night
+        The night.
+    channels
+        Raw samples of the night by channel; of an on-change one also some from before it, of
+        which the last carries over. Each is taken out when it is its turn: a day at 100 Hz is
+        not to be in memory twice.
+    previous
+        The motor's model before, by flushing mode; empty where there is none.
+
+    Returns
+    -------
+    NightOutcome
+        Whatever happens short of a fault in the code.
+    """
+    seconds: dict[str, float] = {}
+    rows: Rows = {}
+    try:
+        with _timed(seconds, "clean_s"):
+            samples, quality = _clean(spec, night, channels)
+            rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
+            counter = channels.get(RUNNING_HOURS)
+            rows["operation"] = [operation_row(spec, night, samples, counter)]
+            _require_enough(samples, quality, spec)
+            samples, outside = _choose_parts(spec, night, samples)
+            rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
+            _require_parts(samples, outside)
+        with _timed(seconds, "statistics_s"):
+            motor = spec.motor(night.date, spec.file.flushing.mode)
+            statistics = night_statistics(spec, motor, night, samples)
+            rows["block_statistics"] = statistics_rows(spec.motor_id, night.date, motor, statistics)
+        with _timed(seconds, "fit_s"):
+            _require_training(statistics, spec)
+            modes = fit_modes(spec, night.date, statistics)
+        with _timed(seconds, "residuals_s"):
+            modes = with_residuals(spec, statistics, modes)
+        with _timed(seconds, "fit_s"):
+            rows |= fit_rows(spec, night.date, statistics, modes, previous)
+            rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
+    except Insufficient as outcome:
+        return unfitted(
+            spec,
+            night.date,
+            outcome.status,
+            outcome.reason,
+            code=outcome.code,
+            rows=rows,
+            seconds=seconds,
+        )
+    except EstimationError as error:
+        return unfitted(spec, night.date, INSUFFICIENT_DATA, str(error), rows=rows, seconds=seconds)
+    except LeakageError as error:
+        return unfitted(
+            spec, night.date, FAILED, str(error), code=error.code, rows=rows, seconds=seconds
+        )
+    model = {mode.name: tuple(mode.fit.coefficients.tolist()) for mode in modes}
+    return NightOutcome(night.date, OK, None, None, rows, model, seconds)
+
+
+def unfitted(
+    spec: MotorSpec,
+    night: dt.date,
+    status: str,
+    reason: str,
+    *,
+    code: str | None = None,
+    rows: Rows | None = None,
+    seconds: Mapping[str, float] | None = None,
+) -> NightOutcome:
+    """The outcome of a night without a fit: one row that says why, and what was counted so far."""
+    kept = {name: part for name, part in (rows or {}).items() if name in WITHOUT_A_FIT}
+    kept["fits"] = [unfitted_row(spec, night, status, reason, code)]
+    return NightOutcome(night, status, reason, code, kept, {}, seconds or {})
+
+
+@contextmanager
+def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
+    begin = time.perf_counter()
+    try:
+        yield
+    finally:
+        seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - begin
+
+
+def _clean(
+    spec: MotorSpec, night: Night, channels: MutableMapping[str, RawChannel]
+) -> tuple[Samples, tuple[Quality, ...]]:
+    cleaning = spec.settings.cleaning
+    too_long = means_too_long(spec.file.channels, cleaning)
+    if too_long is not None:
+        raise Insufficient(FAILED, too_long, code="means_too_long")
+    rules: dict[str, ChannelRules] = {
+        name: ChannelRules.of(name, channel, cleaning, spec.file.logs)
+        for name, channel in spec.file.channels.items()
+        if name != RUNNING_HOURS
+    }
+    cleaned = _cleaned(channels, rules, night.start_us)
+    counted = tuple(
+        Quality(
+            name,
+            reason,
+            channel.n_samples,
+            channel.counts.get(reason, 0),
+            channel.noted.get(reason, 0),
+        )
+        for name, channel in cleaned.items()
+        for reason in dict.fromkeys((*channel.counts, *channel.noted))
+    )
+    silent = [name for name, channel in cleaned.items() if not len(channel.time_us)]
+    if silent:
+        raise Insufficient(INSUFFICIENT_DATA, f"no samples of {', '.join(silent)} in this night")
+    if all(channel.period_us is None for channel in cleaned.values()):
+        raise Insufficient(INSUFFICIENT_DATA, "fewer than two samples in this night")
+    samples, joint = bring_together(
+        cleaned,
+        night.start_us,
+        night.end_us,
+        spec.settings.time_base,
+        cleaning,
+        spec.settings.transport_delay,
+        spec.settings.sensor_health,
+    )
+    return samples, counted + joint
+
+
+def _cleaned(
+    channels: MutableMapping[str, RawChannel], rules: Mapping[str, ChannelRules], start_us: int
+) -> dict[str, CleanChannel]:
+    """All channels cleaned, each taken out as soon as it is in order."""
+    # All of them are in order before one is judged: until then, one needs the stamps as read.
+    stamps = Stamps()
+    ordered = {
+        name: ordered_channel(channels.pop(name), one, start_us, stamps)
+        for name, one in rules.items()
+    }
+    stamps = Stamps()
+    return {name: judged_channel(ordered.pop(name), one, stamps) for name, one in rules.items()}
+
+
+def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorSpec) -> None:
+    still = next(
+        q.n_refused for q in quality if (q.channel, q.reason) == ("time_base", "standstill")
+    )
+    # Guard times alone may cover a night of a sensor at its maximum: that is no standstill.
+    if not samples.n_running and 2 * still > samples.n_grid:
+        raise Insufficient(STOOD_STILL, "the motor stood still all night")
+    if samples.kept_share < spec.settings.windows.minimum_kept_share:
+        worst = sorted(
+            (q for q in quality if q.reason not in ("any", "incomplete", "standstill", "guard")),
+            key=lambda q: -q.n_refused / max(q.n_samples, 1),
+        )[:2]
+        causes = "; ".join(
+            f"{q.channel} {q.reason} {100 * q.n_refused / q.n_samples:.0f} %"
+            for q in worst
+            if q.n_refused
+        )
+        limit = 100 * spec.settings.windows.minimum_kept_share
+        raise Insufficient(
+            INSUFFICIENT_DATA,
+            f"only {100 * samples.kept_share:.0f} % of the running motor's samples are kept, "
+            f"{limit:.0f} % are needed" + (f" ({causes})" if causes else ""),
+        )
+
+
+def _choose_parts(
+    spec: MotorSpec, night: Night, samples: Samples
+) -> tuple[Samples, tuple[Quality, ...]]:
+    """The samples in the parts of the night that are good enough, or set by hand."""
+    masks = left_out(
+        samples.time_us,
+        samples.period_us,
+        night.start_us,
+        spec.settings.windows,
+        HandSet.of(spec.file.periods, night),
+    )
+    counted = tuple(
+        Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()
+    )
+    outside = np.logical_or.reduce(list(masks.values()))
+    return (samples.only(~outside) if outside.any() else samples), counted
+
+
+def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
+    if len(samples.index):
+        return
+    causes = "; ".join(
+        f"{one.reason.replace('_', ' ')} {100 * one.n_refused / max(one.n_samples, 1):.0f} %"
+        for one in outside
+        if one.n_refused
+    )
+    raise Insufficient(
+        INSUFFICIENT_DATA,
+        f"no part of the night is good enough to fit ({causes} of the kept samples)",
+    )
+
+
+def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
+    n = sum(block.n for block in statistics.blocks if block.part == TRAINING)
+    minutes = n * statistics.samples.period_us / 60e6
+    needed = spec.settings.windows.minimum_training_minutes
+    if minutes < needed:
+        raise Insufficient(
+            INSUFFICIENT_DATA,
+            f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
+        )
+    training, samples = statistics.rows_of(TRAINING), statistics.samples
+    uniform = too_uniform(
+        {
+            "pressure": np.abs(samples.pressure_difference_bar[training]),
+            "speed": np.abs(samples.speed_rpm[training]),
+            "temperature": samples.oil_temperature_c[training],
+        },
+        spec.settings.windows,
+    )
+    if uniform is not None:
+        raise Insufficient(INSUFFICIENT_DATA, f"training: {uniform}")

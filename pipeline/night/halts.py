@@ -1,0 +1,130 @@
+"""Depressurised, settled halts: the only time at which a sensor's zero shows.
+
+A motor that stands still without pressure leaks nothing, so its pressure difference is 0 and its
+drain flow is the flushing alone. What the sensors then say is their zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.config import SensorHealth
+from pipeline.night.cleaning import CleanChannel
+
+
+@dataclass(frozen=True, slots=True)
+class Zero:
+    """What a sensor says while there is nothing to measure.
+
+    Attributes
+    ----------
+    value
+        Median over the halts of each halt's median, in the channel's unit.
+    standard_error
+        From the scatter between halts; None for fewer than three.
+    """
+
+    value: float
+    standard_error: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Halts:
+    """The zeros of a night.
+
+    Attributes
+    ----------
+    n
+        Depressurised, settled halts.
+    pressure_bar, flow_l_per_min
+        Zero of the pressure difference and of the drain flow, the flushing included; None where
+        there was no such halt.
+    """
+
+    n: int = 0
+    pressure_bar: Zero | None = None
+    flow_l_per_min: Zero | None = None
+
+
+def settled_halts(
+    standstill: Mask,
+    grid_us: Times,
+    channels: Mapping[str, CleanChannel],
+    settings: SensorHealth,
+) -> Halts:
+    """The zeros that a night's halts show.
+
+    Parameters
+    ----------
+    standstill
+        Where the motor stands still, on the time base, shape (n,).
+    grid_us
+        The time base, UTC microseconds, shape (n,).
+    channels
+        Cleaned channels; the pressure difference by itself or as two ports.
+    settings
+        When a halt counts as settled and as depressurised.
+
+    Returns
+    -------
+    Halts
+
+    Notes
+    -----
+    Samples refused as frozen count here: a sensor that has nothing to measure may well not move.
+    """
+    sides = {"pressure_difference": 1.0}
+    if "high_port_pressure" in channels:
+        sides = {"high_port_pressure": 1.0, "low_port_pressure": -1.0}
+    settle, needed = (
+        round(seconds * SECOND_US) for seconds in (settings.settle_s, settings.minimum_s)
+    )
+    zeros: list[tuple[float, float]] = []
+    for first, last in _stretches(standstill):
+        begin, end = int(grid_us[first]) + settle, int(grid_us[last])
+        if end - begin < needed:
+            continue
+        flow = _readings(channels["leakage_flow"], begin, end, needed)
+        ports = [
+            (sign, _readings(channels[name], begin, end, needed)) for name, sign in sides.items()
+        ]
+        if not len(flow) or not all(len(port) for _, port in ports):
+            continue
+        bar = sum(sign * float(np.median(port)) for sign, port in ports)
+        if abs(bar) <= settings.depressurised_below_bar and all(
+            np.ptp(port) <= settings.depressurised_below_bar for _, port in ports
+        ):
+            zeros.append((bar, float(np.median(flow))))
+    if not zeros:
+        return Halts()
+    pressures, flows = np.array(zeros).T
+    return Halts(len(zeros), _zero(pressures), _zero(flows))
+
+
+def _stretches(mask: Mask) -> NDArray[np.int64]:
+    """First and last place of each stretch, shape (k, 2)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8)))
+    places: NDArray[np.int64] = edges.reshape(-1, 2) - np.array([0, 1])
+    return places
+
+
+def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:
+    """What a sensor read in a stretch of time, below its maximum; nothing where that is too short.
+
+    The share of credible samples is taken for the share of the time, however they are sampled.
+    """
+    first, last = np.searchsorted(channel.time_us, [begin_us, end_us])
+    value, saturated = channel.value[first:last], channel.at_maximum[first:last]
+    readings: Values = value[np.isfinite(value) & ~saturated]
+    enough = len(readings) * (end_us - begin_us) >= needed_us * len(value)
+    return readings if enough else readings[:0]
+
+
+def _zero(halts: Values) -> Zero:
+    error = None if len(halts) < 3 else float(halts.std(ddof=1) / np.sqrt(len(halts)))
+    return Zero(float(np.median(halts)), error)

@@ -1,0 +1,238 @@
+"""Rows of `parameters` and `sensitivities`: what a fit says of each parameter, and how sure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage import (
+    AnnularGap,
+    Fit,
+    LeakagePath,
+    Parameter,
+    Parametrisation,
+    film_thickness_ratio,
+    path_flows_l_per_min,
+    regressors,
+)
+from leakage.identifiability import Judgement
+from leakage.sensitivities import Effect
+from pipeline.config import MotorSpec
+from pipeline.night.fit import FittedMode
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+
+MICROMETRE = 1e-6
+# A share is identified where it is known to this much of the whole, or to half of itself.
+WIDEST_SHARE = 0.02
+
+
+def parameter_rows(spec: MotorSpec, mode: FittedMode) -> list[Row]:
+    """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
+    fit = mode.fit
+    places = {path.name: place for place, path in enumerate(_columns(fit)) if path}
+    spreads = _spreads(fit)
+    rows: list[Row] = []
+    for path in fit.motor.paths:
+        row = _coefficient_row(mode, path, places.get(path.name), spreads)
+        rows.append(row)
+        if isinstance(path, AnnularGap):
+            rows += _gap_rows(spec, path, row, spreads)
+    return rows + _share_rows(mode)
+
+
+def _columns(fit: Fit) -> tuple[LeakagePath | None, ...]:
+    return Parametrisation.of(fit.motor).paths
+
+
+def _coefficient_row(
+    mode: FittedMode, path: LeakagePath, place: int | None, spreads: Mapping[str, float]
+) -> Row:
+    """The row of a coefficient: of a known path its configured value, else estimate and verdict."""
+    row: Row = {"parameter": path.coefficient_name, "unit": path.coefficient_unit}
+    if place is None:
+        value, judgement = path.configured_coefficient, Judgement("fixed", "configured", None)
+    else:
+        value = float(mode.fit.coefficients[place])
+        judgement = mode.identification.coefficients[place]
+    row |= {"value": value, "verdict": judgement.verdict, "reason": judgement.reason or None}
+    if place is None or judgement.verdict == "fixed":
+        return row
+    row["spread_over_starts"] = spreads.get(path.coefficient_name)
+    if judgement.interval is None:
+        return row
+    row |= _interval(value, judgement.interval.half_width)
+    row["bootstrap_lower"] = _finite(mode.bootstrap.lower[place])
+    row["bootstrap_upper"] = _finite(mode.bootstrap.upper[place])
+    systematic = mode.budget.coefficients()
+    row["systematic"] = None if systematic is None else float(systematic[place])
+    return row
+
+
+def _interval(value: float, half_width: float) -> Row:
+    return {"lower": value - half_width, "upper": value + half_width}
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _gap_rows(
+    spec: MotorSpec, path: AnnularGap, coefficient: Row, spreads: Mapping[str, float]
+) -> list[Row]:
+    """What a loss factor says of gap height, eccentricity and film thickness."""
+    h_range, e_range = _feasible(path, coefficient["value"])
+    roughness = [um * MICROMETRE for um in spec.motor_type.surface_roughness_um]
+    films = film_thickness_ratio(
+        np.array(h_range) * MICROMETRE, np.array(e_range)[::-1], *roughness
+    ).tolist()
+    gap = _range_row(f"h_{path.name}", "um", *h_range)
+    film = _range_row(f"film_thickness_ratio_{path.name}", "1", *films)
+    rows = [gap, film]
+    if path.eccentricity is not None:
+        rows.insert(1, _range_row(f"e_{path.name}", "1", *e_range))
+    for row in rows:
+        row["spread_over_starts"] = spreads.get(row["parameter"])
+        row |= _gap_verdict(path, coefficient)
+        row["geometry_is_placeholder"] = path.geometry_is_placeholder
+    e_is_known = e_range[0] == e_range[1]
+    if "lower" in coefficient and e_is_known and _is_free(path.gap):
+        # Alone in its loss factor, a gap is known as well as that: h goes with its cube root.
+        limits = np.maximum([coefficient["lower"], coefficient["upper"]], 0.0)
+        gap["lower"], gap["upper"] = path.gap_um_from_coefficient(limits, e_range[0]).tolist()
+    return rows
+
+
+def _is_free(parameter: Parameter) -> bool:
+    return parameter.lowest < parameter.highest
+
+
+def _feasible(
+    path: AnnularGap, coefficient_m3: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible."""
+    e = path.eccentricity
+    if e is None:
+        h = float(path.gap_um_from_coefficient(coefficient_m3))
+        return (h, h), (0.0, 0.0)
+    smallest, largest = path.feasible_gap_um(coefficient_m3)
+    low = min(max(smallest, path.gap.lowest), path.gap.highest)
+    high = max(min(largest, path.gap.highest), low)
+
+    def eccentricity(h: float) -> float:
+        # The ends of the range as they are: the root below makes 1e-8 of a rounding error.
+        if h in (smallest, largest):
+            return e.highest if h == smallest else e.lowest
+        widening = coefficient_m3 / float(path.coefficient([h, 0.0])) - 1.0
+        return float(np.clip(np.sqrt(max(widening, 0.0) / 1.5), e.lowest, e.highest))
+
+    if not _is_free(e):
+        return (low, high), (e.value, e.value)
+    return (low, high), (eccentricity(high), eccentricity(low))
+
+
+def _range_row(parameter: str, unit: str, low: float, high: float) -> Row:
+    """A parameter of which the loss factor allows a range; a value where that is a point."""
+    value = low if low == high else None
+    row: Row = {"parameter": parameter, "value": value, "unit": unit}
+    return row | {"feasible_min": low, "feasible_max": high}
+
+
+def _gap_verdict(path: AnnularGap, coefficient: Row) -> Row:
+    """A gap's verdict is its loss factor's, unless an unknown eccentricity shares that."""
+    e = path.eccentricity
+    shared = e is not None and _is_free(e) and _is_free(path.gap)
+    if not shared or coefficient["verdict"] == "fixed":
+        return {"verdict": coefficient["verdict"], "reason": coefficient["reason"]}
+    return {
+        "verdict": "only_in_combination",
+        "reason": f"only {path.coefficient_name} ∝ h³(1 + 1.5e²) shows in the data",
+    }
+
+
+def _spreads(fit: Fit) -> dict[str, float]:
+    """Largest minus smallest value of parameters and coefficients over starts at the minimum."""
+    starts = fit.starts_at_minimum
+    if not starts:
+        return {}
+    parametrisation = Parametrisation.of(fit.motor)
+    finals = np.array([start.final for start in starts])
+    thetas = np.array([parametrisation.coefficients(final)[0] for final in finals])
+    names = [path.coefficient_name if path else "" for path in parametrisation.paths]
+    spreads = dict(zip(names, np.ptp(thetas, axis=0).tolist(), strict=True))
+    free = [parameter.name for parameter in parametrisation.free]
+    return spreads | dict(zip(free, np.ptp(finals, axis=0).tolist(), strict=True))
+
+
+def _share_rows(mode: FittedMode) -> list[Row]:
+    """Share of each path in the reference leakage, where the data determine it.
+
+    With L = Σ K_i φ_i + known, the share Q_j / L has the gradient φ_i (δ_ij L − Q_j) / L².
+    """
+    reference, fit = mode.reference, mode.fit
+    if reference.verdict not in ("identified", "fixed"):
+        return [
+            {"parameter": f"share_{path.name}", "unit": "1", "value": None}
+            | {"verdict": reference.verdict, "reason": reference.reason}
+            for path in fit.motor.paths
+            if path is not fit.motor.constant
+        ]
+    flows = path_flows_l_per_min(fit.motor, mode.reference_conditions, fit.coefficients_by_path)
+    total = reference.leakage_l_per_min
+    slopes = np.append(regressors(fit.motor, mode.reference_conditions)[0, :-2], 0.0)
+    places = {path.name: place for place, path in enumerate(fit.motor.column_paths)}
+    rows = []
+    for path in fit.motor.paths:
+        if path is fit.motor.constant:
+            continue
+        flow = float(flows[path.name][0])
+        gradient = -slopes * flow / total**2
+        if path.name in places:
+            gradient[places[path.name]] += slopes[places[path.name]] / total
+        rows.append(_share_row(mode, path, flow / total, gradient))
+    return rows
+
+
+def _share_row(mode: FittedMode, path: LeakagePath, share: float, gradient: Array) -> Row:
+    row: Row = {"parameter": f"share_{path.name}", "unit": "1", "value": share}
+    if mode.reference.verdict == "fixed":
+        return row | {"verdict": "fixed", "reason": mode.reference.reason}
+    distribution = mode.identification.distribution
+    interval = None if distribution is None else distribution.interval(gradient)
+    if interval is None:
+        return row | {"verdict": "not_identified", "reason": "the samples do not span it"}
+    if interval.half_width > max(WIDEST_SHARE, share / 2):
+        reason = f"known to ± {100 * interval.half_width:.0f} % of the leakage only"
+        return row | {"value": None, "verdict": "not_identified", "reason": reason}
+    return row | {"verdict": "identified"} | _interval(share, interval.half_width)
+
+
+def sensitivity_rows(mode: FittedMode) -> list[Row]:
+    """Rows of `sensitivities`: what each stated tolerance does to each figure."""
+    return [row for effect in mode.budget.effects for row in _effect_rows(mode, effect)]
+
+
+def _effect_rows(mode: FittedMode, effect: Effect) -> list[Row]:
+    source: Row = {
+        "source": effect.source.name,
+        "tolerance": effect.source.tolerance,
+        "tolerance_unit": effect.source.unit,
+    }
+    rows: list[Row] = [
+        {"indicator": path.coefficient_name, "unit": path.coefficient_unit}
+        | {"effect": float(effect.coefficients[place])}
+        for place, path in enumerate(_columns(mode.fit))
+        if path is not None and path.is_free
+    ]
+    leakages = effect.leakages_l_per_min.tolist()
+    rows += [
+        {"indicator": name, "unit": "l_per_min", "effect": value}
+        for name, value in zip(
+            ("reference_leakage", "own_conditions_leakage"), leakages, strict=True
+        )
+    ]
+    return [row | source for row in rows]

@@ -1,0 +1,436 @@
+"""The rows that a motor's night leaves in each table."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
+from leakage.uncertainty import Interval
+from leakage.validation import (
+    Agreement,
+    agreement,
+    criteria,
+    effective_sample_count,
+    lag_one_autocorrelation,
+)
+from pipeline.config import MotorSpec
+from pipeline.night.block_fit import BlockFit
+from pipeline.night.fit import PA_PER_BAR, FittedMode, own_conditions, transport_delays_s
+from pipeline.night.operation_rows import coarse_histogram
+from pipeline.night.parameter_rows import parameter_rows, sensitivity_rows
+from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
+from pipeline.night.statistics import NightStatistics
+from pipeline.night.time_base import Quality
+from pipeline.night.windows import TRAINING, VALIDATION
+from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
+from pipeline.thinning import keep_extremes
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+Rows = dict[str, list[Row]]
+
+# Points a night in the table of predictions: enough for a plot, not for an analysis.
+PREDICTION_POINTS = 720
+
+
+def utc(microseconds: int) -> dt.datetime:
+    """A time stamp as the tables hold it."""
+    return dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(microseconds=int(microseconds))
+
+
+def unfitted_row(
+    spec: MotorSpec, night: dt.date, status: str, reason: str, code: str | None
+) -> Row:
+    """The one row in `fits` of a night without a fit."""
+    return {
+        "motor_id": spec.motor_id,
+        "motor_type": spec.file.motor_type,
+        "night": night,
+        "flushing_mode": spec.file.flushing.mode,
+        "is_primary": True,
+        "status": status,
+        "reason": reason,
+        "error_code": code,
+        "oil": spec.file.oil_on(night),
+    }
+
+
+def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
+    """Rows of `quality`: every rule that was applied, those that refused nothing too."""
+    return [
+        {
+            "motor_id": motor_id,
+            "night": night,
+            "channel": one.channel,
+            "reason": one.reason,
+            "n_samples": one.n_samples,
+            "n_refused": one.n_refused,
+            "n_noted": one.n_noted,
+        }
+        for one in found
+    ]
+
+
+def statistics_rows(
+    motor_id: str, night: dt.date, motor: Motor, statistics: NightStatistics
+) -> list[Row]:
+    """Rows of `block_statistics`."""
+    samples = statistics.samples
+    beyond = speed_beyond_curve(motor, samples.speed_rpm)
+    channels = {
+        "pressure": ("bar", np.abs(samples.pressure_difference_bar), PRESSURE_EDGES_BAR),
+        "temperature": ("c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
+        "speed": ("rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
+    }
+    rows = []
+    for block, r in zip(statistics.blocks, statistics.factors, strict=True):
+        part = slice(block.first_row, block.end_row)
+        row: Row = {
+            "motor_id": motor_id,
+            "night": night,
+            "block_start": utc(block.start_us),
+            "block_end": utc(block.end_us),
+            "part": block.part,
+            "n": block.n,
+            "columns": list(motor.columns),
+            "statistics": upper_triangle(r),
+            "share_reversed": float(np.mean(samples.speed_rpm[part] < 0)),
+            "n_beyond_curve": int(beyond[part].sum()),
+            "model_hash": statistics.model_hash,
+        }
+        for name, (unit, values, edges) in channels.items():
+            row |= _spread(name, unit, values[part], edges)
+        rows.append(row)
+    return rows
+
+
+def _spread(name: str, unit: str, values: Array, edges: tuple[float, ...]) -> Row:
+    """Mean, limits and coarse histogram of a channel in a block; the end bins hold all beyond."""
+    return {
+        f"mean_{name}_{unit}": float(values.mean()),
+        f"minimum_{name}_{unit}": float(values.min()),
+        f"maximum_{name}_{unit}": float(values.max()),
+        f"{name}_histogram": coarse_histogram(values, edges),
+    }
+
+
+def fit_rows(
+    spec: MotorSpec,
+    night: dt.date,
+    statistics: NightStatistics,
+    modes: Sequence[FittedMode],
+    previous: Mapping[str, tuple[float, ...]],
+) -> Rows:
+    """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
+    shared = _shared_columns(spec, night, statistics)
+    period_s = statistics.samples.period_us / 1e6
+    rows: Rows = {
+        "fits": [],
+        "parameters": [],
+        "sensitivities": [],
+        "starts": [],
+        "residual_tests": [],
+        "residual_verdicts": [],
+    }
+    for mode in modes:
+        key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
+        own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
+        rows["fits"].append(own | criteria_columns(own))
+        rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
+        rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
+        rows["starts"] += [key | row for row in start_rows(mode.fit)]
+        for name, made in (
+            ("residual_tests", residual_test_rows),
+            ("residual_verdicts", residual_verdict_rows),
+        ):
+            rows[name] += [key | row for row in made(mode.residuals, period_s)]
+    mark_modes(rows["fits"], spec.file.flushing.mode)
+    return rows
+
+
+def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
+    """What a night's fits have in common."""
+    samples, model = statistics.samples, spec.settings.model
+    training, validation = (statistics.rows_of(part) for part in (TRAINING, VALIDATION))
+    used = np.flatnonzero(training | validation)
+    reference = spec.settings.reference
+    share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
+    pressure, temperature, speed = own_conditions(statistics)
+    return {
+        "motor_type": spec.file.motor_type,
+        "window_start": utc(samples.time_us[used[0]]),
+        "window_end": utc(samples.time_us[used[-1]]),
+        "status": "ok",
+        "n_training": int(training.sum()),
+        "n_validation": int(validation.sum()),
+        "smoothing_s": spec.settings.smoothing.window_s,
+        "reference_pressure_bar": reference.pressure_bar,
+        "reference_temperature_c": reference.temperature_c,
+        "reference_speed_rpm": reference.speed_rpm,
+        "own_pressure_bar": pressure,
+        "own_temperature_c": temperature,
+        "own_speed_rpm": speed,
+        "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
+        "kept_share": samples.kept_share,
+        "film_pressure": f"{model.film_pressure}{share}",
+        "two_sided": model.two_sided,
+        "loss": spec.settings.estimation.loss,
+        "oil": spec.file.oil_on(night),
+        "model_hash": statistics.model_hash,
+        "columns": list(spec.motor(night, spec.file.flushing.mode).columns),
+        "night_factor": upper_triangle(statistics.judged_on()),
+        "n_kept": len(samples.index),
+        "sample_period_s": samples.period_us / 1e6,
+        "mean_charge_over_case_bar": _mean_charge_bar(statistics),
+        "weight_inflation": statistics.inflation,
+        "is_refitted": False,
+    }
+
+
+def _mean_charge_bar(statistics: NightStatistics) -> float | None:
+    charge = statistics.conditions.charge_over_case_pa
+    return None if charge is None else float(charge.mean()) / PA_PER_BAR
+
+
+def _covariance(mode: BlockFit) -> list[float] | None:
+    """Upper triangle of the covariance of θ; a coefficient without a distribution has zeros."""
+    distribution = mode.identification.distribution
+    if distribution is None:
+        return None
+    whole = np.zeros((len(mode.fit.coefficients),) * 2)
+    whole[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
+    return upper_triangle(whole)
+
+
+def upper_triangle(matrix: Array) -> list[float]:
+    """The upper triangle of a square matrix, row by row, as tables hold it."""
+    values: list[float] = matrix[np.triu_indices(len(matrix))].tolist()
+    return values
+
+
+def _mode_columns(
+    spec: MotorSpec,
+    statistics: NightStatistics,
+    mode: FittedMode,
+    previous: tuple[float, ...] | None,
+) -> Row:
+    """Figures of one fit."""
+    chosen = statistics.rows_of(TRAINING)
+    consecutive = np.diff(statistics.samples.index[chosen]) == 1
+    phi = lag_one_autocorrelation(mode.error, consecutive)
+    configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
+    return {
+        "transport_delay_s": configured_delay,
+        "estimated_transport_delay_s": estimated_delay,
+        **search_columns(mode.fit),
+        "correlation_time_s": mode.excitation.correlation_time_s,
+        "n_effective": effective_sample_count(len(mode.error), phi),
+        "lag_one_autocorrelation": phi,
+        **agreement_columns(spec, statistics.judged_on, mode),
+        **previous_model_columns(spec, statistics.judged_on(), previous),
+        **block_fit_columns(mode),
+        **residual_columns(mode.residuals),
+        **leakage_columns(mode),
+    }
+
+
+def search_columns(fit: Fit) -> Row:
+    """How the search from several starts went."""
+    return {
+        "n_starts": len(fit.starts),
+        "n_starts_at_minimum": len(fit.starts_at_minimum),
+        "certificate_gap": fit.certificate_gap,
+    }
+
+
+def agreement_columns(
+    spec: MotorSpec,
+    judged_on: Callable[[str], Array],
+    mode: BlockFit,
+) -> Row:
+    """How a fit agrees with the samples of both parts.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    judged_on
+        Factor of the samples of a part.
+    mode
+        The fit.
+    """
+    fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
+    training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
+    validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
+    return {
+        "training_fit_percent": training.fit_percent,
+        "validation_fit_percent": validation.fit_percent,
+        "training_rmse_l_per_min": training.rmse_l_per_min,
+        "validation_rmse_l_per_min": validation.rmse_l_per_min,
+        "training_mean_error_l_per_min": training.mean_error_l_per_min,
+        "validation_mean_error_l_per_min": validation.mean_error_l_per_min,
+    }
+
+
+def previous_model_columns(
+    spec: MotorSpec, night_factor: Array, previous: tuple[float, ...] | None
+) -> Row:
+    """How the model before agrees with all of the night's samples.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    night_factor
+        Factor of all kept samples, shape (c, c).
+    previous
+        θ of the model before; None where there is none.
+    """
+    found = Agreement(0, None, None, None)
+    if previous is not None and len(previous) == len(night_factor) - 2:
+        resolution = spec.file.channels["leakage_flow"].resolution
+        found = agreement(night_factor, np.array(previous), resolution)
+    return {
+        "previous_model_fit_percent": found.fit_percent,
+        "previous_model_rmse_l_per_min": found.rmse_l_per_min,
+        "previous_model_mean_error_l_per_min": found.mean_error_l_per_min,
+    }
+
+
+def block_fit_columns(mode: BlockFit) -> Row:
+    """What the blocks of a fit say of it."""
+    certificate, fit = mode.fit.certificate, mode.fit
+    condition = certificate.condition_number
+    return {
+        "cost": certificate.cost,
+        "dual_residual": certificate.dual_residual,
+        "rank": certificate.rank,
+        "condition_number": condition if np.isfinite(condition) else None,
+        "singular_values": certificate.singular_values.tolist(),
+        "coefficients": fit.coefficients.tolist(),
+        "coefficient_covariance": _covariance(mode),
+        "interval_status": mode.identification.interval_status,
+        "n_interval_blocks": mode.identification.n_blocks,
+        "n_parameters": certificate.n_estimated,
+    }
+
+
+def criteria_columns(row: Row) -> Row:
+    """FPE and information criteria of a row of `fits`, by n_training and by n_effective."""
+    cost, d = row["cost"], row["n_parameters"]
+    # The criteria are those of a squared loss: a robust one has none of them.
+    squared = row["weight_inflation"] == 1.0
+    figures = criteria(cost, d, row["n_training"] if squared else 0)
+    honest = criteria(cost, d, (row["n_effective"] or 0.0) if squared else 0.0)
+    return {
+        "fpe": figures.fpe,
+        "aic": figures.aic,
+        "aicc": figures.aicc,
+        "bic": figures.bic,
+        "aic_effective": honest.aic,
+        "aicc_effective": honest.aicc,
+        "bic_effective": honest.bic,
+    }
+
+
+def mark_modes(rows: Sequence[Row], primary: str) -> None:
+    """Mark the primary fit of a night, and the one that is best on validation."""
+    on_validation = [row["validation_fit_percent"] for row in rows]
+    best = max((fit for fit in on_validation if fit is not None), default=None)
+    for row in rows:
+        row["is_primary"] = row["flushing_mode"] == primary
+        row["is_best_on_validation"] = (
+            None if best is None else row["validation_fit_percent"] == best
+        )
+
+
+def leakage_columns(mode: FittedMode) -> Row:
+    """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
+    reference, own = mode.reference, mode.own
+    identified = reference.verdict in ("identified", "fixed")
+    systematic = mode.budget.leakages_l_per_min()
+    own_identified = own.verdict in ("identified", "fixed")
+    own_range = _limits(own.leakage_l_per_min, own.interval if own_identified else None)
+    range_ = _limits(reference.leakage_l_per_min, reference.interval if identified else None)
+    return {
+        "reference_leakage_l_per_min": reference.leakage_l_per_min if identified else None,
+        "reference_leakage_lower": range_[0],
+        "reference_leakage_upper": range_[1],
+        "reference_leakage_systematic": (
+            float(systematic[0]) if identified and systematic is not None else None
+        ),
+        "reference_verdict": reference.verdict,
+        "reference_reason": reference.reason or None,
+        "outside_fitted_range": reference.verdict == "outside_fitted_range",
+        "own_conditions_leakage_l_per_min": own.leakage_l_per_min if own_identified else None,
+        "own_conditions_leakage_lower": own_range[0],
+        "own_conditions_leakage_upper": own_range[1],
+        "own_conditions_leakage_systematic": (
+            float(systematic[1]) if own_identified and systematic is not None else None
+        ),
+        "own_conditions_verdict": own.verdict,
+        "own_conditions_reason": own.reason or None,
+    }
+
+
+def _limits(value: float, interval: Interval | None) -> tuple[float | None, float | None]:
+    if interval is None:
+        return None, None
+    return value - interval.half_width, value + interval.half_width
+
+
+def start_rows(fit: Fit) -> list[Row]:
+    """Rows of `starts`."""
+    names = [parameter.name for parameter in Parametrisation.of(fit.motor).free]
+    reached = {start.number for start in fit.starts_at_minimum}
+    return [
+        {
+            "start": start.number,
+            "cost": start.cost if np.isfinite(start.cost) else None,
+            "status": start.status,
+            "reason": start.reason,
+            "iterations": start.iterations,
+            "at_minimum": start.number in reached,
+            "parameters": names,
+            "initial_values": start.initial.tolist(),
+            "final_values": start.final.tolist(),
+        }
+        for start in fit.starts
+    ]
+
+
+def prediction_rows(
+    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[FittedMode]
+) -> list[Row]:
+    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
+    samples = statistics.samples
+    measured = statistics.z[:, -1]
+    primary = statistics.z[:, :-1] @ np.append(modes[0].fit.coefficients, 1.0)
+    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
+    chosen = keep_extremes(
+        np.stack([measured, measured - primary, pressure, speed]).T, PREDICTION_POINTS
+    )
+    parts = statistics.parts_of(chosen)
+    z = statistics.z[chosen]
+    times = [utc(stamp) for stamp in samples.time_us[chosen].tolist()]
+    inputs = {
+        "pressure_difference_bar": pressure[chosen].tolist(),
+        "oil_temperature_c": samples.oil_temperature_c[chosen].tolist(),
+        "speed_rpm": speed[chosen].tolist(),
+        "measured_l_per_min": z[:, -1].tolist(),
+    }
+    rows: list[Row] = []
+    for mode in modes:
+        predicted = (z[:, :-1] @ np.append(mode.fit.coefficients, 1.0)).tolist()
+        key = {"motor_id": motor_id, "night": night, "flushing_mode": mode.name}
+        columns = {"time": times, "part": parts, **inputs, "predicted_l_per_min": predicted}
+        rows += [
+            key | dict(zip(columns, values, strict=True))
+            for values in zip(*columns.values(), strict=True)
+        ]
+    return rows

@@ -1,0 +1,429 @@
+"""One time base for all channels of a night, and the rules that need them all at once.
+
+The grid is anchored at the night's start, so it does not depend on which files a night came in.
+Slower channels are interpolated linearly, never across a gap or a refused sample; faster ones are
+averaged over a cell of the grid. An on-change channel begins with its last sample before the night.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import ceil
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import SECOND_US, Mask, Times, Values
+from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
+from pipeline.night.cleaning import CleanChannel
+from pipeline.night.halts import Halts, settled_halts
+from pipeline.night.masks import ROUNDING, near, transient
+from pipeline.night.time_order import Stamps
+from pipeline.night.transport_delay import Delay, delay_inputs
+
+# A channel with more than this many samples a cell of the grid is averaged, not interpolated.
+AVERAGE_ABOVE = 1.5
+# Share of a cell's samples that must be kept for its average.
+CELL_SHARE = 0.5
+# A mean stands for this share of its period on either side; half, and some for jitter.
+MEAN_REACH = 0.6
+NO_HALTS = Halts()
+INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+# Pressures against which a two-sided motor leaks; a sample needs those that are logged.
+LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """How many samples a rule looked at and refused, or kept although it applies."""
+
+    channel: str
+    reason: str
+    n_samples: int
+    n_refused: int
+    n_noted: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The kept samples of a night on its time base.
+
+    Attributes
+    ----------
+    index
+        Place of each kept sample on the grid, shape (n,), increasing.
+    time_us
+        UTC microseconds, shape (n,).
+    pressure_difference_bar, oil_temperature_c, speed_rpm, leakage_l_per_min
+        Shape (n,); pressure and speed with their sign.
+    low_pressures_bar
+        Those of charge, low port and case that are logged, shape (n,) each.
+    period_us
+        Period of the grid.
+    n_grid
+        Samples of the grid between the first and the last of the log.
+    n_running
+        Those of them that the log covers and in which the motor ran, away from standstill and its
+        guard times; where every channel is silent, nobody knows.
+    first_index
+        Place of the log's first sample on the grid.
+    delay
+        The transport delay that the samples were paired with; None where it is off.
+    n_logged, n_turning
+        Samples of the grid with a credible speed, and those of them above standstill.
+    halts
+        What the sensors said at depressurised, settled halts.
+    """
+
+    index: Times
+    time_us: Times
+    pressure_difference_bar: Values
+    oil_temperature_c: Values
+    speed_rpm: Values
+    leakage_l_per_min: Values
+    low_pressures_bar: Mapping[str, Values]
+    period_us: int
+    n_grid: int
+    n_running: int
+    first_index: int = 0
+    delay: Delay | None = None
+    n_logged: int = 0
+    n_turning: int = 0
+    halts: Halts = NO_HALTS
+
+    def only(self, chosen: Mask) -> Samples:
+        """These samples without those that are not chosen; the night stays as long as it was."""
+        return replace(
+            self,
+            index=self.index[chosen],
+            time_us=self.time_us[chosen],
+            pressure_difference_bar=self.pressure_difference_bar[chosen],
+            oil_temperature_c=self.oil_temperature_c[chosen],
+            speed_rpm=self.speed_rpm[chosen],
+            leakage_l_per_min=self.leakage_l_per_min[chosen],
+            low_pressures_bar={
+                name: value[chosen] for name, value in self.low_pressures_bar.items()
+            },
+        )
+
+    @property
+    def kept_share(self) -> float:
+        """Share of the running motor's samples that was kept."""
+        return len(self.index) / self.n_running if self.n_running else 0.0
+
+
+def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> int:
+    """Period of the time base [µs]: as stated, else of the fastest channel, within the limit.
+
+    The measured rate is rounded (to whole hertz, or whole seconds below 1 Hz), so that a logger's
+    jitter does not give each night a grid of its own. A channel that is sent on change has no rate
+    of its own and counts only where all are; means are not taken apart.
+    """
+    if settings.rate_hz is not None:
+        return round(SECOND_US / settings.rate_hz)
+    timed = [channel for channel in channels.values() if channel.period_us]
+    periodic = [channel for channel in timed if not channel.sampling.on_change] or timed
+    fastest = min(channel.period_us for channel in periodic if channel.period_us)
+    fastest = max(fastest, *(channel.sampling.mean_us for channel in channels.values()))
+    if fastest > SECOND_US / 1.5:
+        rounded = max(round(fastest / SECOND_US), 1) * SECOND_US
+    else:
+        rounded = round(SECOND_US / round(SECOND_US / fastest))
+    return max(rounded, ceil(SECOND_US / settings.maximum_rate_hz))
+
+
+def on_grid(
+    channel: CleanChannel, grid_us: Times, period_us: int, stamps: Stamps | None = None
+) -> tuple[Values, Mask, Mask]:
+    """A channel on the time base.
+
+    Parameters
+    ----------
+    channel
+        Cleaned samples.
+    grid_us
+        Times of the grid, shape (n,).
+    period_us
+        Period of the grid.
+    stamps
+        What is known of the stamps of channels that were brought onto this very grid before; None:
+        there are none.
+
+    Returns
+    -------
+    value, present, gap
+        Shape (n,) each; `value` is nan where not present; `gap` where the channel was silent.
+    """
+    n = len(grid_us)
+    if not n or not len(channel.time_us):
+        return np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_)
+    if channel.sampling.hold:
+        return _held(channel, grid_us)
+    if channel.sampling.mean_us > 0:
+        return _mean_of_its_period(channel, grid_us)
+    on_change = channel.sampling.on_change
+    if channel.period_us and not on_change and channel.period_us * AVERAGE_ABOVE < period_us:
+        return _averaged(channel, grid_us, period_us)
+    time = channel.time_us
+    places = (stamps or Stamps()).once(time, "places", lambda: _places(time, grid_us, period_us))
+    return _interpolated(channel, grid_us, places)
+
+
+def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
+    """How many samples lie before each time of an even grid: counted, not searched for.
+
+    Parameters
+    ----------
+    time_us
+        Times of samples, increasing, shape (m,).
+    grid_us
+        Times of the grid, shape (n,), `period_us` apart.
+    period_us
+        Period of the grid.
+
+    Returns
+    -------
+    ndarray of int
+        Shape (n,), as of ``numpy.searchsorted(time_us, grid_us)``.
+
+    Examples
+    --------
+    >>> samples_before(np.array([-7, 0, 3, 10, 99]), np.array([0, 10, 20]), 10)
+    array([1, 3, 4])
+    """
+    n = len(grid_us)
+    # Each sample is before all of the grid from here on.
+    begins = (time_us - grid_us[0]) // period_us + 1
+    counts = np.bincount(np.clip(begins, 0, n), minlength=n)
+    before: NDArray[np.intp] = np.cumsum(counts[:n])
+    return before
+
+
+class _Places(NamedTuple):
+    """Where samples lie on a time base.
+
+    Attributes
+    ----------
+    at
+        First sample at or after each time of the grid; the last one where there is none.
+    between
+        Times of the grid at which there is no sample.
+    left
+        The sample before each of these; -1 where there is none.
+    """
+
+    at: NDArray[np.intp]
+    between: NDArray[np.intp]
+    left: NDArray[np.intp]
+
+
+def _places(time_us: Times, grid_us: Times, period_us: int) -> _Places:
+    before = samples_before(time_us, grid_us, period_us)
+    at = np.minimum(before, len(time_us) - 1)
+    between = np.flatnonzero(time_us[at] != grid_us)
+    return _Places(at, between, before[between] - 1)
+
+
+def _interpolated(
+    channel: CleanChannel, grid_us: Times, places: _Places
+) -> tuple[Values, Mask, Mask]:
+    at, between, left = places
+    time, kept = channel.time_us, ~channel.refused
+    # Most times of the grid are those of samples.
+    result, present = channel.value[at], kept[at]
+    result += 0.0
+    silent = np.zeros(len(grid_us), dtype=np.bool_)
+
+    last = len(time) - 1
+    inside = (left >= 0) & (left < last)
+    left = np.clip(left, 0, max(last - 1, 0))
+    # What holds between two samples is told at each time between them, or once for both.
+    few = len(left) < len(time)
+    first = left if few else np.arange(len(time))
+    second = np.minimum(first + 1, last)
+    distance = time[second] - time[first]
+    asleep = distance > channel.longest_gap_us
+    if channel.ends is not None:
+        asleep |= channel.ends[first]
+    usable = ~asleep & kept[first] & kept[second]
+    value = np.where(kept[first], channel.value[first], np.nan)
+    change = np.where(kept[second], channel.value[second], np.nan) - value
+    of = slice(None) if few else left
+    share = (grid_us[between] - time[left]) / np.maximum(distance[of], 1)
+    result[between] = value[of] + share * change[of]
+    silent[between] = ~inside | asleep[of]
+    present[between] = inside & usable[of]
+    result[~present] = np.nan
+    return result, present, silent
+
+
+def _held(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
+    """The last sample, while it is not older than the longest silence; none after a refused one."""
+    last = np.searchsorted(channel.time_us, grid_us, side="right") - 1
+    known, last = last >= 0, np.maximum(last, 0)
+    silent = ~known | (grid_us - channel.time_us[last] > channel.longest_gap_us)
+    silent |= _ended(channel, last, grid_us)
+    present = ~silent & ~channel.refused[last]
+    return np.where(present, channel.value[last], np.nan), present, silent
+
+
+def _ended(channel: CleanChannel, last: NDArray[np.intp], grid_us: Times) -> Mask:
+    """Times behind a sample which says that there is no value from there on."""
+    if channel.ends is None:
+        return np.zeros(len(grid_us), dtype=np.bool_)
+    ended: Mask = channel.ends[last] & (channel.time_us[last] < grid_us)
+    return ended
+
+
+def _mean_of_its_period(channel: CleanChannel, grid_us: Times) -> tuple[Values, Mask, Mask]:
+    """The mean in whose period a time lies: interpolated means would be averaged once more."""
+    time = channel.time_us
+    right = np.minimum(np.searchsorted(time, grid_us), len(time) - 1)
+    left = np.maximum(right - 1, 0)
+    nearest = np.where(grid_us - time[left] < time[right] - grid_us, left, right)
+    reach = MEAN_REACH * channel.sampling.mean_us
+    silent = np.abs(grid_us - time[nearest]) > reach
+    present = ~silent & ~channel.refused[nearest]
+    return np.where(present, channel.value[nearest], np.nan), present, silent
+
+
+def _averaged(channel: CleanChannel, grid_us: Times, period_us: int) -> tuple[Values, Mask, Mask]:
+    n = len(grid_us)
+    cell = (channel.time_us - grid_us[0] + period_us // 2) // period_us
+    chosen = ~channel.refused & (cell >= 0) & (cell < n)
+    kept = np.bincount(cell[chosen], minlength=n)
+    total = np.bincount(cell[chosen], weights=channel.value[chosen], minlength=n)
+    assert channel.period_us is not None
+    present = kept >= CELL_SHARE * period_us / channel.period_us
+    result = np.full(n, np.nan)
+    result[present] = total[present] / kept[present]
+    within = (cell >= 0) & (cell < n)
+    silent = np.bincount(cell[within], minlength=n) == 0
+    return result, present, silent
+
+
+def bring_together(
+    channels: Mapping[str, CleanChannel],
+    night_start_us: int,
+    night_end_us: int,
+    time_base: TimeBase,
+    cleaning: Cleaning,
+    transport_delay: TransportDelay | None = None,
+    sensor_health: SensorHealth | None = None,
+) -> tuple[Samples, tuple[Quality, ...]]:
+    """All channels on one time base, and the joint rules: gap, standstill, guard, transient.
+
+    Parameters
+    ----------
+    channels
+        Cleaned channels; the pressure difference by itself or as two ports.
+    night_start_us, night_end_us
+        The night, half open, UTC microseconds.
+    time_base, cleaning, transport_delay, sensor_health
+        Settings; None: no delay, and the defaults.
+
+    Returns
+    -------
+    Samples, tuple of Quality
+        Kept samples, and counts of the joint rules.
+    """
+    period = grid_period_us(channels, time_base)
+    last = max(int(channel.time_us[-1]) for channel in channels.values())
+    begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)
+    end = min((last - night_start_us) // period, (night_end_us - night_start_us - 1) // period)
+    index = np.arange(begin, end + 1, dtype=np.int64)
+    grid = night_start_us + index * period
+    values: dict[str, Values] = {}
+    present: dict[str, Mask] = {}
+    found: list[Quality] = []
+    logged = np.zeros(len(grid), dtype=np.bool_)
+    stamps = Stamps()
+    for name, channel in channels.items():
+        values[name], present[name], silent = on_grid(channel, grid, period, stamps)
+        found.append(Quality(name, "gap", len(grid), int(silent.sum())))
+        logged |= ~silent
+    if "high_port_pressure" in channels:
+        high, low = "high_port_pressure", "low_port_pressure"
+        values["pressure_difference"] = values[high] - values[low]
+        present["pressure_difference"] = present[high] & present[low]
+    low_pressures = [name for name in LOW_PRESSURES if name in channels]
+    unpaired: dict[str, Mask] = {}
+    delay = None
+    if transport_delay is not None and transport_delay.mode != "off":
+        values, present, late, delay = delay_inputs(
+            values, present, period / SECOND_US, transport_delay
+        )
+        unpaired["transport_delay"] = late
+    complete = np.logical_and.reduce([present[name] for name in (*INPUTS, *low_pressures)])
+    masks = _joint_masks(channels, grid, period, values, present, cleaning) | unpaired
+    refused = np.logical_or.reduce(list(masks.values())) | ~complete
+    masks["incomplete"], masks["any"] = ~complete, refused
+    found += [
+        Quality("time_base", reason, len(grid), int(mask.sum())) for reason, mask in masks.items()
+    ]
+    kept = ~refused
+    pressure, temperature, speed, leakage = (values[name][kept] for name in INPUTS)
+    return (
+        Samples(
+            index=index[kept],
+            time_us=grid[kept],
+            pressure_difference_bar=pressure,
+            oil_temperature_c=temperature,
+            speed_rpm=speed,
+            leakage_l_per_min=leakage,
+            low_pressures_bar={name: values[name][kept] for name in low_pressures},
+            period_us=period,
+            n_grid=len(grid),
+            n_running=int((logged & ~masks["standstill"] & ~masks["guard"]).sum()),
+            first_index=begin,
+            delay=delay,
+            n_logged=int(present["speed"].sum()),
+            n_turning=int((present["speed"] & ~masks["standstill"]).sum()),
+            halts=settled_halts(
+                masks["standstill"], grid, channels, sensor_health or SensorHealth()
+            ),
+        ),
+        tuple(found),
+    )
+
+
+def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:
+    """Where the log of a night begins: with its first sample, or at once if all carry over."""
+    if all(channel.n_carried for channel in channels.values()):
+        return night_start_us
+    return min(
+        int(channel.time_us[channel.n_carried])
+        for channel in channels.values()
+        if len(channel.time_us) > channel.n_carried
+    )
+
+
+def _joint_masks(
+    channels: Mapping[str, CleanChannel],
+    grid: Times,
+    period_us: int,
+    values: Mapping[str, Values],
+    present: Mapping[str, Mask],
+    cleaning: Cleaning,
+) -> dict[str, Mask]:
+    speed, pressure = values["speed"], values["pressure_difference"]
+    slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
+    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
+    flow = channels["leakage_flow"]
+    # A halt drives oil backwards through the sensor, which then reads its maximum.
+    events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))
+    before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
+    masks = {"standstill": standstill, "guard": near(events, grid, before, after) & ~standstill}
+    if cleaning.refuse_transients:
+        period_s = period_us / SECOND_US
+        masks["transient"] = transient(
+            speed, present["speed"], period_s, cleaning.transient_speed_rpm_per_s
+        ) | transient(
+            pressure,
+            present["pressure_difference"],
+            period_s,
+            cleaning.transient_pressure_bar_per_s,
+        )
+    return masks

@@ -1,0 +1,177 @@
+"""Cells of a channel in the order of time, and which of them are samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from typing import TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import Mask, Times
+from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.clocks import (
+    backward_time,
+    duplicate_time,
+    jittered,
+    stray_time,
+    typical_period_us,
+    written_late,
+)
+from pipeline.night.masks import missing_sample
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True, slots=True)
+class Disorder:
+    """Samples, blank cells aside, that were out of order."""
+
+    n_put_back: int
+    n_backward: int
+    n_duplicate: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Order:
+    """How rows come into strict order of time.
+
+    Attributes
+    ----------
+    time_us
+        Stamps of the rows that are kept, in order.
+    rows
+        Which these are; None: all, as they are.
+    late, backward, repeated
+        Rows put back in order, and those left out as backward and as duplicates.
+    """
+
+    time_us: Times
+    rows: NDArray[np.intp] | Mask | None
+    late: NDArray[np.intp]
+    backward: NDArray[np.intp]
+    repeated: NDArray[np.intp]
+
+
+class Stamps:
+    """What is known of arrays of stamps: channels of one table share one, looked through once.
+
+    Nobody changes an array that it was asked of.
+    """
+
+    def __init__(self) -> None:
+        # With the stamps themselves: while they are here, nothing else has their address.
+        self._known: dict[Hashable, tuple[Times, object]] = {}
+
+    def order(self, time_us: Times, *, puts_in_order: bool) -> Order:
+        """As `order_of`."""
+        return self.once(
+            time_us, puts_in_order, lambda: order_of(time_us, puts_in_order=puts_in_order)
+        )
+
+    def period_us(self, time_us: Times) -> float | None:
+        """As `typical_period_us`."""
+        return self.once(time_us, "period", lambda: typical_period_us(time_us))
+
+    def n_jittered(self, time_us: Times, period_us: float | None) -> int:
+        """How many samples are `jittered`."""
+        return self.once(
+            time_us, ("jitter", period_us), lambda: int(jittered(time_us, period_us).sum())
+        )
+
+    def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
+        """What `find` finds out of some stamps, under its name: it is called once for them."""
+        key = (time_us.ctypes.data, len(time_us), what)
+        if key not in self._known:
+            self._known[key] = time_us, find()
+        return cast(Found, self._known[key][1])
+
+
+def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
+    """How rows come into strict order of their time.
+
+    Parameters
+    ----------
+    time_us
+        Times in the order of the log, shape (n,).
+    puts_in_order
+        Whether rows written late are put back in their place, not refused.
+
+    Examples
+    --------
+    >>> found = order_of(np.array([0, 10, 20, 40, 50, 30, 50]), puts_in_order=True)
+    >>> found.rows.tolist(), found.late.tolist(), found.repeated.tolist()
+    ([0, 1, 2, 5, 3, 4], [5], [6])
+    """
+    if bool((time_us[1:] > time_us[:-1]).all()):
+        return Order(time_us, None, *[np.empty(0, dtype=np.intp)] * 3)
+    backward = backward_time(time_us)
+    late = np.zeros(len(backward), dtype=np.bool_)
+    if puts_in_order:
+        late = written_late(time_us, backward)
+    backward = (backward & ~late) | stray_time(time_us, late)
+    if not late.any():
+        # As marks, which take an eighth of the memory.
+        repeated = duplicate_time(time_us, backward)
+        kept = ~(backward | repeated)
+        return Order(time_us[kept], kept, *map(np.flatnonzero, (late, backward, repeated)))
+    rows = np.flatnonzero(~backward)
+    rows = rows[np.argsort(time_us[rows], kind="stable")]
+    repeated = duplicate_time(time_us[rows], np.zeros(len(rows), dtype=np.bool_))
+    places = rows[~repeated]
+    left_out = np.flatnonzero(backward), rows[repeated]
+    return Order(time_us[places], places, np.flatnonzero(late), *left_out)
+
+
+def in_order(raw: RawChannel, rules: ChannelRules, stamps: Stamps) -> tuple[RawChannel, Disorder]:
+    """Cells in strict order of their corrected time, and what it took."""
+    order = stamps.order(raw.time_us, puts_in_order=rules.puts_in_order)
+    disorder = Disorder(
+        *(
+            int(np.count_nonzero(~raw.missing[rows]))
+            for rows in (order.late, order.backward, order.repeated)
+        )
+    )
+    cells = raw if order.rows is None else raw.rows(order.rows, order.time_us)
+    return _corrected(cells, rules), disorder
+
+
+def _corrected(raw: RawChannel, rules: ChannelRules) -> RawChannel:
+    """Samples at the times at which they hold."""
+    if not rules.sampling.shift_us:
+        return raw
+    return replace(raw, time_us=raw.time_us + rules.sampling.shift_us)
+
+
+def samples_of(
+    cells: RawChannel, rules: ChannelRules, period_us: float | None, stamps: Stamps
+) -> RawChannel:
+    """Cells in order without the blank ones that are no sample."""
+    if rules.sampling.on_change:
+        samples = _says_something(cells, rules)
+    elif cells.missing.any():
+        row_us = stamps.period_us(cells.time_us)
+        samples = ~cells.missing
+        samples |= missing_sample(cells.time_us, cells.missing, period_us, row_us)
+    else:
+        return cells
+    return cells if samples.all() else cells.rows(samples)
+
+
+def _says_something(cells: RawChannel, rules: ChannelRules) -> Mask:
+    """Cells of an on-change channel that hold a value, or say that there is none."""
+    if rules.has_rows_of_its_own:
+        return np.ones(len(cells.time_us), dtype=np.bool_)
+    says: Mask = ~cells.missing
+    return says if cells.bad_quality is None else says | cells.bad_quality
+
+
+def carried_over(early: RawChannel, rules: ChannelRules, earliest_us: float) -> RawChannel:
+    """The last sample of an on-change channel before the night, if it may hold into it; or none."""
+    says = _says_something(early, rules) & (early.time_us >= earliest_us)
+    rows = np.flatnonzero(says) if rules.sampling.on_change else np.empty(0, np.intp)
+    # Of two at one time the first one counts, as within the night.
+    last = rows[[np.argmax(early.time_us[rows])]] if len(rows) else rows
+    return _corrected(early.rows(last), rules)

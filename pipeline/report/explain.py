@@ -1,0 +1,232 @@
+"""`motor-leakage explain`: why a motor's night has the figures it has, or none, in words.
+
+Everything said comes from the published tables.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from leakage.validation import is_poor
+from pipeline.errors import UsageError
+from pipeline.report.explain_residuals import explain_residuals
+from pipeline.schema import (
+    FITS,
+    INPUT_FILES,
+    PARAMETERS,
+    QUALITY,
+    RESIDUAL_VERDICTS,
+    SENSITIVITIES,
+    Table,
+)
+from pipeline.store.tables import night_file, read_table
+
+Row = dict[str, Any]
+
+# A rule that refused less than this is not worth a line.
+WORTH_TELLING = 0.005
+LARGEST_EFFECTS = 3
+# Fits of a night by the column of `fits`, in words.
+FITS_OF_A_NIGHT = {
+    "training_fit_percent": "training",
+    "validation_fit_percent": "validation",
+    "previous_model_fit_percent": "the model before, on tonight",
+}
+
+
+def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
+    """Say in words what came of a motor's night.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    motor_id, night
+        Which.
+
+    Returns
+    -------
+    list of str
+        Lines.
+
+    Raises
+    ------
+    UsageError
+        If there is no row of that motor and night.
+    StoreError
+        If a table is damaged.
+    """
+    fits = _rows(output, FITS, motor_id, night)
+    if not fits:
+        raise UsageError(
+            "unknown_night", f"no row of motor {motor_id} in the night of {night}; run fit-fleet"
+        )
+    primary = next(row for row in fits if row["is_primary"])
+    lines = [_headline(motor_id, night, primary)]
+    lines += _files(_rows(output, INPUT_FILES, motor_id, night), primary["reason"])
+    lines += _refusals(_rows(output, QUALITY, motor_id, night))
+    if primary["status"] == "ok":
+        parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
+        sensitivities = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
+        lines += [*_fit(primary), *_leakage(primary), *_verdicts(parameters)]
+        lines += _budget(primary, sensitivities)
+        lines += explain_residuals(
+            primary, _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
+        )
+        lines += _modes(fits)
+    return lines
+
+
+def _rows(output: Path, table: Table, motor_id: str, night: dt.date) -> list[Row]:
+    path = night_file(output, table, night)
+    if not path.exists():
+        return []
+    rows = read_table(path, table).filter(motor_id=motor_id, night=night)
+    return rows.to_dicts()
+
+
+def _of(fit: Row, rows: list[Row]) -> list[Row]:
+    return [row for row in rows if row["flushing_mode"] == fit["flushing_mode"]]
+
+
+def _headline(motor_id: str, night: dt.date, fit: Row) -> str:
+    if fit["status"] == "ok":
+        window = f"{fit['window_start']:%Y-%m-%d %H:%M} to {fit['window_end']:%Y-%m-%d %H:%M} UTC"
+        return f"{motor_id}, night of {night}: fitted, {window}, flushing {fit['flushing_mode']}"
+    failure = f" ({fit['error_code']})" if fit["error_code"] else ""
+    return f"{motor_id}, night of {night}: {fit['status']}{failure}: {fit['reason']}"
+
+
+def _files(rows: list[Row], told: str | None) -> Iterator[str]:
+    for row in rows:
+        # What failed the night stands in the headline.
+        said = f"; {row['message']}" if row["message"] not in (None, told) else ""
+        size = "" if row["rows"] is None else f", {row['rows']} rows"
+        yield f"log {row['path']}: {row['status']}{size}{said}"
+
+
+def _refusals(rows: list[Row]) -> Iterator[str]:
+    told = [
+        row
+        for row in rows
+        if row["reason"] not in ("any", "incomplete")
+        and row["n_refused"] > WORTH_TELLING * max(row["n_samples"], 1)
+    ]
+    for row in sorted(told, key=lambda row: -row["n_refused"] / row["n_samples"]):
+        share = 100 * row["n_refused"] / row["n_samples"]
+        what = row["reason"].replace("_", " ")
+        yield f"refused: {row['channel']}, {what}: {share:.1f} % of {row['n_samples']} samples"
+
+
+def _fit(fit: Row) -> Iterator[str]:
+    yield (
+        f"kept {100 * fit['kept_share']:.0f} % of the running motor's samples; "
+        f"{fit['n_training']} train, {fit['n_validation']} validate"
+    )
+    parts = [
+        fit_words(name, fit[column])
+        for column, name in FITS_OF_A_NIGHT.items()
+        if fit[column] is not None
+    ]
+    yield f"fit: {', '.join(parts) or 'the flow has no shape to fit'}"
+    if fit["n_starts"]:
+        yield (
+            f"search: {fit['n_starts_at_minimum']} of {fit['n_starts']} starts end at the proven "
+            "minimum"
+        )
+    if fit["interval_status"] != "ok":
+        yield f"no intervals: {fit['interval_status']}"
+
+
+def fit_words(name: str, percent: float) -> str:
+    """A fit with its name; a poor one is called that.
+
+    Examples
+    --------
+    >>> fit_words("training", 99.14), fit_words("validation", -1295.0)
+    ('training 99.1 %', 'validation -1295.0 % (poor: worse than a constant flow)')
+    """
+    poor = " (poor: worse than a constant flow)" if is_poor(percent) else ""
+    return f"{name} {percent:.1f} %{poor}"
+
+
+def _leakage(fit: Row) -> Iterator[str]:
+    at = (
+        f"{fit['reference_pressure_bar']:g} bar, {fit['reference_temperature_c']:g} °C, "
+        f"{fit['reference_speed_rpm']:g} rpm"
+    )
+    if fit["reference_leakage_l_per_min"] is None:
+        yield f"no reference leakage ({at}): {fit['reference_reason']}"
+    else:
+        yield f"reference leakage ({at}): {_figure(fit, 'reference_leakage')}"
+    own = (
+        f"{fit['own_pressure_bar']:.0f} bar, {fit['own_temperature_c']:.1f} °C, "
+        f"{fit['own_speed_rpm']:.0f} rpm"
+    )
+    if fit["own_conditions_leakage_l_per_min"] is None:
+        yield f"no leakage at the night's own mean ({own}): {fit['own_conditions_reason']}"
+    else:
+        yield f"leakage at the night's own mean ({own}): {_figure(fit, 'own_conditions_leakage')}"
+
+
+def _figure(fit: Row, name: str) -> str:
+    """Value with its interval and its systematic ±, as far as there are any."""
+    text = f"{fit[f'{name}_l_per_min']:.4g} l/min"
+    if fit[f"{name}_lower"] is not None:
+        text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
+    if fit[f"{name}_systematic"] is not None:
+        text += f" ± {fit[f'{name}_systematic']:.2g} from stated tolerances"
+    return text
+
+
+def _verdicts(rows: list[Row]) -> Iterator[str]:
+    for row in rows:
+        if not row["parameter"].startswith(("K_", "C_", "scale_")):
+            continue
+        unit = f" {_in_words(row['unit'])}".rstrip()
+        text = f"{row['parameter']}: {row['verdict'].replace('_', ' ')}"
+        if row["verdict"] == "identified":
+            text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}]{unit}"
+        yield f"{text}; {row['reason']}" if row["reason"] else text
+
+
+def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
+    """The largest systematic effects on the leakage that was published."""
+    known = fit["reference_leakage_l_per_min"] is not None
+    name = "reference_leakage" if known else "own_conditions_leakage"
+    effects = [row for row in rows if row["indicator"] == name]
+    leakage = fit[f"{name}_l_per_min"]
+    if not effects or not leakage:
+        return
+    largest = sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]
+    told = ", ".join(
+        f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
+        for row in largest
+    )
+    yield f"largest systematic errors of the {name.replace('_', ' ')}: {told}"
+
+
+def _tolerance(row: Row) -> str:
+    if row["tolerance_unit"] == "1":
+        return f"{100 * row['tolerance']:g} %"
+    return f"{row['tolerance']:g} {_in_words(row['tolerance_unit'])}"
+
+
+def _in_words(unit: str) -> str:
+    """A unit of the tables as people write it."""
+    return {"m3": "m³", "um": "µm", "l_per_min": "l/min", "1": ""}.get(unit, unit)
+
+
+def _modes(fits: list[Row]) -> Iterator[str]:
+    if len(fits) < 2:
+        return
+    best = [row["flushing_mode"] for row in fits if row["is_best_on_validation"]]
+    told = ", ".join(
+        fit_words(row["flushing_mode"], row["validation_fit_percent"])
+        for row in fits
+        if row["validation_fit_percent"] is not None
+    )
+    yield f"modes of flushing on validation: {told}; best: {', '.join(best) or 'none'}"

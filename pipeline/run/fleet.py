@@ -1,0 +1,713 @@
+"""The nightly run: one motor a task over worker processes, then the tables, night by night.
+
+Tasks share nothing and return small outcomes as they finish. A motor whose worker dies costs that
+motor its run and no other: what was finished is kept, and each lost task is tried once more alone.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import fcntl
+import hashlib
+import logging
+import os
+import secrets
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pipeline.clock import latest_us, now
+from pipeline.config import Fleet, MotorSpec
+from pipeline.config.hashes import config_hash as hash_of_config
+from pipeline.config.hashes import settings_of, why_anew
+from pipeline.config.nights import night_of
+from pipeline.errors import EngineError, LockedError, StoreError
+from pipeline.logs.files import legible
+from pipeline.logs.ledger import Ledger, forget_nights, read_settings, write_months, write_settings
+from pipeline.logs.motor_logs import FATES
+from pipeline.night.fit_night import FAILED
+from pipeline.night.statistics import hash_of
+from pipeline.report.status import last_good_run
+from pipeline.run.disk_space import require_space
+from pipeline.run.mending import Damage, restore_decisions, share_due
+from pipeline.run.motor_task import plan_motor, run_motor
+from pipeline.run.parts import run_motors
+from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.run.verification import TableFault
+from pipeline.schema import (
+    ALARMS,
+    DATA_DICTIONARY,
+    DECISIONS,
+    MOTOR_OUTCOMES,
+    NIGHT_TABLES,
+    RUNS,
+    SCHEMA_VERSION,
+    TREND_TABLES,
+    TRENDS,
+    data_dictionary,
+    frame,
+)
+from pipeline.store.atomic_files import (
+    make_folders,
+    make_private_folder,
+    remove_all,
+    remove_leftovers,
+)
+from pipeline.store.heartbeat import Heartbeat
+from pipeline.store.interrupts import interrupts_held
+from pipeline.store.manifest import Key, manifest_keys
+from pipeline.store.object_store import ObjectStore
+from pipeline.store.publishing import Publisher
+from pipeline.store.working_copy import pull, working_copy
+from pipeline.telling.delivering import deliver
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.outbox import is_waiting, open_outbox, take_up
+from pipeline.telling.receivers import receivers_of
+from pipeline.trends.circuits import decisions_of
+from pipeline.trends.decisions import read_decisions
+from pipeline.trends.record import (
+    forget_records,
+    note_touched,
+    read_record,
+    trend_hash,
+    write_record,
+)
+from pipeline.trends.stage import (
+    TrendOutcome,
+    lost_trends,
+    run_trends,
+    trend_tasks,
+    with_q_values,
+    without_lost_motor,
+)
+from pipeline.trends.tonight import Tonight, tonight_of
+from pipeline.versions import own_version, versions
+from pipeline.workers.engine import RunTasks, nights_a_part, open_engine, results_of
+from pipeline.workers.local import Crew
+from pipeline.workers.process import Loss
+
+log = logging.getLogger(__name__)
+
+Progress = Callable[[MotorOutcome], None]
+
+# Seconds of a motor's task by stage, as `motor_outcomes` names them, and of a run, as `runs` does.
+MOTOR_STAGES = (
+    "read_s",
+    "clean_s",
+    "statistics_s",
+    "fit_s",
+    "residuals_s",
+    "refit_s",
+    "store_s",
+)
+STAGES = ("motors_s", "publish_s", "trends_s")
+PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
+# A task of trends reads the tables of all its motors at once.
+MOTORS_A_TREND_TASK = 32
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What a run is asked to do.
+
+    Attributes
+    ----------
+    fleet
+        The config.
+    motors
+        Ids of the motors to do; empty for all.
+    since, until
+        Labels of the first and last night to do; None: no limit.
+    force
+        Whether to make nights anew from their logs that nothing has changed of.
+    retry
+        Whether to try nights and logs again that failed.
+    with_starts
+        Whether nights that are, or were, fitted anew without their log get the starts of their
+        search.
+    clock
+        The time of the run, by which logs lie in the future.
+    """
+
+    fleet: Fleet
+    motors: tuple[str, ...] = ()
+    since: dt.date | None = None
+    until: dt.date | None = None
+    force: bool = False
+    retry: bool = False
+    with_starts: bool = False
+    clock: dt.datetime = field(default_factory=now)
+
+    @property
+    def specs(self) -> tuple[MotorSpec, ...]:
+        """The motors that are asked for."""
+        return tuple(
+            spec for spec in self.fleet.motors if not self.motors or spec.motor_id in self.motors
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """What came of a run.
+
+    Attributes
+    ----------
+    run_id
+        Hash of the inputs' contents, the code's version and the config.
+    outcomes
+        One a motor, sorted by id.
+    n_nights
+        Nights of motors that were written.
+    interrupted
+        Whether the run was stopped before all motors were done; what was finished is published.
+    seconds
+        Wall-clock time.
+    alarms
+        New rows of `alarms`.
+    seconds_by_stage
+        Of these: `motors_s` until all tasks were done, `publish_s` and `trends_s`.
+    damage
+        Published files that were found damaged or gone.
+    damage_left
+        What of it could not be made anew.
+    """
+
+    run_id: str
+    outcomes: tuple[MotorOutcome, ...]
+    n_nights: int
+    interrupted: bool
+    seconds: float
+    alarms: tuple[Mapping[str, Any], ...] = ()
+    seconds_by_stage: Mapping[str, float] = field(default_factory=dict)
+    damage: tuple[TableFault, ...] = ()
+    damage_left: tuple[TableFault, ...] = ()
+
+    @property
+    def files(self) -> Counter[str]:
+        """Log files of all motors by what came of them: read, unchanged, growing, failed, left."""
+        return sum((Counter(outcome.files) for outcome in self.outcomes), Counter())
+
+    @property
+    def failed(self) -> tuple[MotorOutcome, ...]:
+        """Motors with at least one failed night."""
+        return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)
+
+
+def run_fleet(
+    request: RunRequest, progress: Progress = lambda _: None, crew: Crew | None = None
+) -> RunResult:
+    """Fit every new night of a fleet's motors and publish the tables.
+
+    A motor whose task hangs or dies is done by a second run, when the first has published what the
+    others have made and told of their alarms.
+
+    Parameters
+    ----------
+    request
+        Fleet, and which part of it.
+    progress
+        Called with each motor's outcome as it finishes.
+    crew
+        Workers that were started before; None: there are none.
+
+    Returns
+    -------
+    RunResult
+
+    Raises
+    ------
+    LockedError
+        If another run writes to the same output.
+    StoreError
+        If nothing can be published, there is too little room for it, or the logs' object store
+        cannot be listed.
+    EngineError
+        If there is nothing that tasks could run on.
+    """
+    # One motor holds up no other.
+    result = _run_once(request, progress, crew, first=len(request.specs) > 1)
+    late = [outcome for outcome in result.outcomes if outcome.is_set_aside]
+    if not late or result.interrupted:
+        return result
+    again = replace(request, motors=tuple(outcome.motor_id for outcome in late))
+    try:
+        return _joined(result, _run_once(again, progress, None, first=False))
+    except (LockedError, EngineError) as error:
+        log.warning("%s; the next run does what is left", error)
+    for outcome in late:
+        progress(outcome)
+    return result
+
+
+def _joined(first: RunResult, second: RunResult) -> RunResult:
+    """The result of a run, together with that of the one which did what it had set aside."""
+    outcomes = {outcome.motor_id: outcome for outcome in (*first.outcomes, *second.outcomes)}
+    seconds = Counter(first.seconds_by_stage)
+    seconds.update(second.seconds_by_stage)
+    return replace(
+        first,
+        outcomes=tuple(outcomes[motor_id] for motor_id in sorted(outcomes)),
+        n_nights=first.n_nights + second.n_nights,
+        interrupted=second.interrupted,
+        seconds=first.seconds + second.seconds,
+        alarms=(*first.alarms, *second.alarms),
+        seconds_by_stage=dict(seconds),
+        damage=(*first.damage, *second.damage),
+        # What the first left may be of a motor that the second did.
+        damage_left=second.damage_left,
+    )
+
+
+def _run_once(
+    request: RunRequest, progress: Progress, crew: Crew | None, *, first: bool
+) -> RunResult:
+    """Do a run; the first of two sets motors aside that hang or die."""
+    fleet, output = request.fleet, request.fleet.output
+    receivers = receivers_of(fleet.settings.alarms)
+    if fleet.log_url:
+        _require_logs(fleet.log_url)
+    if not fleet.object_store:
+        require_space(output, request.specs, fleet.execution, crew)
+    with (
+        locked(output),
+        Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
+    ):
+        remove_leftovers([output], below=False)
+        remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
+        with working_copy(fleet.object_store, output) as restore, staging_folder(output) as staging:
+            if fleet.object_store:
+                # A working copy knows its logs only once it is up to date.
+                require_space(output, request.specs, fleet.execution, crew)
+                heartbeat.say(last_good_run=_last_good_run(output))
+            folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
+            stores = (fleet.log_url,) if fleet.log_url else ()
+            open_outbox(output, [one.name for one in receivers], fleet.name)
+            with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
+                damage = Damage(output, restore)
+                result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
+            _take_up(fleet)
+        # What was said before may not be published: now it is.
+        heartbeat.finished(result.run_id, good=not result.interrupted)
+        _tell(fleet, receivers)
+    return result
+
+
+def _take_up(fleet: Fleet) -> None:
+    """Queue what was published; where that fails, the next run does it."""
+    try:
+        take_up(fleet.output, fleet.name)
+    except StoreError as error:
+        log.warning("alarms: %s; the next run tells of them", error)
+
+
+def _tell(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
+    """Deliver what waits; that it cannot be delivered costs nobody the run."""
+    try:
+        if is_waiting(fleet.output):
+            # What was delivered is to be known on every machine.
+            with working_copy(fleet.object_store, fleet.output):
+                for fault in deliver(fleet.output, receivers, fleet.name):
+                    log.warning("%s", fault)
+    except StoreError as error:
+        log.warning("alarms: %s; what was delivered may be delivered again", error)
+
+
+def _require_logs(url: str) -> None:
+    """Refuse a run whose logs nobody can list: each of its motors would fail of it."""
+    next(ObjectStore.at(url).list(), None)
+
+
+def refresh(fleet: Fleet) -> int:
+    """Bring the working copy of what is published in an object store up to date.
+
+    Returns
+    -------
+    int
+        How many files are published.
+
+    Raises
+    ------
+    LockedError
+        If a run works in it.
+    StoreError
+        If it cannot be read.
+    """
+    with locked(fleet.output):
+        return len(pull(ObjectStore.at(fleet.object_store), fleet.output).files)
+
+
+def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
+    """What a run would do now, motor by motor; nothing is read of a log but its ends, or written.
+
+    Raises
+    ------
+    StoreError
+        If a published table that is needed is damaged.
+    """
+    output = request.fleet.output
+    for spec in request.specs:
+        yield spec.motor_id, plan_motor(_task(request, spec, output / "staging"))
+
+
+def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
+    """Motors whose trends a run would make anew from their first night on, and why, in words.
+
+    Those of nights that are new or made anew follow in any case.
+    """
+    output, specs = request.fleet.output, request.specs
+    decisions = decisions_of(specs, read_decisions(output))
+    for spec in specs:
+        record = read_record(output, spec.motor_id)
+        if record is not None and record.trend_hash != trend_hash(spec, decisions[spec.motor_id]):
+            before, now = read_settings(output, spec.motor_id), settings_of(spec)
+            yield (
+                spec.motor_id,
+                "a baseline was reset, or a new version"
+                if before == now
+                else why_anew(before, now, trends=True),
+            )
+
+
+def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
+    return MotorTask(
+        spec=spec,
+        output=request.fleet.output,
+        staging=staging,
+        since=request.since,
+        until=request.until,
+        force=request.force,
+        retry=request.retry,
+        with_starts=request.with_starts,
+        nights_a_part=nights_a_part(request.fleet.execution, len(request.specs)),
+        latest_us=latest_us(request.clock),
+    )
+
+
+def _last_good_run(output: Path) -> dt.datetime | None:
+    try:
+        return last_good_run(output)
+    except StoreError as error:
+        log.warning("%s", error)
+        return None
+
+
+def _run(
+    request: RunRequest,
+    staging: Path,
+    progress: Progress,
+    heartbeat: Heartbeat,
+    run_tasks: RunTasks,
+    damage: Damage,
+    *,
+    first: bool,
+) -> RunResult:
+    started, begin = dt.datetime.now(dt.UTC), time.perf_counter()
+    fleet = request.fleet
+    damage.look_around(share_due(fleet.output, fleet.execution.prove_within_days, started))
+    restore_decisions(fleet.output)
+    tasks = [_task(request, spec, staging) for spec in request.specs]
+    outcomes: dict[str, MotorOutcome] = {}
+    interrupted = False
+    try:
+        for outcome in _motors(run_tasks, tasks, first=first):
+            outcomes[outcome.motor_id] = outcome
+            if not outcome.is_set_aside:
+                heartbeat.motor_done()
+                progress(outcome)
+    except KeyboardInterrupt:
+        interrupted = True
+    ends = [time.perf_counter()]
+    finished = [outcomes[motor_id] for motor_id in sorted(outcomes)]
+    config_hash = _config_hash(tasks)
+    run_id = _run_id(finished, config_hash)
+    heartbeat.say(stage="publishing", run_id=run_id)
+    publisher = Publisher(fleet.output, staging, run_id)
+    with interrupts_held() as came:
+        damage.look_into(_keys_of(finished))
+        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+    interrupted = interrupted or bool(came)
+    ends.append(time.perf_counter())
+    heartbeat.say(stage="trends")
+    failures: Mapping[str, Loss] = {}
+    alarms: Sequence[Mapping[str, Any]] = ()
+    if not interrupted:
+        try:
+            failures, alarms, interrupted = _publish_trends(request, publisher, finished, run_tasks)
+        except KeyboardInterrupt:
+            interrupted = True
+    finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
+    codes = {outcome.error_code for outcome in finished} | {one.code for one in failures.values()}
+    if "store_read" in codes:
+        # What a task could not read is found and named; the next run makes it anew.
+        damage.look_into(manifest_keys(fleet.output))
+    for name in publisher.damaged:  # the publisher has said so
+        damage.found.setdefault(name, TableFault(name, "table_altered", PUT_ASIDE_LATE))
+    ends.append(time.perf_counter())
+    stages = zip(STAGES, [begin, *ends], ends, strict=False)
+    result = RunResult(
+        run_id,
+        tuple(finished),
+        n_nights,
+        interrupted,
+        seconds=ends[-1] - begin,
+        alarms=tuple(alarms),
+        seconds_by_stage={name: end - start for name, start, end in stages},
+        damage=tuple(damage.found.values()),
+        damage_left=tuple(damage.left({one.motor_id: one.nights for one in finished})),
+    )
+    heartbeat.say(stage="recording")
+    with interrupts_held() as came:
+        _publish_run(publisher, request, result, started, config_hash)
+    interrupted = interrupted or bool(came)
+    return replace(result, interrupted=interrupted)
+
+
+def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
+    """The manifests of the nights that some motors have made."""
+    nights = {night for outcome in outcomes for night in outcome.nights}
+    return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
+
+
+def _motors(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
+) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors; those for which there was no engine any more have failed."""
+    left = {task.spec.motor_id: task for task in tasks}
+    try:
+        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
+            del left[outcome.motor_id]
+            yield outcome
+    except EngineError as error:
+        if len(left) == len(tasks):
+            raise
+        log.warning("%s; what is finished is kept", error)
+        yield from (lost(task, Loss(error.code, error.message)) for task in left.values())
+
+
+@contextmanager
+def locked(output: Path) -> Iterator[None]:
+    """Hold the output for one run; the lock ends with the process, however that ends."""
+    holder = (
+        f"process {os.getpid()} on {socket.gethostname()} "
+        f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
+    )
+    try:
+        make_folders(output)
+        stream = (output / "lock").open("a+", encoding="utf-8")
+    except OSError as error:
+        raise StoreError(
+            "store_write", f"{output} cannot be written: {error.strerror}; choose another output"
+        ) from error
+    with stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            stream.seek(0)
+            holder = stream.read().strip() or "unknown"
+            raise LockedError("locked", f"another run writes to this output: {holder}") from None
+        except OSError as error:
+            raise StoreError(
+                "store_write", f"{output} cannot be locked: {error.strerror}; choose a local folder"
+            ) from error
+        # On a full disk nobody can be told who holds the lock; it is held all the same.
+        with suppress(OSError):
+            os.truncate(stream.fileno(), 0)
+            os.write(stream.fileno(), holder.encode())
+        yield
+
+
+@contextmanager
+def staging_folder(output: Path) -> Iterator[Path]:
+    """A folder for this run's staged rows; those of killed runs are removed.
+
+    Nobody else may enter it: what tasks leave there for each other is unpickled.
+    """
+    root = output / "staging"
+    remove_all(root)
+    # A name of its own: a worker of a killed run may still write into the folder of that one.
+    folder = root / secrets.token_hex(8)
+    try:
+        make_private_folder(folder)
+    except OSError as error:
+        remove_all(root)
+        raise StoreError(
+            "store_write", f"{root} cannot be written: {error.strerror}; look what is there"
+        ) from error
+    try:
+        yield folder
+    finally:
+        remove_all(root)
+
+
+def _publish(
+    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
+) -> int:
+    """Publish what the motors' tasks have staged, then what was remembered of it."""
+    for outcome in outcomes:
+        if outcome.nights:
+            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+    # Of a motor without a new night there may be the row of a log that is of none.
+    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
+    publisher.nights(NIGHT_TABLES, staged, forget_nights)
+    publisher.whole(DATA_DICTIONARY, data_dictionary())
+    for outcome in outcomes:
+        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
+        if outcome.finished:
+            spec = specs[outcome.motor_id]
+            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
+    return sum(len(outcome.nights) for outcome in outcomes)
+
+
+def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
+    """What is to be remembered of a motor, but for nights whose published rows were lost."""
+    months = dict(outcome.ledger)
+    for night, kept in publisher.lost.items():
+        if outcome.motor_id not in kept:
+            months = {month: ledger.without({night}) for month, ledger in months.items()}
+    return months
+
+
+def _publish_trends(
+    request: RunRequest,
+    publisher: Publisher,
+    outcomes: Sequence[MotorOutcome],
+    run_tasks: RunTasks,
+) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
+    """Make and publish the trends of the run's motors.
+
+    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
+    """
+    fleet = request.fleet
+    decisions = read_decisions(fleet.output)
+    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
+    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
+    changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
+    try:
+        tonight = fleets_tonight(fleet, request.clock)
+    except StoreError as error:
+        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
+    if tonight is None:
+        return {}, [], False
+    tasks = trend_tasks(
+        fleet.motors,
+        fleet.output,
+        publisher.staging,
+        changed,
+        tonight,
+        decisions,
+        MOTORS_A_TREND_TASK,
+    )
+    made: list[TrendOutcome] = []
+    try:
+        made += results_of(run_tasks, run_trends, tasks, lost_trends, without_lost_motor)
+    except EngineError as error:  # the nights are published: the next run makes the trends
+        log.warning("%s; the next run makes the trends", error)
+        made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
+    failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
+    # All tasks first: a night's q-values are over the slopes of the whole fleet.
+    with interrupts_held() as came:
+        alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+    return failures, alarms, bool(came)
+
+
+def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
+    """Tonight, as `tonight_of`, by the clock of a run."""
+    latest = night_of(latest_us(clock), fleet.settings.nights)
+    return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
+
+
+def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
+    """A motor's outcome; one whose trends failed has failed."""
+    if loss is None or outcome.status == FAILED:
+        return outcome
+    how = f"trends: {legible(loss.how)}"
+    return replace(outcome, status=FAILED, error_code=loss.code, message=how)
+
+
+def _publish_trend_rows(
+    publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
+) -> list[Mapping[str, Any]]:
+    """Publish what the tasks have staged; returns the new rows of `alarms`."""
+    fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
+    lost: list[Collection[str]] = []
+
+    def forget(output: Path, _: Collection[dt.date], keep: Collection[str]) -> None:
+        lost.append(keep)
+        forget_records(output, keep)
+
+    finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
+    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
+    for motor_id, record in [item for one in made for item in one.records.items()]:
+        if all(motor_id in keep for keep in lost):
+            write_record(publisher.output, motor_id, record)
+    new = [row for one in made for row in one.alarms]
+    return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
+
+
+def _config_hash(tasks: Sequence[MotorTask]) -> str:
+    return hash_of({task.spec.motor_id: hash_of_config(task.spec) for task in tasks})
+
+
+def _run_id(outcomes: Sequence[MotorOutcome], config_hash: str) -> str:
+    inputs = [one for outcome in outcomes for one in (outcome.motor_id, *outcome.inputs)]
+    text = "|".join((own_version(), str(SCHEMA_VERSION), config_hash, *inputs))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def _publish_run(
+    publisher: Publisher,
+    request: RunRequest,
+    result: RunResult,
+    started: dt.datetime,
+    config_hash: str,
+) -> None:
+    fleet = request.fleet
+    seeds = {spec.settings.estimation.seed for spec in fleet.motors}
+    run = {
+        "run_id": result.run_id,
+        "started_at": started,
+        "finished_at": dt.datetime.now(dt.UTC),
+        "status": "interrupted"
+        if result.interrupted
+        else "motors_failed"
+        if result.failed
+        else "ok",
+        "fleet": fleet.name,
+        **versions(),
+        "schema_version": SCHEMA_VERSION,
+        "config_hash": config_hash,
+        "seed": min(seeds),
+        "workers": fleet.execution.workers,
+        "n_motors": len(result.outcomes),
+        "n_motors_failed": len(result.failed),
+        "n_nights": result.n_nights,
+        "seconds": result.seconds,
+        **result.seconds_by_stage,
+        "damage": [f"{one.code}: {one.path}: {one.message}" for one in result.damage],
+    }
+    rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
+    publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
+
+
+def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
+    statuses = ("ok", "stood_still", "insufficient_data", "no_new_data", "failed")
+    return {
+        "run_id": run_id,
+        "started_at": started,
+        "motor_id": outcome.motor_id,
+        "status": outcome.status,
+        "error_code": outcome.error_code,
+        "message": outcome.message,
+        "peak_memory_mib": outcome.peak_memory_mib,
+        "n_refitted": outcome.n_refitted,
+        **{stage: outcome.seconds.get(stage, 0.0) for stage in MOTOR_STAGES},
+        **{f"n_{status}": outcome.counts.get(status, 0) for status in statuses},
+        **{f"n_files_{fate}": outcome.files.get(fate, 0) for fate in FATES},
+        "growing": list(outcome.growing),
+    }

@@ -1,0 +1,323 @@
+"""Damage to what runs have left: how a run, or `check --tables --mend`, mends what can be mended.
+
+Nothing is mended in its place. What is damaged is put aside, and the nights that it was of are
+forgotten, so that a run makes them anew from logs or stored blocks. A manifest goes on listing a
+file that is gone until it is there again, so whatever becomes of a run, the next one sees it. Each
+step may be the last, and be done again.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+import zlib
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from pipeline.errors import StoreError
+from pipeline.logs.ledger import forget_nights
+from pipeline.run.verification import (
+    OF_MOTORS,
+    OF_TRENDS,
+    TABLE_OF,
+    TableFault,
+    fault_of,
+    look_at_published,
+    proofs_of,
+    unlisted_files,
+    verify_tables,
+)
+from pipeline.schema import DECISIONS, RUNS
+from pipeline.store.atomic_files import move, remove
+from pipeline.store.manifest import (
+    WHOLE,
+    Key,
+    key_of,
+    manifest_file,
+    manifest_keys,
+    read_manifest,
+    renew_manifest,
+    update_manifest,
+)
+from pipeline.store.tables import ENDING, PUT_ASIDE, Proof, day_of_run, read_table, table_folder
+from pipeline.trends.decisions import Decision, journal_file, put_back, take_out_damaged_lines
+from pipeline.trends.record import note_touched
+
+log = logging.getLogger(__name__)
+
+# Brings back a file of the output, by its path below it, from where it is published as well.
+Restore = Callable[[str], bool]
+# Rows of these are made anew from the night's stored blocks where its log is gone.
+FROM_BLOCKS = {"parameters"}
+LOST = ("table_altered", "table_missing")
+NEXT_RUN = "the next run makes it anew where the logs of that night are there"
+NO_LOGS = "the logs of that night are gone, or were not asked for"
+# So many faults are told one by one.
+FAULTS_TOLD = 20
+
+
+def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[Key], bool]:
+    """The share of the manifests whose files a run is to prove, so that all are within some days.
+
+    Each day has its share, and a run takes those of all days since the run before. Of several runs
+    on a day each takes the next share.
+    """
+    files = table_folder(output, RUNS).glob(f"month=*/*{ENDING}")
+    before = [day.toordinal() for path in files if (day := day_of_run(path)) is not None]
+    today = now.toordinal()
+    last = max(before, default=today - days)
+    if last < today:
+        shares = {day % days for day in range(last + 1, today + 1)}
+    else:
+        shares = {(today + sum(day >= today for day in before)) % days}
+    return lambda key: _turn(key) % days in shares
+
+
+def _turn(key: Key) -> int:
+    """The share that a manifest is of: nights and runs follow each other day by day."""
+    _, name = key
+    try:
+        return dt.date.fromisoformat(name.partition("T")[0]).toordinal()
+    except ValueError:
+        return zlib.crc32(name.encode())
+
+
+@dataclass(slots=True)
+class Damage:
+    """Damage to the published files that is found in a run, and mended where it can be.
+
+    Parameters
+    ----------
+    output
+        Output folder, of which the caller holds the lock.
+    restore
+        Brings a file back from where it is published as well.
+
+    Attributes
+    ----------
+    found
+        Faults by path.
+    """
+
+    output: Path
+    restore: Restore = lambda _: False
+    found: dict[str, TableFault] = field(default_factory=dict)
+    # By motor, the nights with a fit of which rows were lost; and what was found when the motors
+    # had their turn.
+    _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
+    _late: set[str] = field(default_factory=set)
+
+    def look_around(self, due: Callable[[Key], bool]) -> None:
+        """Before the motors have their turn: look at all published files, and prove those due.
+
+        Raises
+        ------
+        StoreError
+            If something cannot be read or written; what was done till then holds.
+        """
+        self.mend(self.named(rebuild_manifests(self.output, self.restore)))
+        self._look(manifest_keys(self.output), due)
+
+    def look_into(self, keys: Iterable[Key]) -> None:
+        """After that: prove the files of some manifests; raises as `look_around`."""
+        before = set(self.found)
+        self._look(keys, lambda _: True)
+        self._late |= self.found.keys() - before
+
+    def _look(self, keys: Iterable[Key], due: Callable[[Key], bool]) -> None:
+        seen = look_at_published(self.output, keys, due)
+        for key in seen.proven:
+            renew_manifest(self.output, *key)
+        self.mend(self.named(seen.faults))
+
+    def named(self, faults: Iterable[TableFault]) -> list[TableFault]:
+        """Those of some faults that are new, after they were told."""
+        new = [one for one in faults if one.path not in self.found]
+        for one in new[:FAULTS_TOLD]:
+            log.warning("%s: %s: %s", one.code, one.path, one.message)
+        if len(new) > FAULTS_TOLD:
+            log.warning("and %d more; `check --tables` names all", len(new) - FAULTS_TOLD)
+        self.found |= {one.path: one for one in new}
+        return new
+
+    def mend(self, faults: Sequence[TableFault]) -> None:
+        """Let what is damaged or gone be made anew.
+
+        Raises
+        ------
+        StoreError
+            If something cannot be written.
+        """
+        lost = [one for one in faults if one.code in LOST and key_of(one.path)[0] != WHOLE]
+        lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
+        self._forget([one.path for one in lost])
+        for one in lost:
+            path = self.output / "tables" / one.path
+            if one.code == "table_altered":
+                move(path, path.with_suffix(PUT_ASIDE))
+            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
+                # What is told of a run cannot be made anew.
+                update_manifest(self.output, *key_of(one.path), {one.path: None})
+
+    def _forget(self, names: Iterable[str]) -> None:
+        """Let the nights of some files be made anew."""
+        nights: defaultdict[dt.date, set[str]] = defaultdict(set)
+        trends: list[dt.date] = []
+        for name in names:
+            table, label = name.split("/")[0], key_of(name)[1]
+            if table in OF_MOTORS:
+                nights[dt.date.fromisoformat(label)].add(table)
+            elif table in OF_TRENDS:
+                trends.append(dt.date.fromisoformat(label))
+        if nights:
+            refit = {night for night, tables in nights.items() if tables <= FROM_BLOCKS}
+            for motor_id, some in forget_nights(self.output, nights, refit=refit).items():
+                self._fitted[motor_id] |= some
+        if trends:
+            for folder in sorted((self.output / "ledger").glob("*/")):
+                note_touched(self.output, folder.name, min(trends))
+
+    def left(self, made: Mapping[str, Collection[dt.date]]) -> Iterator[TableFault]:
+        """Faults that were found and are not mended.
+
+        Parameters
+        ----------
+        made
+            By motor, the nights that the run has made.
+        """
+        mended: dict[dt.date, str] = {}
+        for path, fault in self.found.items():
+            table, (month, label) = path.split("/")[0], key_of(path)
+            if table not in TABLE_OF or (month != WHOLE and table not in OF_MOTORS | OF_TRENDS):
+                continue
+            now = fault_of(self.output, path)
+            if now is not None or not (self.output / "tables" / path).exists():
+                yield self._not_made(now or fault)
+            elif table in OF_MOTORS:
+                mended.setdefault(dt.date.fromisoformat(label), path)
+        for night, path in mended.items():
+            lost = [
+                motor_id
+                for motor_id, some in sorted(self._fitted.items())
+                if night in some and night not in made.get(motor_id, ())
+            ]
+            if lost:
+                why = NEXT_RUN if path in self._late else NO_LOGS
+                message = f"rows of {', '.join(lost)} are not made anew: {why}"
+                yield TableFault(path, "rows_lost", message)
+
+    def _not_made(self, fault: TableFault) -> TableFault:
+        if fault.code == "table_unreadable":
+            return fault
+        gives_up = f"not made anew: {NO_LOGS}; `check --tables --mend` gives it up"
+        return replace(fault, message=NEXT_RUN if fault.path in self._late else gives_up)
+
+
+def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
+    """Make manifests anew that are gone or damaged, from the files that can prove themselves.
+
+    Where the output is published elsewhere as well, they are brought back from there.
+
+    Yields
+    ------
+    TableFault
+        One for each manifest, and for each file that is damaged or is not what a run publishes.
+
+    Raises
+    ------
+    StoreError
+        If one cannot be written, or a file is of a newer version of the program.
+    """
+    unlisted = unlisted_files(output)
+    for key in sorted(unlisted.keys() | set(manifest_keys(output))):
+        if read_manifest(output, *key) is not None:
+            continue
+        path = manifest_file(output, *key)
+        place, was_there = path.relative_to(output).as_posix(), path.exists()
+        kind = "manifest_damaged" if was_there else "manifest_missing"
+        if restore(place):
+            yield TableFault(place, kind, "brought back from the object store")
+            continue
+        names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]
+        proofs = proofs_of(output, names)
+        if was_there or proofs:
+            update_manifest(output, *key, {name: digest for name, (digest, _) in proofs.items()})
+            counts = Counter(proof for _, proof in proofs.values())
+            yield TableFault(place, kind, _how_rebuilt(counts))
+        for name in names:
+            if name not in proofs:
+                message = "it is in no manifest, and is damaged or not what a run publishes"
+                yield TableFault(name, "table_altered", message)
+
+
+def _is_called_as_ours(name: str) -> bool:
+    """Whether a file has its place and name where a run puts such files."""
+    table, label = name.split("/")[0], key_of(name)[1]
+    if table not in TABLE_OF or not name.endswith(ENDING):
+        return False
+    try:
+        return table not in OF_MOTORS | OF_TRENDS or bool(dt.date.fromisoformat(label))
+    except ValueError:
+        return False
+
+
+def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
+    told = f"made anew: {counts.get(Proof.WHOLE, 0)} files are proven to the last byte"
+    if pages := counts.get(Proof.PAGES, 0):
+        told += f", {pages} of other libraries by the checksums of their pages, which leave out "
+        told += "their footers"
+    return f"{told}; what may have been gone before is not known"
+
+
+def restore_decisions(output: Path) -> None:
+    """Put back what the journal has lost, from the table that the last run made of it.
+
+    Raises
+    ------
+    StoreError
+        If the journal cannot be read or written.
+    """
+    path = table_folder(output, DECISIONS) / f"{DECISIONS.name}{ENDING}"
+    if not path.exists() or fault_of(output, path.relative_to(output / "tables").as_posix()):
+        return
+    try:
+        rows = read_table(path, DECISIONS).drop("run_id").to_dicts()
+    except StoreError:
+        return
+    if count := put_back(output, [Decision(**row) for row in rows]):
+        name = journal_file(output).name
+        log.warning("%s is damaged or gone; put back from the table: %d lines", name, count)
+
+
+def mend_output(
+    output: Path, restore: Restore
+) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
+    """Mend all that is damaged without a run; the caller holds the lock.
+
+    Returns
+    -------
+    tuple of TableFault, tuple of TableFault
+        What was found, and what is left.
+
+    Raises
+    ------
+    StoreError
+        If something cannot be read or written.
+    """
+    found = tuple(verify_tables(output))
+    damage = Damage(output, restore)
+    damage.mend([*rebuild_manifests(output, restore), *found])
+    for one in found:
+        if one.code in LOST and not (output / "tables" / one.path).exists():
+            # What cannot be made anew is told no more.
+            update_manifest(output, *key_of(one.path), {one.path: None})
+        elif one.code in ("ledger_damaged", "history_damaged"):
+            remove(output / one.path)
+        elif one.path.endswith(PUT_ASIDE):
+            remove(output / "tables" / one.path)
+    if any(one.code == "journal_damaged" for one in found):
+        restore_decisions(output)
+        take_out_damaged_lines(output)
+    return found, tuple(verify_tables(output))

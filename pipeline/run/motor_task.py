@@ -1,0 +1,565 @@
+"""One motor's task: what is new in its logs, which nights that touches, and the fit of each.
+
+The task reads the logs and its own ledger, writes only into its own staging files, and returns a
+small outcome. Whatever goes wrong with a log or a night is a row, not an exception.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+import pickle
+import resource
+import time
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import polars as pl
+from polars.exceptions import PanicException
+from threadpoolctl import threadpool_limits
+
+from pipeline.config.hashes import SettingsHashes, settings_of, why_anew
+from pipeline.config.nights import night, nights_between
+from pipeline.errors import StoreError
+from pipeline.logs.files import is_guess, labels_of, legible, reaches_us, slice_night
+from pipeline.logs.ledger import (
+    FileRecord,
+    Ledger,
+    NightRecord,
+    changed_months,
+    ledger_folder,
+    read_ledger,
+    read_settings,
+)
+from pipeline.logs.motor_logs import LogShelf, Sight
+from pipeline.messages import speak_as_told
+from pipeline.night.fit_night import (
+    FAILED,
+    INSUFFICIENT_DATA,
+    NO_NEW_DATA,
+    OK,
+    NightOutcome,
+    PreviousModel,
+    fit_night,
+    unfitted,
+)
+from pipeline.night.refit import StoredNights, is_refit, judged
+from pipeline.night.rows import Row
+from pipeline.night.statistics import hash_of
+from pipeline.run.tasks import (
+    MadeNight,
+    MotorOutcome,
+    MotorTask,
+    PartOutcome,
+    PartTask,
+    SplitMotor,
+    Step,
+    Work,
+    lost,
+)
+from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
+from pipeline.store.atomic_files import scratch
+from pipeline.store.tables import night_file, read_rows, stage
+from pipeline.workers.process import Loss, loss_of, sign_of_life
+
+log = logging.getLogger(__name__)
+
+Made = TypeVar("Made")
+
+# A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
+# motor stood in store.
+LONGEST_HOLE = dt.timedelta(days=366)
+
+
+def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
+    """What a run would do of a motor now, night by night, and why; nothing is read or written.
+
+    Raises
+    ------
+    StoreError
+        If a published table that it needs is damaged.
+    """
+    return _Nights(task).plan()
+
+
+def run_motor(task: MotorTask) -> MotorOutcome | SplitMotor:
+    """Do everything that is new for a motor, and stage its rows.
+
+    Returns
+    -------
+    MotorOutcome or SplitMotor
+        Also where the task failed as a whole: with status ``failed`` and no nights. Or what is to
+        be done in parts first; nothing is then staged.
+
+    Raises
+    ------
+    MemoryError
+        If there is not enough memory for what all its nights need.
+    """
+
+    def work() -> MotorOutcome | SplitMotor:
+        nights = _Nights(task)
+        return nights.split() or nights.run()
+
+    return _guarded(task, work)
+
+
+def run_part(task: PartTask) -> PartOutcome:
+    """Make some nights of a motor, and leave them in the staging folder; raises as `run_motor`."""
+    motor_id = task.motor.spec.motor_id
+
+    def work() -> PartOutcome:
+        nights = _Nights(task.motor)
+        made = nights.make(task.nights)
+        _leave(made, task.staging / task.name)
+        return PartOutcome(
+            motor_id,
+            task.name,
+            given_up=task.motor.given_up,
+            silent=task.motor.silent,
+            seconds=dict(nights.seconds),
+            peak_memory_mib=_peak_memory_mib(),
+        )
+
+    found = _guarded(task.motor, work)
+    if isinstance(found, MotorOutcome):
+        return PartOutcome(motor_id, task.name, failure=found)
+    return found
+
+
+def _guarded(task: MotorTask, work: Callable[[], Made]) -> Made | MotorOutcome:
+    """The edge of a motor's task: what is raised in it is the motor's failure."""
+    speak_as_told()
+    with threadpool_limits(1):
+        try:
+            return work()
+        except StoreError as error:
+            return lost(task, Loss(error.code, error.message))
+        except MemoryError:  # a fresh worker may have what it takes
+            raise
+        except (Exception, PanicException) as error:
+            log.exception("motor %s failed", task.spec.motor_id)
+            return lost(task, loss_of(error))
+
+
+def _peak_memory_mib() -> float:
+    # `ru_maxrss` begins with the peak of the process that started this one; Linux knows better.
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text("ascii").splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def _leave(made: Mapping[dt.date, MadeNight], path: Path) -> None:
+    """Leave the nights of a part for the task that joins them."""
+    try:
+        with scratch(path) as stream:
+            pickle.dump(made, stream)
+    except OSError as error:
+        why = error.strerror or error
+        raise StoreError("store_write", f"{path.name} cannot be written: {why}") from error
+
+
+def _read_parts(task: MotorTask) -> dict[dt.date, MadeNight]:
+    """The nights that other tasks of this run have made."""
+    made: dict[dt.date, MadeNight] = {}
+    for name in task.parts:
+        # Written by this run, below a folder of its own.
+        made |= pickle.loads((task.staging / name).read_bytes())  # noqa: S301
+    return made
+
+
+def _hash_of_model(model: PreviousModel) -> str:
+    return _hash_of_items(tuple(sorted((mode, tuple(theta)) for mode, theta in model.items())))
+
+
+@lru_cache(maxsize=8192)
+def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
+    return hash_of(dict(items))
+
+
+def _still_published(ledger: Ledger, output: Path) -> Ledger:
+    """A ledger without the nights whose tables somebody removed: they are to be made anew."""
+    gone = {label for label in ledger.nights if not night_file(output, FITS, label).exists()}
+    return Ledger(
+        files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
+        nights={label: one for label, one in ledger.nights.items() if label not in gone},
+    )
+
+
+def _place_of(record: FileRecord, nights: Collection[dt.date]) -> dt.date | None:
+    """Night under which a file's row stands: its first, or else the motor's first; None: none."""
+    return min(labels_of(record) or nights, default=None)
+
+
+def _without_failures(ledger: Ledger) -> Ledger:
+    """A ledger that knows nothing of the logs and nights that failed."""
+    nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
+    failed = ledger.nights.keys() - nights.keys()
+    files = {
+        name: one
+        for name, one in ledger.files.items()
+        if one.status == "ok" and not labels_of(one) & failed
+    }
+    return Ledger(files, nights)
+
+
+class _Nights:
+    """A motor's nights while its task works through them."""
+
+    def __init__(self, task: MotorTask) -> None:
+        self.task = task
+        self.spec = task.spec
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.remembered = read_ledger(task.output, task.spec.motor_id)
+        self.before = _still_published(self.remembered, task.output)
+        if task.retry:
+            self.before = _without_failures(self.before)
+        with self._timed("read_s"):
+            self.logs = LogShelf(
+                self.spec, self.before.files, task.latest_us, task.silent, task.looked_at
+            )
+        self.withdrawn = self._no_longer_told()
+        self.before = Ledger(
+            self.logs.before,
+            {
+                label: one
+                for label, one in self.before.nights.items()
+                if label not in self.withdrawn
+            },
+        )
+        self.made = _read_parts(task)
+        self.hashes = SettingsHashes(self.spec)
+        self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
+        self.done: dict[dt.date, NightOutcome] = {}
+        self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
+        self.kept: set[dt.date] = set()
+        self.reasons: dict[dt.date, str] = {}
+        self.by_settings = self._outdated_by_settings()
+
+    def _no_longer_told(self) -> set[dt.date]:
+        """Published nights that only the name or time of an unreadable log told, and may not."""
+        files = self.remembered.files.values()
+        told = {label for one in files if is_guess(one) for label in labels_of(one)}
+        if not ledger_folder(self.task.output, self.spec.motor_id).exists():
+            # Without its ledger the tables alone say which nights failed.
+            columns = ("motor_id", "night", "status")
+            rows = read_rows(self.task.output, FITS, [self.spec.motor_id], columns)
+            told |= set(rows.filter(status=FAILED)["night"])
+        sure = {label for one in files if not is_guess(one) for label in labels_of(one)}
+        none = {label for label in told if self.logs.plausible.why_not(label) is not None}
+        return none - sure - self.logs.present()
+
+    def split(self) -> SplitMotor | None:
+        """The parts in which the motor's nights are to be made; None: here, in one."""
+        size = self.task.nights_a_part
+        if not size or self.task.looked_at is not None:
+            return None
+        labels = [label for label, step in self.plan().items() if step.work is Work.READ]
+        if len(labels) <= size:
+            return None
+        parts = tuple(tuple(labels[at : at + size]) for at in range(0, len(labels), size))
+        return SplitMotor(self.spec.motor_id, self.logs.files, parts)
+
+    def make(self, labels: tuple[dt.date, ...]) -> dict[dt.date, MadeNight]:
+        """Read and fit some nights, each on its own."""
+        made = {}
+        for label in labels:
+            if label in self.task.given_up:
+                continue
+            before = dict(self.logs.files)
+            here = night(label, self.spec.settings.nights)
+            used = (*self.logs.before_night(here), *self.logs.of_night(label))
+            outcome = self._night(label, Work.READ, {})
+            assert outcome is not None
+            seen = {
+                name: Sight(before[name], self.logs.files[name], name in self.logs.read)
+                for name in used
+            }
+            made[label] = MadeNight(outcome, seen, used)
+        sign_of_life("")
+        return made
+
+    def run(self) -> MotorOutcome:
+        # Reading may show that a log covers other nights than its ends had told, so look again.
+        while plan := self._plan():
+            label = min(plan)
+            before = self._model_before(label)
+            outcome = self._night(label, plan[label].work, before)
+            self.reasons[label] = plan[label].reason
+            if outcome is None:
+                self.kept.add(label)
+                continue
+            self._remember(outcome, before)
+            for stage_name, seconds in outcome.seconds.items():
+                self.seconds[stage_name] += seconds
+            # Also those that an earlier state of a file had been read for.
+            for waiting in self.logs.waiting() & self.done.keys():
+                self._take_back(waiting)
+        for label in self._holes():
+            reason = "no log covers this night"
+            self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
+            self.records[label] = NightRecord(NO_NEW_DATA)
+        sign_of_life("")
+        with self._timed("store_s"):
+            self._stage()
+        return self._outcome()
+
+    @contextmanager
+    def _timed(self, stage_name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage_name] += time.perf_counter() - begin
+
+    def plan(self) -> dict[dt.date, Step]:
+        """Nights that a run would do now, and why; reading may add some."""
+        return dict(sorted(self._plan().items()))
+
+    def _outdated_by_settings(self) -> dict[dt.date, Step]:
+        """Nights that were made with other settings, and how far they have to be made anew."""
+        present, found = self.logs.present(), {}
+        if self.task.force:
+            return dict.fromkeys(present, Step(Work.READ, "asked for"))
+        before = read_settings(self.task.output, self.spec.motor_id)
+        why = why_anew(before, settings_of(self.spec))
+        for label, record in self.before.nights.items():
+            if not record.statistics_hash:
+                continue
+            if record.statistics_hash != self.hashes.statistics(label):
+                # Where the logs are gone, what is published stays.
+                if label in present:
+                    found[label] = Step(Work.READ, why)
+            elif record.figures_hash != self.hashes.figures(label):
+                found[label] = Step(Work.REFIT if record.model else Work.READ, why)
+        if self.task.with_starts:
+            for label in self.stored.refitted() & self.before.nights.keys() - found.keys():
+                found[label] = Step(Work.REFIT, "its starts are asked for")
+        return found
+
+    def _plan(self) -> dict[dt.date, Step]:
+        """Nights still to do within the asked-for range."""
+        outdated = self._outdated_by_model()
+        # What is not published yet cannot be judged from the tables.
+        plan = {
+            label: Step(Work.READ, step.reason)
+            for label, step in outdated.items()
+            if label in self.done
+        }
+        later = outdated | self.by_settings
+        present, waiting = self.logs.present(), self.logs.waiting()
+        for name in self.logs.files:
+            if (news := self.logs.news_of(name)) is not None:
+                # A night of which there is no log, or not yet, is none to be done.
+                reached = self.logs.touched(name) | (self.logs.reached(name) & present)
+                later |= dict.fromkeys(reached, Step(Work.READ, news))
+        plan |= {label: step for label, step in later.items() if label not in self.done}
+        return {
+            label: step
+            for label, step in plan.items()
+            if label not in self.kept | waiting and self.task.wants(label)
+        }
+
+    def _outdated_by_model(self) -> dict[dt.date, Step]:
+        """Nights with a fit that was judged with another model than the one before it now."""
+        found, before = {}, _hash_of_model({})
+        for label, record in sorted(self.records.items()):
+            if not record.model:
+                continue
+            if record.judged_with != before:
+                found[label] = Step(Work.JUDGE, "another model before it")
+            before = _hash_of_model(record.model)
+        return found
+
+    def _take_back(self, label: dt.date) -> None:
+        """Leave a night to the next run, as if it had not been done in this one."""
+        del self.done[label]
+        if label in self.before.nights:
+            self.records[label] = self.before.nights[label]
+        else:
+            del self.records[label]
+
+    def _remember(self, outcome: NightOutcome, before: PreviousModel) -> None:
+        label = outcome.night
+        self.done[label] = outcome
+        self.records[label] = NightRecord(
+            outcome.status,
+            outcome.model,
+            _hash_of_model(before),
+            self.hashes.statistics(label),
+            self.hashes.figures(label),
+        )
+
+    def _holes(self) -> list[dt.date]:
+        """Nights between two logs that no log covers and no row tells of yet."""
+        if not self.done:
+            return []
+        told = self.logs.present() | self.records.keys()
+        # A file that cannot be read may stand far off: its night is a guess.
+        readable = [one for one in self.logs.files.values() if one.status == "ok"]
+        certain = {label for record in readable for label in labels_of(record)}
+        certain |= {label for label, one in self.records.items() if one.status != FAILED}
+        between = {
+            label
+            for first, last in pairwise(sorted(certain))
+            if last - first <= LONGEST_HOLE
+            for label in nights_between(first, last)
+        }
+        return sorted(label for label in between - told if self.task.wants(label))
+
+    def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
+        """What comes of a night; None where it stays as published, for want of its log."""
+        if given_up := self.task.given_up.get(label):
+            return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
+        sign_of_life(label.isoformat())
+        try:
+            if work is not Work.READ:
+                make = self.stored.refit if work is Work.REFIT else self.stored.judge
+                with self._timed("refit_s"):
+                    outcome = make(label, before)
+                if outcome is not None or label not in self.logs.present():
+                    return outcome
+            return self._read_and_fit(label, before)
+        except StoreError:
+            raise
+        except (Exception, PanicException) as error:  # one night must not cost the motor's others
+            log.exception("motor %s, night %s failed", self.spec.motor_id, label)
+            loss = loss_of(error)
+            return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
+
+    def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
+        here = night(label, self.spec.settings.nights)
+        made = self.made.get(label)
+        if made is not None and self.logs.recall(here, made.seen, made.used):
+            return judged(self.spec, made.outcome, before)
+        with self._timed("read_s"):
+            names = self.logs.of_night(label)
+            read = [self.logs.content(name) for name in (*self.logs.before_night(here), *names)]
+        broken = [one for name in names if (one := self.logs.files[name]).status != "ok"]
+        if broken:
+            return unfitted(
+                self.spec, label, FAILED, broken[0].message or "", code=broken[0].error_code
+            )
+        contents = [one for one in read if one is not None]
+        channels = slice_night(contents, here, reaches_us(self.spec))
+        # The night has what it needs of them, and gives it up bit by bit.
+        del read, contents
+        self.logs.let_go_until(label)
+        if not any((channel.time_us >= here.start_us).any() for channel in channels.values()):
+            return unfitted(self.spec, label, NO_NEW_DATA, "no log covers this night")
+        return fit_night(self.spec, here, channels, before)
+
+    def _model_before(self, label: dt.date) -> PreviousModel:
+        return Ledger(nights=self.records).model_before(label)
+
+    def _stage(self) -> None:
+        by_table: defaultdict[str, dict[dt.date, list[Row]]] = defaultdict(dict)
+        for label, outcome in self.done.items():
+            for table in NIGHT_TABLES:
+                # A night made anew in part keeps what only its samples tell.
+                if outcome.tables is None or table.name in outcome.tables:
+                    by_table[table.name][label] = outcome.rows.get(table.name, [])
+        for label in self.withdrawn:
+            for table in NIGHT_TABLES:
+                by_table[table.name][label] = []
+        by_table["input_files"] = self._file_rows(by_table["input_files"].keys())
+        for table in NIGHT_TABLES:
+            if nights := by_table[table.name]:
+                stage(self.task.staging / table.name / f"{self.spec.motor_id}.arrow", table, nights)
+
+    def _file_rows(self, staged: Collection[dt.date]) -> dict[dt.date, list[Row]]:
+        """Rows of `input_files` of some nights, and of those which a file's row leaves or enters.
+
+        Of a night that is not done, the other rows stay as they are.
+        """
+        rows: defaultdict[dt.date, list[Row]] = defaultdict(list)
+        moved: defaultdict[dt.date, set[str]] = defaultdict(set)
+        for row in self.logs.rows():
+            name = row["path"]
+            now, known = self.logs.files[name], self.remembered.files.get(name)
+            here = _place_of(now, self.records)
+            there = None if known is None else _place_of(known, self.remembered.nights)
+            is_new = row["night"] is None and now != known
+            if here is None or not (here in staged or is_new):
+                continue
+            rows[here].append(row)
+            for place in (here, there):
+                if place is not None and place not in staged and (is_new or place != here):
+                    moved[place].add(name)
+        for label, names in sorted(moved.items()):
+            published = read_rows(
+                self.task.output, INPUT_FILES, [self.spec.motor_id], nights=[label]
+            )
+            kept = published.drop("run_id").filter(~pl.col("path").is_in(list(names)))
+            rows[label] += kept.to_dicts()
+        return {label: rows[label] for label in sorted({*staged, *moved})}
+
+    def _why_nothing(self, status: str) -> str | None:
+        """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
+        if not self.logs.files:
+            return "; ".join(self.logs.unmatched()) or None
+        if status != INSUFFICIENT_DATA:
+            return None
+        label = min(label for label, one in self.done.items() if one.status == status)
+        return f"night {label}: {self.done[label].reason}"
+
+    def _outcome(self) -> MotorOutcome:
+        counts = Counter(outcome.status for outcome in self.done.values())
+        errors: list[tuple[str | None, str | None]] = [
+            (one.error_code, f"night {label}: {one.reason}")
+            for label, one in sorted(self.done.items())
+            if one.status == FAILED
+        ]
+        errors += [
+            (record.error_code, record.message)
+            for name, record in self.logs.files.items()
+            if record.status == "failed"
+            and not record.nights
+            and self.logs.news_of(name) is not None
+        ]
+        errors += [
+            ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
+        ]
+        errors += [
+            (loss.code, loss.how)
+            for name, loss in self.task.silent.items()
+            if name not in self.logs.files
+        ]
+        if errors:
+            status = FAILED
+        elif counts[OK]:
+            status = OK
+        else:
+            status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
+        code, message = errors[0] if errors else (None, self._why_nothing(status))
+        if self.withdrawn:
+            nights = ", ".join(map(str, sorted(self.withdrawn)))
+            gone = f"withdrawn, as no log has samples of them: {nights}"
+            message = "; ".join(one for one in (message, gone) if one)
+        after = Ledger(
+            {**self.before.files, **self.logs.finished(self.done)},
+            self.records,
+        )
+        return MotorOutcome(
+            motor_id=self.spec.motor_id,
+            status=status,
+            error_code=code,
+            message=message,
+            counts=counts,
+            nights=tuple(sorted({*self.done, *self.withdrawn})),
+            withdrawn=tuple(sorted(self.withdrawn)),
+            reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
+            n_refitted=sum(is_refit(one) for one in self.done.values()),
+            inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
+            files=self.logs.counts(self.done),
+            growing=tuple(self.logs.growing()),
+            ledger=changed_months(self.remembered, after),
+            seconds=dict(self.seconds),
+            peak_memory_mib=_peak_memory_mib(),
+        )

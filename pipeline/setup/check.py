@@ -1,0 +1,118 @@
+"""`motor-leakage check`: the config, and a look at the logs, before a night depends on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pipeline.config import Fleet, MotorSpec
+from pipeline.config.motor_types import OilFile
+from pipeline.errors import LogError
+from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
+from pipeline.logs.ledger import FileRecord
+from pipeline.logs.locations import LogSource, logs_of
+from pipeline.setup.channel_check import ChannelCheck, check_channels
+
+# Objects of a motor that are opened: a check answers in seconds.
+OPENED = 3
+
+
+@dataclass(frozen=True, slots=True)
+class MotorCheck:
+    """A motor's logs from outside, and the channels of the newest."""
+
+    motor_id: str
+    motor_type: str
+    log_format: str
+    n_files: int
+    n_nights: int  # that the files cover
+    first: str | None  # label of the first night; None without a readable file
+    last: str | None
+    faults: tuple[str, ...]  # files that cannot be read, or are named but absent
+    placeholders: tuple[str, ...]  # paths of the type, and oils, whose values are placeholders
+    channels: tuple[ChannelCheck, ...]
+    notes: tuple[str, ...]  # no faults, and yet worth a look
+
+
+def check_motor(spec: MotorSpec) -> MotorCheck:
+    """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
+
+    Of logs in an object store, which have to be copied for it, the first and the last few by name.
+
+    Raises
+    ------
+    StoreError
+        If an object store cannot be read.
+    """
+    logs = logs_of(spec)
+    names = _some(logs.names) if spec.log_url else logs.names
+    records = {name: _looked_at(name, logs, spec) for name in names}
+    nights = {label for record in records.values() for label in labels_of(record)}
+    channels, unread = check_channels(spec, records, logs.path)
+    broken = [record for record in records.values() if record.status == "failed"]
+    written = [record for record in records.values() if record.status == "growing"]
+    return MotorCheck(
+        motor_id=spec.motor_id,
+        motor_type=spec.file.motor_type,
+        log_format=spec.file.logs.format,
+        n_files=len(logs.names),
+        n_nights=len(nights),
+        first=min(nights).isoformat() if nights else None,
+        last=max(nights).isoformat() if nights else None,
+        faults=(*map(_fault, broken), *map(_absent, logs.absent), *unread),
+        placeholders=(
+            *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
+            *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
+        ),
+        channels=channels,
+        notes=(
+            *map(_fault, written),
+            *_left_out(spec, len(names), len(logs.names)),
+            *logs.unmatched(),
+        ),
+    )
+
+
+def _oils(spec: MotorSpec) -> list[OilFile]:
+    """The oils that the motor runs or ran on."""
+    names = [spec.file.oil, *(event.oil for event in spec.file.events if event.oil)]
+    return [spec.oils[name] for name in dict.fromkeys(names)]
+
+
+def _some(names: Sequence[str]) -> Sequence[str]:
+    """The first and the last by name; the last are the newest where names hold a date."""
+    return names if len(names) <= OPENED else (names[0], *names[1 - OPENED :])
+
+
+def _left_out(spec: MotorSpec, n_opened: int, n_files: int) -> tuple[str, ...]:
+    if n_opened == n_files:
+        return ()
+    return (
+        f"{n_opened} of {n_files} objects were opened, the first and the last by name below "
+        f"{spec.log_url}: nights and channels are theirs",
+    )
+
+
+def _looked_at(name: str, logs: LogSource, spec: MotorSpec) -> FileRecord:
+    try:
+        path = logs.path(name)
+    except LogError as error:  # replaced or removed since it was listed
+        return failed(FileRecord(name, 0, 0, None), error)
+    record = look_at(name, path)
+    if record.status == "failed":
+        return record
+    found, why = spanned(record, path, spec), change_of(record, path)
+    return found if why is None else growing(found, why)
+
+
+def _fault(record: FileRecord) -> str:
+    return f"{record.error_code}: {record.message}"
+
+
+def _absent(name: str) -> str:
+    return f"log_missing: {name}: named in the config and absent"
+
+
+def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
+    """Look at the logs of every motor."""
+    return tuple(check_motor(spec) for spec in fleet.motors)

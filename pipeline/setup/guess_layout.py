@@ -1,0 +1,252 @@
+"""Guesses at the columns of a table in any format: times, channels, or names of channels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from pipeline.config.motors import LogLayout
+from pipeline.setup.guess_cells import Marks, as_number, is_missing, is_number
+from pipeline.setup.guess_channels import (
+    best_by_channel,
+    channel_of,
+    preference,
+    unit_of,
+    words_of,
+)
+from pipeline.setup.guess_files import files_by_channel
+from pipeline.setup.guess_times import (
+    TimeGuess,
+    guess_time,
+    is_clock,
+    is_date,
+    is_stamp,
+    is_time_name,
+    number_format,
+)
+
+Kind = Literal["timestamp", "stamp", "date", "clock", "number", "text", "nothing"]
+Scan = Callable[[Sequence[str]], Iterable[tuple[str, ...]]]
+"""Cells of some columns, by name, row by row through a file."""
+
+SAMPLES = 50
+"""Cells of a channel that are looked at."""
+
+_NAME_COLUMNS = {
+    *("channel", "tag", "tagname", "name", "signal", "variable", "sensor", "point", "parameter"),
+    *("item", "quantity", "measurement", "kanal", "signalname", "messstelle", "messgröße"),
+}
+VALUE_WORDS = {"value", "val", "values", "reading", "wert", "messwert", "data", "värde"}
+_UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """A column of a table."""
+
+    name: str
+    unit: str  # what is written beside the name as a unit; empty for nothing
+    kind: Kind  # of its cells; "timestamp" where the file's own type says so
+    cells: tuple[str, ...]  # the first ones, as text
+
+    @property
+    def filled(self) -> tuple[str, ...]:
+        """The cells that hold something."""
+        return tuple(cell for cell in self.cells if not is_missing(cell))
+
+
+@dataclass(frozen=True, slots=True)
+class Times:
+    """Columns of the time; `date` is empty where it has no column of its own."""
+
+    time: str
+    date: str
+    guess: TimeGuess
+    is_typed: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """The place of a channel, with some of its cells."""
+
+    channel: str
+    source: str
+    unit: str | None  # None where the log does not say it
+    samples: tuple[str, ...]
+    field: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class TableLayout:
+    """Layout of the channels in a table."""
+
+    kind: LogLayout
+    sources: tuple[Source, ...]
+    unused: Mapping[str, tuple[str, ...]]  # samples by name that no channel was found for
+    channel_column: str = ""
+    value_column: str = ""
+    files: tuple[str, ...] = ()  # patterns of the files' names, of a file a channel
+
+
+def kind_of(cells: Sequence[str]) -> Kind:
+    """Kind of most cells of text.
+
+    Examples
+    --------
+    >>> kind_of(["1.5", "---", "2"]), kind_of(["06:00:00"]), kind_of(["", "-"])
+    ('number', 'clock', 'nothing')
+    """
+    filled = [cell for cell in cells if not is_missing(cell)]
+    tests: tuple[tuple[Kind, Callable[[str], bool]], ...] = (
+        ("stamp", is_stamp),
+        ("date", is_date),
+        ("clock", is_clock),
+        ("number", is_number),
+    )
+    for kind, test in tests:
+        if filled and 2 * sum(map(test, filled)) > len(filled):
+            return kind
+    return "text" if filled else "nothing"
+
+
+def find_times(columns: Sequence[Column], marks: Marks, path: Path, last: Scan) -> Times:
+    """The column of the time, or those of date and time; `marks` are those of numbers.
+
+    The last rows of the log help to tell day from month.
+    """
+    named = sorted(columns, key=lambda one: not is_time_name(one.name))
+    of_kind = {kind: [one for one in named if one.kind == kind] for kind in KINDS_OF_TIME}
+    if of_kind["timestamp"]:
+        column = of_kind["timestamp"][0]
+        return Times(column.name, "", TimeGuess(("iso8601",), bool(column.unit)), is_typed=True)
+    if of_kind["stamp"]:
+        column = of_kind["stamp"][0]
+        stamps = [*column.filled, *(cell for (cell,) in last([column.name]) if is_stamp(cell))]
+        return Times(column.name, "", guess_time(stamps, file_name=path.name))
+    if of_kind["date"] and of_kind["clock"]:
+        date, clock = of_kind["date"][0], of_kind["clock"][0]
+        pairs = [*zip(date.cells, clock.cells, strict=True), *last([date.name, clock.name])]
+        both = [f"{one} {other}" for one, other in pairs if is_date(one) and is_clock(other)]
+        return Times(clock.name, date.name, guess_time(both, file_name=path.name))
+    for column in named:
+        if column.kind == "number" and (is_time_name(column.name) or column is columns[0]):
+            numbers = [as_number(cell, marks) for cell in column.filled]
+            if number_format([number for number in numbers if number is not None]):
+                return Times(column.name, "", guess_time(column.filled, marks.decimal))
+    return Times(named[0].name, "", TimeGuess(()))
+
+
+KINDS_OF_TIME: tuple[Kind, ...] = ("timestamp", "stamp", "date", "clock")
+
+
+def find_layout(
+    columns: Sequence[Column],
+    times: Times,
+    path: Path,
+    scan: Scan,
+    read: Callable[[Path], Sequence[Column]],
+) -> TableLayout:
+    """Layout of a table, and the places of its channels.
+
+    `scan` reads on, for names of channels that come later; `read` gives the columns of another log
+    of the same make.
+    """
+    rest = [
+        one
+        for one in columns
+        if one.name not in (times.time, times.date) and one.kind not in KINDS_OF_TIME
+    ]
+    numbers = [one for one in rest if one.kind == "number"]
+    texts = [one for one in rest if one.kind == "text"]
+    value = _value_column(numbers)
+    if value is not None and texts:
+        found = _long(value, texts, scan)
+        if found is not None:
+            return found
+    if len(numbers) == 1 and channel_of(numbers[0].name) is None:
+        found = _file_per_channel(numbers[0].name, path, read)
+        if found is not None:
+            return found
+    readable = [one for one in rest if one.kind in ("number", "nothing")]
+    sources, unused = _assigned(
+        [(one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable]
+    )
+    unused |= {one.name: one.filled[:SAMPLES] for one in texts}
+    return TableLayout("wide", sources, unused)
+
+
+def _value_column(numbers: Sequence[Column]) -> Column | None:
+    """The column of values of a long table."""
+    if len(numbers) == 1:
+        return numbers[0]
+    named = [one for one in numbers if VALUE_WORDS & set(words_of(one.name))]
+    return named[0] if len(named) == 1 else None
+
+
+def _long(value: Column, texts: Sequence[Column], scan: Scan) -> TableLayout | None:
+    units = [one for one in texts if _UNIT_COLUMNS & set(words_of(one.name))][:1]
+    names = [one for one in texts if one not in units]
+    if not names:
+        return None
+    column = max(names, key=lambda one: len({channel_of(cell) for cell in one.filled} - {None}))
+    seen: dict[str, tuple[list[str], str]] = {}
+    wanted = [column.name, value.name, *(unit.name for unit in units)]
+    for name, cell, *unit in scan(wanted):
+        samples, _ = seen.setdefault(name.strip(), ([], unit[0] if unit else ""))
+        if len(samples) < SAMPLES and not is_missing(cell):
+            samples.append(cell)
+    seen = {name: one for name, one in seen.items() if not is_missing(name)}
+    channels = {channel_of(name, unit) for name, (_, unit) in seen.items()} - {None}
+    is_named = bool(_NAME_COLUMNS & set(words_of(column.name)))
+    if len(channels) < 2 - is_named:
+        return None
+    sources, unused = _assigned(
+        [(name, name, unit, tuple(samples)) for name, (samples, unit) in seen.items()]
+    )
+    return TableLayout("long", sources, unused, channel_column=column.name, value_column=value.name)
+
+
+def _file_per_channel(
+    value: str, path: Path, read: Callable[[Path], Sequence[Column]]
+) -> TableLayout | None:
+    """The layout of a file a channel; None where the files are not all alike."""
+    sources, files = [], []
+    for channel, (pattern, example) in files_by_channel(path).items():
+        column = next((one for one in read(example) if one.name == value), None)
+        if column is None:
+            return None
+        told = (unit_of(channel, text) for text in (column.unit, value, example.name) if text)
+        unit = next((one for one in told if one), None)
+        sources.append(Source(channel, pattern, unit, column.filled[:SAMPLES]))
+        files.append(pattern)
+    if not sources:
+        return None
+    return TableLayout(
+        "file_per_channel", tuple(sources), {}, value_column=value, files=tuple(files)
+    )
+
+
+Candidate = tuple[str, str, str, tuple[str, ...]]
+"""Name by which a channel is told, its source, what is written as its unit, and samples."""
+
+
+def _assigned(
+    candidates: Sequence[Candidate],
+) -> tuple[tuple[Source, ...], dict[str, tuple[str, ...]]]:
+    """Channels among candidates, each once, and the samples of those that are none."""
+    named = ((channel_of(one[0], one[2]), one) for one in candidates)
+    best = best_by_channel(
+        (channel, (preference(channel or "", one[0]),), one) for channel, one in named
+    )
+    sources = tuple(
+        Source(channel, one[1], _unit(channel, one), one[3]) for channel, one in best.items()
+    )
+    used = {source.source for source in sources}
+    return sources, {one[1]: one[3] for one in candidates if one[1] not in used}
+
+
+def _unit(channel: str, candidate: Candidate) -> str | None:
+    name, _, unit, _ = candidate
+    return (unit_of(channel, unit) if unit else None) or unit_of(channel, name)

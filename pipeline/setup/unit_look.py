@@ -1,0 +1,131 @@
+"""Units that look wrong by magnitude, and which would be right."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+import numpy as np
+
+from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
+from pipeline.config import MotorSpec
+from pipeline.ingest import RawChannel
+from pipeline.setup.guess_channels import LOW_SIDE, USUAL
+from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
+
+# A drain flow this many times off the configured model's is of another unit sooner than worn.
+UNUSUAL_FLOW = 8.0
+FLOW = "leakage_flow"
+
+Typical = Mapping[str, float]
+
+
+def suspect_units(
+    spec: MotorSpec, night: dt.date, channels: Mapping[str, RawChannel]
+) -> dict[str, str]:
+    """Channels whose magnitude is unusual under their configured unit.
+
+    Pressure, temperature and speed are judged by what motors show; the flow by what the configured
+    model has at their typical values, in whatever units make these usual: a wrong unit of theirs is
+    theirs alone to be told. Returned is what is unusual, and which units would mend it, by channel.
+    """
+    typical = {
+        str(name): value
+        for name, channel in spec.file.channels.items()
+        if channel.counts is None and (value := _typical(channels[name])) is not None
+    }
+    found: dict[str, str] = {}
+    for name, value in typical.items():
+        low, high = USUAL.get(QUANTITIES[name], (0.0, float("inf")))
+        if name not in (*LOW_SIDE, FLOW) and not low <= value <= high:
+            units = [unit for unit, _ in _usual_values(spec, name, value)]
+            found[name] = f"{_unusual(name, value)}{_mended(units)}"
+    flow = _unusual_flow(spec, night, typical, set(found))
+    return found | ({FLOW: flow} if flow else {})
+
+
+def _typical(raw: RawChannel) -> float | None:
+    """Upper quartile of all numbers' magnitudes, those out of range too: they tell the unit."""
+    numbers = np.abs(raw.value[np.isfinite(raw.value)])
+    return float(np.percentile(numbers, 75)) if len(numbers) else None
+
+
+def _unusual(name: str, value: float) -> str:
+    unit = canonical_unit(name).replace("degC", "°C")
+    return f"typically {value:.3g} {unit}, which is unusual"
+
+
+def _mended(units: list[str], others: list[str] | None = None) -> str:
+    """The units that would make a magnitude usual, in words."""
+    choices = [f"the log's unit were {' or '.join(units[:2])}"] if units else []
+    choices += [f"that of {other}" for other in others or []]
+    return f"; it would be usual if {', or '.join(choices)}" if choices else ""
+
+
+def _in_unit(spec: MotorSpec, name: str, value: float, unit: str) -> float:
+    """A reading, had the log another unit."""
+    configured = next(one.unit for other, one in spec.file.channels.items() if other == name)
+    return abs(float(to_canonical(name, from_canonical(name, value, configured), unit)))
+
+
+def _usual_values(spec: MotorSpec, name: str, value: float) -> Iterator[tuple[str, float]]:
+    """Units under which a reading is usual, and what it is then."""
+    low, high = USUAL[QUANTITIES[name]]
+    for unit in UNITS[QUANTITIES[name]]:
+        reading = _in_unit(spec, name, value, unit)
+        if low <= reading <= high:
+            yield unit, reading
+
+
+def _unusual_flow(
+    spec: MotorSpec, night: dt.date, typical: Typical, unusual: set[str]
+) -> str | None:
+    """A flow that is unusual, in words; None: it is usual, or cannot be judged."""
+    pressure = "pressure_difference" if "pressure_difference" in typical else "high_port_pressure"
+    inputs = (pressure, "oil_temperature", "speed")
+    if FLOW not in typical or not set(inputs) <= typical.keys():
+        return None
+    flow = typical[FLOW]
+    # The usual values of what is unusual as it stands, the value itself of what is not.
+    values = [
+        [reading for _, reading in _usual_values(spec, name, typical[name])]
+        if name in unusual
+        else [typical[name]]
+        for name in inputs
+    ]
+    expected = [_model_flow(spec, night, *one) for one in product(*values)]
+    known = [one for one in expected if one is not None]
+    if not known or _near(flow, known):
+        return None
+    units = [unit for unit in UNITS["flow"] if _near(_in_unit(spec, FLOW, flow, unit), known)]
+    others = [] if unusual else list(_other_units(spec, night, inputs, typical))
+    return f"{_unusual(FLOW, flow)} where the model has {known[0]:.2g}{_mended(units, others)}"
+
+
+def _near(flow: float, expected: list[float]) -> bool:
+    return min(expected) / UNUSUAL_FLOW <= flow <= max(expected) * UNUSUAL_FLOW
+
+
+def _model_flow(
+    spec: MotorSpec, night: dt.date, pressure_bar: float, temperature_c: float, speed_rpm: float
+) -> float | None:
+    conditions = OperatingConditions.from_bar(pressure_bar, temperature_c, speed_rpm)
+    try:
+        motor = spec.motor(night, spec.file.flushing.mode)
+        return float(total_flow_l_per_min(motor, conditions)[0])
+    except LeakageError:
+        return None
+
+
+def _other_units(
+    spec: MotorSpec, night: dt.date, inputs: tuple[str, ...], typical: Typical
+) -> Iterator[str]:
+    """Inputs of which another unit, usual as well, explains the flow."""
+    for at, name in enumerate(inputs):
+        for unit, reading in _usual_values(spec, name, typical[name]):
+            values = [typical[one] for one in inputs]
+            values[at] = reading
+            expected = _model_flow(spec, night, *values)
+            if expected is not None and _near(typical[FLOW], [expected]):
+                yield f"{name} {unit}"

@@ -1,0 +1,178 @@
+"""The heartbeat of a run: a small file that says how far it is, for whoever watches from outside.
+
+``heartbeat.json`` lies in the output folder and is replaced whole at every change of stage, after
+every motor, and every `INTERVAL_S` seconds between. A run that died leaves its last beat behind: it
+says ``running``, and grows old.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import logging
+import os
+import socket
+import threading
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+
+from pipeline.errors import MotorLeakageError, StoreError
+from pipeline.store.atomic_files import put
+
+log = logging.getLogger(__name__)
+
+INTERVAL_S = 15.0
+# A beat this old is none any more: several in a row are missing.
+MISSED_BEATS = 4
+RUNNING, FINISHED, INTERRUPTED, FAILED = "running", "finished", "interrupted", "failed"
+
+
+@dataclass(frozen=True, slots=True)
+class Beat:
+    """What a run says of itself; times are UTC.
+
+    Attributes
+    ----------
+    state
+        running, finished, interrupted or failed.
+    stage
+        motors, publishing, trends or recording.
+    started_at, beaten_at
+        When the run began, and when it last said so.
+    pid, host
+        The process.
+    n_motors, n_motors_done
+        Motors in the run, and those whose task has finished.
+    run_id
+        Known once all motors are done: it is the hash of what they read.
+    last_good_run
+        When the last run ended that went through all motors.
+    error_code
+        Of a run that failed.
+    """
+
+    state: str
+    stage: str
+    started_at: dt.datetime
+    beaten_at: dt.datetime
+    pid: int
+    host: str
+    n_motors: int
+    n_motors_done: int = 0
+    run_id: str | None = None
+    last_good_run: dt.datetime | None = None
+    error_code: str | None = None
+
+    def is_missing(self, now: dt.datetime) -> bool:
+        """Whether it says that a run is under way, and has not said so for too long."""
+        age_s = (now - self.beaten_at).total_seconds()
+        return self.state == RUNNING and age_s > MISSED_BEATS * INTERVAL_S
+
+
+def heartbeat_file(output: Path) -> Path:
+    """Where the heartbeat lies."""
+    return output / "heartbeat.json"
+
+
+def read_heartbeat(output: Path) -> Beat | None:
+    """The last beat; None where there was none, or it is no beat."""
+    try:
+        document = json.loads(heartbeat_file(output).read_text("utf-8"))
+        known = {field.name: document.get(field.name) for field in fields(Beat)}
+        for name in ("started_at", "beaten_at", "last_good_run"):
+            if known[name] is not None:
+                known[name] = dt.datetime.fromisoformat(known[name])
+        beat = Beat(**known)
+        beat.is_missing(dt.datetime.now(dt.UTC))
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
+        return None
+    return beat
+
+
+class Heartbeat:
+    """Beats while a run is under way; use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    n_motors
+        Motors in the run.
+    last_good_run
+        When the last run ended that went through all motors; None where none did.
+    interval_s
+        Time between beats in which nothing changes [s].
+    """
+
+    def __init__(
+        self,
+        output: Path,
+        n_motors: int,
+        last_good_run: dt.datetime | None,
+        interval_s: float = INTERVAL_S,
+    ) -> None:
+        now = dt.datetime.now(dt.UTC)
+        self._output = output
+        self._interval_s = interval_s
+        self._beat = Beat(
+            RUNNING,
+            "motors",
+            now,
+            now,
+            os.getpid(),
+            socket.gethostname(),
+            n_motors,
+            last_good_run=last_good_run,
+        )
+        self._changing = threading.Lock()
+        self._over = threading.Event()
+        self._told = False
+        self._thread = threading.Thread(target=self._keep_beating, name="heartbeat", daemon=True)
+
+    def __enter__(self) -> Heartbeat:
+        self.say()
+        self._thread.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: object, _: object) -> None:
+        self._over.set()
+        self._thread.join()
+        if kind is not None:
+            interrupted = issubclass(kind, KeyboardInterrupt)
+            code = error.code if isinstance(error, MotorLeakageError) else None
+            self.say(state=INTERRUPTED if interrupted else FAILED, error_code=code)
+
+    def motor_done(self) -> None:
+        """Another motor's task has finished."""
+        self.say(n_motors_done=self._beat.n_motors_done + 1)
+
+    def finished(self, run_id: str, *, good: bool) -> None:
+        """The run has come to its end; good where it went through all motors."""
+        ended = dt.datetime.now(dt.UTC) if good else self._beat.last_good_run
+        state = FINISHED if good else INTERRUPTED
+        self.say(state=state, run_id=run_id, last_good_run=ended)
+
+    def say(self, **changes: str | int | dt.datetime | None) -> None:
+        """Write a beat; that it cannot be written is told once and ends nothing."""
+        with self._changing:
+            now = dt.datetime.now(dt.UTC)
+            self._beat = replace(self._beat, beaten_at=now, **changes)  # type: ignore[arg-type]
+            text = json.dumps(_as_text(asdict(self._beat)), indent=1) + "\n"
+            try:
+                put(heartbeat_file(self._output), text.encode(), durable=False)
+            except StoreError as error:
+                if not self._told:
+                    log.warning("no heartbeat: %s", error)
+                self._told = True
+
+    def _keep_beating(self) -> None:
+        while not self._over.wait(self._interval_s):
+            self.say()
+
+
+def _as_text(values: Mapping[str, object]) -> dict[str, object]:
+    return {
+        name: value.isoformat() if isinstance(value, dt.datetime) else value
+        for name, value in values.items()
+    }

@@ -1,0 +1,228 @@
+"""Staged rows become tables: night by night, each file whole, its manifest before and after it."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipeline.errors import StoreError
+from pipeline.schema import Table, frame
+from pipeline.store.manifest import WHOLE, Manifest, announce, read_manifest, update_manifest
+from pipeline.store.tables import (
+    NightFile,
+    StagedRows,
+    encode_table,
+    prepare_file,
+    prepare_night,
+    read_rows,
+    run_file,
+    table_folder,
+)
+
+# What is still to be done with all rows of a night, given the motors whose rows are new.
+Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
+# Lets the next run make nights anew for all motors but some.
+Forget = Callable[[Path, Collection[dt.date], Collection[str]], object]
+Rows = Mapping[str, pl.DataFrame]
+
+
+@dataclass(slots=True)
+class Publisher:
+    """Publishes what the tasks of a run have staged.
+
+    Parameters
+    ----------
+    output, staging
+        Output folder, and the run's folder of staged rows.
+    run_id
+        Goes into every row.
+
+    Attributes
+    ----------
+    lost
+        Nights of which a file was damaged, with the motors whose rows are new: those of the others
+        have to be made anew.
+    damaged
+        Files that were put aside for it, by path relative to the folder of the tables.
+    """
+
+    output: Path
+    staging: Path
+    run_id: str
+    lost: dict[dt.date, set[str]] = field(default_factory=dict)
+    damaged: list[str] = field(default_factory=list)
+
+    def nights(
+        self,
+        tables: Iterable[Table],
+        motor_ids: Sequence[str],
+        forget: Forget,
+        finish: Mapping[str, Finish] | None = None,
+    ) -> None:
+        """Publish the staged rows of some motors, the oldest night first.
+
+        Parameters
+        ----------
+        tables
+            Which tables.
+        motor_ids
+            Whose rows.
+        forget
+            Called before a damaged file is replaced: from then on the rows that were in it are to
+            be made anew, whatever becomes of this run.
+        finish
+            By table, what is still to be done with a night's rows.
+
+        Raises
+        ------
+        StoreError
+            If a file cannot be written.
+        """
+        staged = {table: self.staged(table, motor_ids) for table in tables}
+        for table, motors in staged.items():
+            if "night" not in table.key:
+                self._vacate(table, motors, forget)
+        nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
+        for night in sorted(nights):
+            # Of one table at a time: with all of them a large fleet would fill the memory.
+            here = {table: partial(_of_night, some, night) for table, some in staged.items()}
+            self._night(night, here, forget, finish or {})
+
+    def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
+        """The staged rows of a table by motor; a motor that has none is left out."""
+        folder = self.staging / table.name
+        paths = {motor_id: folder / f"{motor_id}.arrow" for motor_id in motor_ids}
+        return {motor_id: StagedRows(path) for motor_id, path in paths.items() if path.exists()}
+
+    def _vacate(self, table: Table, staged: Mapping[str, StagedRows], forget: Forget) -> None:
+        """Take rows out of the nights that they leave, before they stand in an earlier one.
+
+        A key without the night would otherwise stand in two files for a moment.
+        """
+        key = list(table.key)
+        places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
+        for rows in staged.values():
+            for night in rows.nights:
+                found = rows.rows(night)
+                if found is not None and found.height:
+                    places[night].append(found.select(key))
+        for night in sorted({night for rows in staged.values() for night in rows.nights}):
+            earlier = [keys for other, some in places.items() if other < night for keys in some]
+            if not earlier:
+                continue
+            try:
+                present = read_rows(self.output, table, list(staged), nights=[night])
+            except StoreError:
+                continue  # nobody can read it, and it is replaced
+            kept = present.join(pl.concat(earlier), on=key, how="anti", maintain_order="left")
+            if kept.height < present.height:
+                left = present.join(kept, on=key, how="anti")["motor_id"].unique().sort()
+                rows_of = {
+                    motor_id: kept.filter(pl.col("motor_id") == motor_id).drop("run_id")
+                    for motor_id in left
+                }
+                self._night(night, {table: partial(dict, rows_of)}, forget, {})
+
+    def _night(
+        self,
+        night: dt.date,
+        new: Mapping[Table, Callable[[], Rows]],
+        forget: Forget,
+        finish: Mapping[str, Finish],
+    ) -> None:
+        """Write all files of a night beside their places, say so, and put them there."""
+        manifest = read_manifest(self.output, f"{night:%Y-%m}", night.isoformat()) or Manifest()
+        files: list[NightFile] = []
+        with ExitStack() as undone:
+            for table, rows_of in new.items():
+                if not (motors := rows_of()):
+                    continue
+                last = partial(_finished, finish.get(table.name), list(motors))
+                name = f"{table.name}/month={night:%Y-%m}/{night}.parquet"
+                file = prepare_night(
+                    self.output, table, night, motors, self.run_id, last, manifest.accepted(name)
+                )
+                undone.callback(file.drop)
+                files.append(file)
+                if file.lost_rows:
+                    if file.before is not None:
+                        self.damaged.append(name)
+                    self.lost.setdefault(night, set()).update(motors)
+                    forget(self.output, (night,), set(motors))
+            self._land(f"{night:%Y-%m}", night.isoformat(), files)
+            undone.pop_all()
+
+    def whole(self, table: Table, rows: pl.DataFrame) -> None:
+        """Publish a table that is one file.
+
+        Raises
+        ------
+        StoreError
+            If it cannot be written.
+        """
+        path = table_folder(self.output, table) / f"{table.name}.parquet"
+        self._put(WHOLE, table.name, {path: rows})
+
+    def of_run(
+        self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
+    ) -> None:
+        """Publish the tables that have a file a run.
+
+        Raises
+        ------
+        StoreError
+            If one cannot be written.
+        """
+        files = {
+            run_file(self.output, table, started): frame(table, some)
+            for table, some in rows.items()
+        }
+        self._put(f"{started:%Y-%m}", next(iter(files)).stem, files)
+
+    def _put(self, month: str, name: str, files: Mapping[Path, pl.DataFrame]) -> None:
+        """Publish files that are written as a whole, whatever is there."""
+        with ExitStack() as undone:
+            prepared = []
+            for path, rows in files.items():
+                prepared.append(prepare_file(path, encode_table(path.name, rows)))
+                undone.callback(prepared[-1].drop)
+            self._land(month, name, prepared)
+            undone.pop_all()
+
+    def _land(self, month: str, name: str, files: Sequence[NightFile]) -> None:
+        """Put files into their places, with what may be there in their manifest all the while."""
+        root = self.output / "tables"
+        paths = {file.path.relative_to(root).as_posix(): file for file in files}
+        # What is damaged must not be taken for what was there.
+        announce(
+            self.output,
+            month,
+            name,
+            {
+                path: (None if file.lost_rows else file.before, file.after)
+                for path, file in paths.items()
+            },
+        )
+        for file in files:
+            file.land()
+        update_manifest(
+            self.output, month, name, {path: file.after for path, file in paths.items()}
+        )
+
+
+def _of_night(staged: Mapping[str, StagedRows], night: dt.date) -> Rows:
+    """New rows of a night by motor; a motor that did not do it is left out."""
+    found = {motor_id: rows.rows(night) for motor_id, rows in staged.items()}
+    return {motor_id: rows for motor_id, rows in found.items() if rows is not None}
+
+
+def _finished(finish: Finish | None, motor_ids: Sequence[str], rows: pl.DataFrame) -> pl.DataFrame:
+    return rows if finish is None else finish(rows, motor_ids)

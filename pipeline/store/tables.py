@@ -1,0 +1,598 @@
+"""The tables on disk: one Parquet file a night and table, replaced whole or not at all.
+
+A motor's task stages its rows in a file of its own; the run then publishes night by night, so its
+memory does not grow with the fleet's history. Data files hold no clock time of ours.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import errno
+import hashlib
+import logging
+import os
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+from polars.exceptions import PanicException, PolarsError
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.schema import SCHEMA_VERSION, Table, frame
+from pipeline.store.atomic_files import Prepared, move, prepare, put, read, scratch
+from pipeline.store.manifest import MONTH_PREFIX, Manifest, key_of, read_manifest
+
+log = logging.getLogger(__name__)
+
+VERSION_KEY = "motor_leakage_schema_version"
+# Ending of a damaged file that a run has put aside.
+PUT_ASIDE = ".damaged"
+UNREADABLE = "unreadable"
+ENDING = ".parquet"
+MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
+# What reading a damaged file raises; a damaged name is a UnicodeDecodeError, a ValueError.
+DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
+
+
+def existing_tables(output: Path) -> Path:
+    """Folder of all tables.
+
+    Raises
+    ------
+    UsageError
+        ``no_tables``: there are none.
+    """
+    tables = output / "tables"
+    if not tables.is_dir():
+        raise UsageError("no_tables", f"there are no tables in {output}; run fit-fleet first")
+    return tables
+
+
+def table_folder(output: Path, table: Table) -> Path:
+    """Folder of a table."""
+    return output / "tables" / table.name
+
+
+def night_file(output: Path, table: Table, night: dt.date) -> Path:
+    """File of a table's night."""
+    return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
+
+
+def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
+    """Nights that a table has a file of, the newest first; a file may have no rows."""
+    folder = table_folder(output, table)
+    for month in sorted((entry.name for entry in _entries(folder)), reverse=True):
+        for name in sorted((entry.name for entry in _entries(folder / month)), reverse=True):
+            if (night := night_named(name)) is not None:
+                yield night
+
+
+def night_paths(output: Path, table: Table, month: str = "*") -> dict[dt.date, Path]:
+    """Files of a table by night, in time order; a stranger's file holds no night of ours."""
+    paths = sorted(table_folder(output, table).glob(f"{MONTH_PREFIX}{month}/*{ENDING}"))
+    found = ((night_named(path.name), path) for path in paths)
+    return {
+        night: path
+        for night, path in found
+        if night is not None and path == night_file(output, table, night)
+    }
+
+
+def night_named(name: str) -> dt.date | None:
+    """The night that a file of a table is called after; None: none."""
+    try:
+        night = dt.date.fromisoformat(name.removesuffix(ENDING))
+    except ValueError:
+        return None
+    return night if name == f"{night}{ENDING}" else None
+
+
+def month_stamps(output: Path, table: Table) -> dict[str, int]:
+    """When a file of each month of a table was last put there, replaced or removed.
+
+    Returns
+    -------
+    dict of str to int
+        By YYYY-MM, when its folder was changed [ns]. While it stays, all its files do.
+    """
+    return {
+        entry.name.removeprefix(MONTH_PREFIX): entry.stat().st_mtime_ns
+        for entry in _entries(table_folder(output, table))
+        if MONTH_FOLDER.fullmatch(entry.name)
+    }
+
+
+def night_stamps(output: Path, table: Table, month: str) -> dict[str, str]:
+    """What tells the files of a month from all that were in their places before, by night."""
+    found = {}
+    for entry in _entries(table_folder(output, table) / f"{MONTH_PREFIX}{month}"):
+        night = night_named(entry.name)
+        if night is not None and f"{night:%Y-%m}" == month:
+            state = entry.stat()
+            stamp = f"{state.st_size:x}.{state.st_mtime_ns:x}.{state.st_ino:x}"
+            found[entry.name.removesuffix(ENDING)] = stamp
+    return found
+
+
+def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    try:
+        with os.scandir(folder) as entries:
+            return list(entries)
+    except (FileNotFoundError, NotADirectoryError):
+        return []
+    except OSError as error:
+        raise StoreError(
+            "store_read", f"{folder.name} cannot be listed: {error.strerror}"
+        ) from error
+
+
+def write_table(path: Path, rows: pl.DataFrame) -> str:
+    """Write a table file whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The file; folders above it are made.
+    rows
+        Its rows, in their final order.
+
+    Returns
+    -------
+    str
+        SHA-256 of the file, as it was read back from the disk.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written; what was there before is then untouched.
+    """
+    return put(path, encode_table(path.name, rows))
+
+
+def encode_table(name: str, rows: pl.DataFrame) -> bytes:
+    """Rows as a Parquet file, decoded again and compared; the same rows give the same bytes.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be encoded, or are decoded otherwise.
+    """
+    try:
+        encoded = _as_parquet(rows, SCHEMA_VERSION)
+        decoded = pl.from_arrow(_from_parquet(encoded))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise StoreError("store_write", f"{name} cannot be written: {error}") from error
+    assert isinstance(decoded, pl.DataFrame)
+    if not decoded.equals(rows, null_equal=True):
+        raise StoreError("store_write", f"{name}: what is read back is not what was written")
+    return encoded
+
+
+def _as_parquet(rows: pl.DataFrame, version: int) -> bytes:
+    content = rows.to_arrow(compat_level=pl.CompatLevel.oldest())
+    stream = pa.BufferOutputStream()
+    with pq.ParquetWriter(
+        stream,
+        content.schema,
+        compression="zstd",
+        write_page_checksum=True,
+        store_schema=False,
+    ) as table:
+        table.write_table(content)
+        # Metadata of the schema would be left out with it.
+        table.add_key_value_metadata({VERSION_KEY: str(version)})
+    return bytes(stream.getvalue())
+
+
+def _from_parquet(encoded: bytes) -> pa.Table:
+    return pq.read_table(
+        pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
+    )
+
+
+def read_table(path: Path, table: Table) -> pl.DataFrame:
+    """Rows of a table file; columns that an older version had not are null.
+
+    Raises
+    ------
+    StoreError
+        If the file is damaged (``store_read``), or of a newer version of the program
+        (``store_newer``).
+    """
+    try:
+        content = read(path)
+    except OSError as error:
+        raise _damaged(path, table, error) from error
+    return _decode(path, table, content)
+
+
+def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
+    try:
+        content = _from_parquet(encoded)
+        _require_known_version(path, content)
+        rows = pl.from_arrow(content)
+        assert isinstance(rows, pl.DataFrame)
+        _require_columns(rows.columns, table)
+        absent = [
+            pl.lit(None, dtype=kind).alias(name)
+            for name, kind in table.schema.items()
+            if name not in rows.columns
+        ]
+        return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
+    except DAMAGE as error:
+        raise _damaged(path, table, error) from error
+
+
+def _damaged(path: Path, table: Table, error: BaseException) -> StoreError:
+    return StoreError("store_read", f"{path.name} of {table.name} is damaged: {error}")
+
+
+def read_rows(
+    output: Path,
+    table: Table,
+    motor_ids: Sequence[str],
+    columns: Sequence[str] = (),
+    month: str = "*",
+    nights: Collection[dt.date] | None = None,
+) -> pl.DataFrame:
+    """The published rows of some motors in all night files of a table, or in some of them.
+
+    Parameters
+    ----------
+    output, table
+        Which table.
+    motor_ids
+        Whose rows.
+    columns
+        Which columns; all if none. Those that an older file had not are null.
+    month
+        YYYY-MM; all by default.
+    nights
+        Labels; None: all.
+
+    Returns
+    -------
+    polars.DataFrame
+        In no particular order.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged, or is not what its manifest says.
+    """
+    chosen = list(columns or table.schema)
+    empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
+    if nights is None:
+        paths = list(night_paths(output, table, month).values())
+    else:
+        files = (night_file(output, table, night) for night in sorted(nights))
+        paths = [path for path in files if path.exists()]
+    if not paths:
+        return empty.select(chosen)
+    empty = empty.select(["motor_id", *(name for name in chosen if name != "motor_id")])
+    parts = [_read_motors(output, path, table, motor_ids, empty.columns) for path in paths]
+    rows = pl.concat([empty, *parts], how="diagonal_relaxed")
+    return rows.select(chosen).cast(pl.Schema({name: table.schema[name] for name in chosen}))
+
+
+def _read_motors(
+    output: Path, path: Path, table: Table, motor_ids: Sequence[str], columns: Sequence[str]
+) -> pl.DataFrame:
+    """Some motors' rows of a file, in those columns that it has.
+
+    File by file, as a scanner of many takes longer for small ones; with checksums, as a flipped bit
+    would otherwise be a step in a trend.
+    """
+    try:
+        content = _published_content(output, path, table)
+        with pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True) as file:
+            rows = pl.from_arrow(file.read(columns=list(columns), use_threads=False))
+        assert isinstance(rows, pl.DataFrame)
+        types = {name: table.schema[name] for name in rows.columns}
+        return rows.filter(pl.col("motor_id").is_in(list(motor_ids))).cast(pl.Schema(types))
+    except DAMAGE as error:
+        raise _damaged(path, table, error) from error
+
+
+def _published_content(output: Path, path: Path, table: Table) -> bytes:
+    """Content of a file that is what its manifest says; of one without a manifest, as it is."""
+    name = path.relative_to(output / "tables").as_posix()
+    for _ in range(2):  # a run may publish it in between
+        manifest = read_manifest(output, *key_of(name)) or Manifest()
+        content, accepted = read(path), manifest.accepted(name)
+        if not accepted or hashlib.sha256(content).hexdigest() in accepted:
+            return content
+    raise _damaged(path, table, ValueError("it is not what its manifest says"))
+
+
+class Proof(Enum):
+    """Evidence for a file that no manifest lists.
+
+    `WHOLE`: to the byte it is what this program writes of its rows, its footer too. `PAGES`: the
+    checksums of its pages alone, as another version of PyArrow or Polars wrote it.
+    """
+
+    WHOLE = "whole"
+    PAGES = "pages"
+
+
+def prove(path: Path, table: Table) -> tuple[str, Proof]:
+    """SHA-256 of a table file that is whole as far as it can tell itself, and what proves it.
+
+    Raises
+    ------
+    StoreError
+        If it is damaged, of a newer version of the program, or has rows of other nights.
+    """
+    try:
+        content = read(path)
+        stored = _from_parquet(content)
+        _require_known_version(path, stored)
+        rows = pl.from_arrow(stored)
+        assert isinstance(rows, pl.DataFrame)
+        _require_columns(rows.columns, table)
+        of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
+        if of_night and {str(night) for night in rows["night"].unique().drop_nulls()} - {path.stem}:
+            raise ValueError("it has rows of other nights")
+        same = _as_parquet(rows, _version_of(stored)) == content
+    except DAMAGE as error:
+        raise _damaged(path, table, error) from error
+    return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
+
+
+def _require_known_version(path: Path, content: pa.Table) -> None:
+    """Refuse a file of a newer version of the program: it may hold what this one would lose."""
+    version = _version_of(content)
+    if version > SCHEMA_VERSION:
+        raise StoreError(
+            "store_newer", f"{path.name} is of schema version {version}; update the program"
+        )
+
+
+def _version_of(content: pa.Table) -> int:
+    return int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
+
+
+def _require_columns(names: Sequence[str], table: Table) -> None:
+    """Refuse columns that are not the table's: a damaged name would read as a column of nulls."""
+    strange = sorted(set(names) - table.schema.keys())
+    absent = sorted(set(table.key) - set(names))
+    if strange or absent:
+        raise ValueError(
+            f"column {', '.join(strange) or 'none'} is not known to this version, and of the key "
+            f"{', '.join(absent) or 'none'} is absent"
+        )
+
+
+class StagedRows:
+    """The rows of one motor and table, a record batch a night, as its task left them.
+
+    The file is open only while it is read: a fleet has more of them than a process may open.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with self._opened() as file:
+            nights = file.schema.metadata[b"nights"].decode()
+        self.nights = [dt.date.fromisoformat(text) for text in nights.split()]
+
+    @contextmanager
+    def _opened(self) -> Iterator[pa.ipc.RecordBatchFileReader]:
+        with pa.memory_map(str(self._path)) as content, pa.ipc.open_file(content) as file:
+            yield file
+
+    def rows(self, night: dt.date) -> pl.DataFrame | None:
+        """Rows of a night, or None where this motor did not do it."""
+        if night not in self.nights:
+            return None
+        with self._opened() as file:
+            batch = file.get_batch(self.nights.index(night))
+            rows = pl.from_arrow(pa.Table.from_batches([batch]))
+        assert isinstance(rows, pl.DataFrame)
+        return rows
+
+
+def stage(
+    path: Path, table: Table, nights: Mapping[dt.date, Iterable[Mapping[str, object]]]
+) -> None:
+    """Leave a motor's rows of one table for the run to publish; a night without rows too.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be written, for want of space say.
+    """
+    frames = [frame(table, rows, without="run_id").to_arrow() for _, rows in sorted(nights.items())]
+    label = " ".join(night.isoformat() for night in sorted(nights))
+    schema = frames[0].schema.with_metadata({b"nights": label.encode()})
+    try:
+        with scratch(path) as stream, pa.ipc.new_file(stream, schema) as staged:
+            for rows in frames:
+                # An empty table has no batch of its own, yet its night must keep its place.
+                whole = rows.combine_chunks().to_batches() or [
+                    pa.RecordBatch.from_pylist([], schema=rows.schema)
+                ]
+                staged.write_batch(whole[0])
+    except OSError as error:
+        raise StoreError("store_write", f"rows cannot be staged: {error}") from error
+
+
+@dataclass(frozen=True, slots=True)
+class NightFile:
+    """A night's file of a table, before it is put into its place.
+
+    Attributes
+    ----------
+    path
+        Its place.
+    before
+        SHA-256 of what is there; None where there is nothing.
+    after
+        SHA-256 of what is to be there; None where there was no file and there are no rows.
+    lost_rows
+        Whether what is there is damaged, or what was there is gone: the rows of the motors that
+        are not published with it have to be made anew.
+    prepared
+        The new file; None where what is there stays.
+    """
+
+    path: Path
+    before: str | None
+    after: str | None
+    lost_rows: bool = False
+    prepared: Prepared | None = None
+
+    def land(self) -> None:
+        """Put it into its place; what is damaged there is put aside, to be looked at.
+
+        Raises
+        ------
+        StoreError
+            If that fails; there is then what was there before, or already the new file.
+        """
+        if self.lost_rows and self.before is not None:
+            move(self.path, self.path.with_suffix(PUT_ASIDE))
+        if self.prepared is not None:
+            self.prepared.land()
+
+    def drop(self) -> None:
+        """Leave what is in its place as it is."""
+        if self.prepared is not None:
+            self.prepared.drop()
+
+
+def prepare_night(
+    output: Path,
+    table: Table,
+    night: dt.date,
+    staged: Mapping[str, pl.DataFrame],
+    run_id: str,
+    finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
+    accepted: Collection[str | None] = (),
+) -> NightFile:
+    """Make a night's file with the new rows of some motors; those of the others stay.
+
+    Parameters
+    ----------
+    output
+        Output folder.
+    table, night
+        Which file.
+    staged
+        New rows by motor id; a motor without rows loses those it had.
+    run_id
+        The run that writes them.
+    finish
+        What is still to be done with all rows of the night together.
+    accepted
+        Each SHA-256 that the file there may have, None for no file; empty: nobody knows.
+
+    Returns
+    -------
+    NightFile
+        Written and read back, and not in its place yet. A file keeps its place without rows: a
+        reader who has just listed it must not find it gone.
+
+    Raises
+    ------
+    StoreError
+        If the new file cannot be written, or the one there not be read.
+    """
+    path = night_file(output, table, night)
+    before, rows_before = _present(path, table, accepted)
+    gone = before is None and bool(accepted) and None not in accepted
+    lost_rows = gone or (before is not None and rows_before is None)
+    parts = [frame(table, [])]
+    if rows_before is not None:
+        parts.append(rows_before.filter(~pl.col("motor_id").is_in(list(staged))))
+    parts += [
+        rows.with_columns(pl.lit(run_id).alias("run_id")).select(table.schema.keys())
+        for rows in staged.values()
+    ]
+    rows = finish(pl.concat(parts).sort(table.key))
+    if before is None and not rows.height:
+        return NightFile(path, None, None, lost_rows)
+    content = encode_table(path.name, rows)
+    after = hashlib.sha256(content).hexdigest()
+    if after == before:
+        return NightFile(path, before, after)
+    return NightFile(path, before, after, lost_rows, prepare(path, content))
+
+
+def prepare_file(path: Path, content: bytes) -> NightFile:
+    """Make a file that is written as a whole: what is there goes, whatever it is.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    try:
+        before = hashlib.sha256(read(path)).hexdigest()
+    except (FileNotFoundError, NotADirectoryError):
+        before = None
+    except OSError:
+        before = UNREADABLE
+    after = hashlib.sha256(content).hexdigest()
+    if after == before:
+        return NightFile(path, before, after)
+    return NightFile(path, before, after, prepared=prepare(path, content))
+
+
+def _present(
+    path: Path, table: Table, accepted: Collection[str | None]
+) -> tuple[str | None, pl.DataFrame | None]:
+    """Hash and rows of a night's file as it is; None where there is none, or none to be trusted.
+
+    A file is damaged if it reads as such twice: what went wrong on the way from the disk is none of
+    its faults.
+    """
+    for attempt in range(2):
+        digest = UNREADABLE
+        try:
+            content = read(path)
+            digest = hashlib.sha256(content).hexdigest()
+            _require_accepted(path, table, digest, accepted)
+            return digest, _decode(path, table, content)
+        except (FileNotFoundError, NotADirectoryError):
+            return None, None
+        except OSError as error:
+            if error.errno != errno.EIO:
+                raise StoreError(
+                    "store_read", f"{path.name} of {table.name} cannot be read: {error.strerror}"
+                ) from error
+            fault = _damaged(path, table, error)
+        except StoreError as error:
+            if error.code != "store_read":
+                raise
+            fault = error
+        if attempt:
+            log.warning("%s; it is put aside, and the next run makes that night anew", fault)
+    return digest, None
+
+
+def _require_accepted(
+    path: Path, table: Table, digest: str, accepted: Collection[str | None]
+) -> None:
+    if accepted and digest not in accepted:
+        raise _damaged(path, table, ValueError("it is not what its manifest says"))
+
+
+def run_file(output: Path, table: Table, started: dt.datetime) -> Path:
+    """File of a run, of the tables that have one for each run."""
+    name = f"{started:%Y%m%dT%H%M%S%fZ}.parquet"
+    return table_folder(output, table) / f"month={started:%Y-%m}" / name
+
+
+def day_of_run(path: Path) -> dt.date | None:
+    """The day on which a run began, by its file's name; None where no run is called so."""
+    try:
+        return dt.date.fromisoformat(path.name[:8])
+    except ValueError:
+        return None

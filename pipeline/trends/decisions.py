@@ -1,0 +1,182 @@
+"""What people said of a motor: acknowledged alarms, findings, and baselines that were reset.
+
+A journal beside the tables, one line each, only ever appended to: unlike all else in the output it
+cannot be made anew, so keep it with your backups.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import logging
+from collections.abc import Collection
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pipeline.errors import StoreError
+from pipeline.store.atomic_files import append, blank, read
+
+log = logging.getLogger(__name__)
+
+Kind = Literal["acknowledged", "finding", "baseline_reset"]
+Finding = Literal["confirmed", "not_confirmed"]
+KINDS, FINDINGS = get_args(Kind), get_args(Finding)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What somebody said.
+
+    Attributes
+    ----------
+    motor_id, indicator
+        Of what; an empty indicator means all of the motor's.
+    time
+        When it was said, UTC.
+    kind
+        An alarm acknowledged, the finding of an inspection, or a baseline reset.
+    night
+        The night that it refers to; of a reset the first night of the new baseline.
+    finding
+        Whether wear was found; None: nothing was looked at.
+    note
+        In words.
+    """
+
+    motor_id: str
+    indicator: str
+    time: dt.datetime
+    kind: Kind
+    night: dt.date
+    finding: Finding | None = None
+    note: str = ""
+
+
+def journal_file(output: Path) -> Path:
+    """Where the journal lies."""
+    return output / "decisions.jsonl"
+
+
+def record_decision(output: Path, decision: Decision) -> None:
+    """Append a decision to the journal, flushed and read back.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be written.
+    """
+    append(journal_file(output), _line(decision))
+
+
+def _line(decision: Decision) -> bytes:
+    document = asdict(decision) | {
+        "time": decision.time.isoformat(),
+        "night": decision.night.isoformat(),
+    }
+    line = json.dumps({"sha256": _digest(document), **document}, sort_keys=True) + "\n"
+    return line.encode()
+
+
+def read_decisions(output: Path) -> tuple[Decision, ...]:
+    """All decisions, the oldest first; a damaged line is left out, with a warning.
+
+    Raises
+    ------
+    StoreError
+        If there is a journal that cannot be read.
+    """
+    found = []
+    for number, one in _lines(output).items():
+        if one is None:
+            log.warning("%s, line %d is damaged and left out", journal_file(output).name, number)
+        else:
+            found.append(one)
+    return tuple(sorted(found, key=lambda one: (one.time, one.motor_id, one.indicator)))
+
+
+def damaged_lines(output: Path) -> tuple[int, ...]:
+    """Numbers of the lines of the journal that are damaged.
+
+    Raises
+    ------
+    StoreError
+        If there is a journal that cannot be read.
+    """
+    return tuple(number for number, one in _lines(output).items() if one is None)
+
+
+def put_back(output: Path, known: Collection[Decision]) -> int:
+    """Append what a damaged journal, or one that is gone, lacks of what is known from elsewhere.
+
+    Returns
+    -------
+    int
+        How many decisions were put back; none where the journal is whole: people may have taken
+        lines out of it.
+
+    Raises
+    ------
+    StoreError
+        If the journal cannot be read or written.
+    """
+    present = _lines(output).values()
+    if present and None not in present:
+        return 0
+    lost = [one for one in known if one not in present]
+    if lost:
+        # In one call: a journal that was gone is put back as a whole or is damaged.
+        append(journal_file(output), b"".join(map(_line, lost)))
+    return len(lost)
+
+
+def take_out_damaged_lines(output: Path) -> None:
+    """Move the damaged lines of the journal into a file beside it, to be looked at.
+
+    Raises
+    ------
+    StoreError
+        If that fails; a line is then in one of the files, or in both.
+    """
+    path = journal_file(output)
+
+    def damaged(content: bytes) -> list[tuple[int, int]]:
+        spans, begin = [], 0
+        for line in content.split(b"\n"):
+            if line.strip() and _decision(line) is None:
+                spans.append((begin, begin + len(line)))
+            begin += len(line) + 1
+        taken = b"".join(content[begin:end] + b"\n" for begin, end in spans)
+        if taken:
+            append(path.with_suffix(".damaged"), taken)
+        return spans
+
+    blank(path, damaged)
+
+
+def _lines(output: Path) -> dict[int, Decision | None]:
+    path = journal_file(output)
+    try:
+        lines = read(path).split(b"\n")
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise StoreError("store_read", f"{path.name} cannot be read: {error.strerror}") from error
+    return {n: _decision(line) for n, line in enumerate(lines, start=1) if line.strip()}
+
+
+def _decision(line: bytes) -> Decision | None:
+    try:
+        document = json.loads(line)
+        if document.pop("sha256") != _digest(document):
+            return None
+        document["time"] = dt.datetime.fromisoformat(document["time"])
+        document["night"] = dt.date.fromisoformat(document["night"])
+        return Decision(**document)
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def _digest(document: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()[:16]

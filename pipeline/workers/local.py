@@ -1,0 +1,340 @@
+"""Independent tasks over worker processes: what a task does to its worker costs itself alone.
+
+A worker has one task at a time and a connection of its own, so it is known which task it was that a
+worker died of, hung in, or wanted too much memory for. A lost task is tried once more when all
+others are done, with nothing beside it.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Container, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from multiprocessing.connection import wait
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any, Self, TypeVar
+
+from joblib.externals.loky.backend import get_context
+from joblib.externals.loky.backend.reduction import dumps
+
+from pipeline.workers.process import Assignment, Done, Loss, SignOfLife, attempt, serve
+
+if TYPE_CHECKING:
+    from pipeline.config import Execution
+
+log = logging.getLogger(__name__)
+
+Task = TypeVar("Task")
+Result = TypeVar("Result")
+
+# Read by the libraries as a worker loads them. With all threads each, workers would fight for the
+# cores; Arrow's own allocator reserves a gibibyte at once, which would count as used.
+ENVIRONMENT: Mapping[str, str] = {
+    "POLARS_MAX_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+}
+# A worker takes a task up within this time, [s], loading of the program included.
+START_S = 120.0
+# A worker that is told to die is killed if it has not done so by then, [s].
+GRACE_S = 5.0
+# Of what a worker writes to stderr, the end may tell what it died of, [bytes].
+LAST_WORDS = 1 << 16
+# What allocators in C, C++ and Rust say before they abort.
+NO_MEMORY = re.compile(
+    r"^.*(memory allocation|bad_alloc|out of memory|cannot allocate|MemoryError).*$",
+    re.IGNORECASE | re.MULTILINE,
+)
+# A line of `faulthandler`; the first is the innermost.
+FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
+
+
+def run_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: Callable[[Task, Loss], Result],
+    execution: Execution,
+) -> Iterator[Result]:
+    """As `Crew.run_tasks`, over workers that are there for these tasks alone."""
+    with Crew() as crew:
+        yield from crew.run_tasks(function, tasks, lost, execution)
+
+
+class Crew:
+    """Worker processes for all the tasks of a run.
+
+    Parameters
+    ----------
+    n_workers
+        So many are started at once; others when there are tasks for them.
+    modules
+        What these load meanwhile.
+    """
+
+    def __init__(self, n_workers: int = 0, modules: Sequence[str] = ()) -> None:
+        self._workers: list[Worker] = []
+        for _ in range(n_workers):
+            self._workers.append(Worker(modules))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """End all workers; a task under way is dropped, and has published nothing."""
+        while self._workers:
+            self._workers.pop().kill()
+
+    def run_tasks(
+        self,
+        function: Callable[[Task], Result],
+        tasks: Sequence[Task],
+        lost: Callable[[Task, Loss], Result],
+        execution: Execution,
+        *,
+        first: bool = False,
+    ) -> Iterator[Result]:
+        """Results as the tasks finish, in any order.
+
+        Parameters
+        ----------
+        function
+            Does a task; what it is made of must be importable, as workers are fresh processes.
+        tasks
+            Plain data, small enough to send.
+        lost
+            The result of a task that was lost.
+        execution
+            How many workers, and their limits. With backend ``sequential`` the tasks are done here
+            and once; one that hangs or dies takes the run with it.
+        first
+            Whether tasks are tried only once, and one of which nothing is heard is not waited for.
+        """
+        if execution.backend == "sequential":
+            tried = _here(function, tasks)
+        elif first:
+            n_workers, hasty = execution.workers, execution.hasty
+            tried = self._side_by_side(function, tasks, n_workers, hasty)
+        else:
+            tried = self._tried_twice(function, tasks, execution)
+        for task, outcome in tried:
+            yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
+
+    def _tried_twice(
+        self, function: Callable[[Task], Result], tasks: Sequence[Task], execution: Execution
+    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+        again: list[Task] = []
+        for task, outcome in self._side_by_side(function, tasks, execution.workers, execution):
+            # A log that does not answer is not asked twice.
+            if isinstance(outcome, Done) or outcome.log:
+                yield task, outcome
+            else:
+                log.warning("a task is lost and will be tried again, alone: %s", outcome.how)
+                again.append(task)
+        if again:
+            # In a fresh process, with all the memory that there is.
+            self.end()
+            yield from self._side_by_side(function, again, 1, execution)
+
+    def _side_by_side(
+        self,
+        function: Callable[[Task], Result],
+        tasks: Sequence[Task],
+        n_workers: int,
+        execution: Execution,
+    ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+        """Each task with what came of it, as they finish."""
+        waiting = deque(tasks)
+        at_work: dict[Worker, Task] = {}
+        try:
+            while waiting or at_work:
+                while waiting and len(at_work) < n_workers:
+                    task = waiting.popleft()
+                    worker = self._idle(at_work)
+                    worker.begin(function, task, execution)
+                    at_work[worker] = task
+                _wait_for_news(at_work)
+                for worker, task in tuple(at_work.items()):
+                    outcome = worker.outcome()
+                    if outcome is not None:
+                        del at_work[worker]
+                        yield task, outcome
+        finally:
+            # Nobody waits any more for what these do.
+            for worker in at_work:
+                worker.kill()
+
+    def _idle(self, at_work: Container[Worker]) -> Worker:
+        for worker in self._workers:
+            if worker not in at_work:
+                return worker
+        self._workers.append(Worker())
+        return self._workers[-1]
+
+
+def _here(
+    function: Callable[[Task], Result], tasks: Sequence[Task]
+) -> Iterator[tuple[Task, Done[Result] | Loss]]:
+    for task in tasks:
+        yield task, attempt(function, task)
+
+
+def run_task(
+    worker: Worker, function: Callable[[Task], Result], task: Task, execution: Execution
+) -> Done[Result] | Loss:
+    """What comes of a task in a worker that has nothing else to do."""
+    worker.begin(function, task, execution)
+    while (outcome := worker.outcome()) is None:
+        _wait_for_news([worker])
+    return outcome
+
+
+def _wait_for_news(at_work: Collection[Worker]) -> None:
+    """Wait until a worker says something, dies, or has used up its time."""
+    due = min(worker.due for worker in at_work)
+    ends = [end for worker in at_work for end in (worker.connection, worker.stderr)]
+    wait(ends, max(0.0, due - time.monotonic()))
+
+
+class Worker:
+    """A process that does one task at a time; if it dies of one, another does the next.
+
+    Parameters
+    ----------
+    modules
+        What it loads before there is a task.
+    """
+
+    execution: Execution
+
+    def __init__(self, modules: Sequence[str] = ()) -> None:
+        self._start(modules)
+
+    def _start(self, modules: Sequence[str] = ()) -> None:
+        context = get_context("loky")
+        self.connection, theirs = context.Pipe()
+        self.stderr, their_stderr = context.Pipe(duplex=False)
+        os.set_blocking(self.stderr.fileno(), False)
+        # A daemon is ended when the run ends, however that comes.
+        self.process = context.Process(
+            target=serve,
+            args=(theirs, their_stderr, tuple(modules), os.getpid()),
+            env=ENVIRONMENT,
+            daemon=True,
+        )
+        self.is_killed = False
+        with _deaf_to_interrupts():
+            self.process.start()
+        # Once it is the only one to hold them, they close with it.
+        theirs.close()
+        their_stderr.close()
+
+    def begin(self, function: Callable[[Any], Any], task: object, execution: Execution) -> None:
+        """Give it a task, and its limits."""
+        if self.is_killed or self.process.exitcode is not None:
+            self._start()
+        self.execution = execution
+        self.sign, self.last_words, self.is_late = SignOfLife(), b"", False
+        self.due = time.monotonic() + START_S
+        with suppress(ConnectionError):  # dead already: heard of in a moment
+            given = Assignment(function, task, execution.memory_limit_mib)
+            self.connection.send_bytes(dumps(given))
+
+    def outcome(self) -> Done[Any] | Loss | None:
+        """What came of its task; None while it is at work."""
+        self._pass_on_stderr()
+        if not self.connection.poll():
+            if time.monotonic() < self.due:
+                return None
+            self.is_late = True
+            os.kill(self.process.pid, signal.SIGALRM)
+            return self._loss()
+        try:
+            message: SignOfLife | Done[Any] | Loss = self.connection.recv()
+        except (EOFError, OSError):
+            return self._loss()
+        if isinstance(message, SignOfLife):
+            self.sign = message
+            self.due = time.monotonic() + self._limit_s
+            return None
+        return message
+
+    @property
+    def _limit_s(self) -> float:
+        """Longest silence after the last sign of life."""
+        return self.execution.answer_s if self.sign.is_asked else self.execution.timeout_s
+
+    def _loss(self) -> Loss:
+        """What the worker has died of."""
+        self.process.join(GRACE_S)
+        self.kill()
+        self._pass_on_stderr()
+        words = self.last_words.decode("utf-8", "replace")
+        no_memory = NO_MEMORY.search(words)
+        if self.is_late and self.sign.log:
+            verb = "answer" if self.sign.is_asked else "come to its end"
+            how = f"{self.sign.log} did not {verb} within {self._limit_s:g} s"
+            return Loss("log_no_answer", how, self.sign.part, self.sign.log)
+        if self.is_late:
+            how = f"not done within {self._limit_s:g} s"
+        else:
+            how = f"its worker process ended with {_died(self.process.exitcode)}"
+            how += f": {no_memory.group().strip()}" if no_memory else ""
+        how += f", at {self.sign.part}" if self.sign.part else ""
+        if frame := FRAME.search(words):
+            file, line, function = frame.groups()
+            how += f", in {function} ({PurePath(file).name}, line {line})"
+        code = "task_timeout" if self.is_late else "task_memory" if no_memory else "worker_died"
+        return Loss(code, how, self.sign.part)
+
+    def _pass_on_stderr(self) -> None:
+        with suppress(BlockingIOError):
+            while text := os.read(self.stderr.fileno(), LAST_WORDS):
+                self.last_words = (self.last_words + text)[-LAST_WORDS:]
+                sys.stderr.write(text.decode("utf-8", "replace"))
+        sys.stderr.flush()
+
+    def kill(self) -> None:
+        """End the process, whatever it does, and wait for its end.
+
+        Not for ever: in a call to a disk that hangs not even SIGKILL ends one.
+        """
+        if self.process.exitcode is None:
+            os.kill(self.process.pid, signal.SIGKILL)
+            self.process.join(GRACE_S)
+        self.is_killed = True
+
+
+@contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Have processes that are started here ignore what a terminal sends to all of them."""
+    if threading.current_thread() is not threading.main_thread():  # only there it can be set
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _died(exit_code: int | None) -> str:
+    """How a process has ended, in words."""
+    if exit_code is None:
+        return "nothing that could be heard"
+    if exit_code >= 0:
+        return f"exit code {exit_code}"
+    name = signal.Signals(-exit_code).name
+    hint = ", as the system does for want of memory" if name == "SIGKILL" else ""
+    return f"{name}{hint}"

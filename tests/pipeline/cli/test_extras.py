@@ -1,0 +1,87 @@
+"""What is not installed by default is missed only where it is used, and is then named."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).parents[3]
+# In a process of its own: every module of the program without the extras, then what asks for them.
+WITHOUT = """
+import importlib, pkgutil, sys
+from pathlib import Path
+for name in ("dask", "distributed", "obstore", "deltalake"):
+    sys.modules[name] = None
+import pipeline
+for module in pkgutil.walk_packages(pipeline.__path__, "pipeline."):
+    if not module.name.endswith("__main__"):
+        importlib.import_module(module.name)
+from pipeline.config import Execution
+from pipeline.export.delta import export_delta
+from pipeline.workers.engine import open_engine
+from pipeline.errors import MotorLeakageError
+from pipeline.store.object_store import ObjectStore
+
+
+def dask():
+    with open_engine(Execution(backend="dask")):
+        pass
+
+
+for ask in (dask, lambda: ObjectStore.at("s3://b/x"), lambda: list(export_delta(Path(), "x"))):
+    try:
+        ask()
+    except MotorLeakageError as error:
+        print(error.code, error.message)
+"""
+
+
+def test_without_the_extras_all_modules_load_and_each_use_names_its_extra() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True
+    )
+    told = [line.split(" ", 1) for line in done.stdout.splitlines()]
+    assert [code for code, _ in told] == ["dask_missing", "object_store_missing", "delta_missing"]
+    for (_, message), extra in zip(told, ("dask", "s3", "delta"), strict=True):
+        assert f"motor-leakage[{extra}]" in message
+
+
+def test_a_run_on_one_machine_loads_no_extra() -> None:
+    names = "dask", "distributed", "obstore", "deltalake"
+    code = (
+        "import sys, pipeline.run.fleet, pipeline.cli.housekeeping, pipeline.export.delta; "
+        f"print([name for name in {names} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def pinned() -> dict[str, str]:
+    """Versions of `requirements.txt` by package."""
+    found = {}
+    for line in (ROOT / "requirements.txt").read_text("utf-8").splitlines():
+        name, is_pin, rest = line.partition("==")
+        if is_pin and not line.startswith(" "):
+            found[canonicalize_name(name)] = rest.split()[0]
+    return found
+
+
+def stated() -> list[str]:
+    """What `pyproject.toml` asks for, extras and development included."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+    extras = project["project"]["optional-dependencies"].values()
+    groups = [*extras, project["project"]["dependencies"], project["dependency-groups"]["dev"]]
+    return sorted({one for group in groups for one in group})
+
+
+@pytest.mark.parametrize("text", stated())
+def test_what_is_stated_is_pinned_within_its_range(text: str) -> None:
+    asked = Requirement(text)
+    version = pinned()[canonicalize_name(asked.name)]
+    assert asked.specifier.contains(version), f"{version} is pinned"

@@ -1,0 +1,285 @@
+"""Other motor families are files, not code: an invented type goes all the way through."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from leakage import (
+    AnnularGap,
+    Constant,
+    Laminar,
+    Motor,
+    Parameter,
+    SpeedCurve,
+    film_thickness_ratio,
+    leakage_l_per_min,
+)
+from leakage.conditions import OperatingConditions
+from pipeline.config import MotorSpec, load_fleet
+from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.run.fleet import RunRequest, run_fleet
+from tests.pipeline.simulated import (
+    NIGHT,
+    Operation,
+    load_motor,
+    motor_toml,
+    night_of,
+    operate,
+    raw,
+    write_configs,
+    write_log,
+)
+
+X_CLEARANCE_BAR, X_PLATE_BAR = 150.0, 700.0
+
+
+def points_of(deformation_bar: float, gap_um: float) -> str:
+    """What a simulation would give: [bar, µm, l/min] at constant viscosity."""
+    return ", ".join(
+        f"[{bar}, {gap_um}, {gap_um**3 * bar * np.exp(-3.0 * bar / deformation_bar):.15g}]"
+        for bar in (10.0, 40.0, 90.0, 160.0, 250.0, 320.0)
+    )
+
+
+def slipper_l_per_min(speed_rpm: float) -> float:
+    """A curve of the invented simulation, itself a quintic."""
+    x = speed_rpm / 200.0
+    return 0.004 + 0.03 * x - 0.02 * x**2 + 0.01 * x**5
+
+
+SPEEDS = (0.0, 20.0, 50.0, 90.0, 130.0, 170.0, 200.0)
+
+# An axial piston motor: no rings, no balance sleeves, two gaps that close under pressure, a
+# distributor whose coefficient is searched, and slippers after points of a curve.
+AXIAL = f"""
+motor_type = "AX-9"
+surface_roughness_um = [0.1, 0.4]
+
+[[path]]
+name = "piston_clearance"
+law = "annular_gap"
+source = "invented"
+count = 5
+radius_mm = 12.0
+length_mm = 40.0
+deformation_points = [{points_of(X_CLEARANCE_BAR, 20.0)}]
+gap_um = {{ value = 20.0, minimum = 2.0, maximum = 90.0 }}
+eccentricity = {{ value = 0.8, minimum = 0.0, maximum = 1.0 }}
+
+[[path]]
+name = "valve_plate"
+law = "annular_gap"
+source = "invented"
+count = 1
+radius_mm = 45.0
+length_mm = 10.0
+deformation_points = [{points_of(X_PLATE_BAR, 9.0)}]
+gap_um = {{ value = 9.0, minimum = 1.0, maximum = 60.0 }}
+
+[[path]]
+name = "distributor"
+law = "laminar"
+source = "invented"
+count = 2
+coefficient_m3 = {{ value = 5e-15, minimum = 0.0, maximum = 1e-12 }}
+
+[[path]]
+name = "slipper"
+law = "speed_curve"
+source = "invented"
+count = 5
+points = [{", ".join(f"[{rpm}, {slipper_l_per_min(rpm):.15g}]" for rpm in SPEEDS)}]
+reference_pressure_bar = 250.0
+reference_viscosity_mpa_s = 30.0
+"""
+
+
+def axial_by_hand(spec: MotorSpec) -> Motor:
+    """The same motor without the config's help; constants as they were before the points."""
+    quintic = np.zeros(6)
+    for power, factor in ((0, 0.004), (1, 0.03), (2, -0.02), (5, 0.01)):
+        quintic[5 - power] = factor / 200.0**power
+    paths = (
+        AnnularGap(
+            "piston_clearance",
+            5,
+            0.012,
+            0.040,
+            Parameter("h", "um", 23.0, 2.0, 90.0),
+            Parameter("e", "1", 0.6, 0.0, 1.0),
+            X_CLEARANCE_BAR * 1e5,
+        ),
+        AnnularGap(
+            "valve_plate",
+            1,
+            0.045,
+            0.010,
+            Parameter("h2", "um", 10.0, 1.0, 60.0),
+            None,
+            X_PLATE_BAR * 1e5,
+        ),
+        Laminar("distributor", 2, Parameter("C", "m3", 8e-15, 0.0, 1e-12)),
+        SpeedCurve(
+            name="slipper",
+            count=5,
+            coefficients=tuple(quintic.tolist()),
+            speed_minimum_rpm=0.0,
+            speed_maximum_rpm=200.0,
+            reference_pressure_pa=250e5,
+            reference_viscosity_pa_s=0.030,
+            scale=Parameter("s", "1", 1.0, 0.0, 10.0, fixed=True),
+        ),
+        Constant("flushing", Parameter("C_f", "l_per_min", 0.0, 0.0, 0.0, fixed=True)),
+    )
+    return Motor("AX-9", paths, spec.oil_on(NIGHT).oil())
+
+
+def fit_exact(spec: MotorSpec, operation: Operation, truth: Motor) -> NightOutcome:
+    values = operation.channels(operation.flow(truth))
+    return fit_night(spec, night_of(), raw(operation.time_us, values), {})
+
+
+def parameters_of(outcome: NightOutcome) -> dict[str, dict[str, Any]]:
+    return {row["parameter"]: row for row in outcome.rows["parameters"]}
+
+
+@pytest.fixture
+def axial(tmp_path: Path) -> MotorSpec:
+    return load_motor(tmp_path, motor_toml("AX", "AX-9"), {"AX-9": AXIAL})
+
+
+def test_an_invented_type_gives_back_its_loss_factors(axial: MotorSpec) -> None:
+    truth = axial_by_hand(axial)
+    outcome = fit_exact(axial, operate(), truth)
+    assert outcome.status == OK, outcome.reason
+    found = parameters_of(outcome)
+    for path in truth.paths[:3]:
+        value = found[f"K_{path.name}"]["value"]
+        assert value == pytest.approx(path.configured_coefficient, rel=1e-6), path.name
+    assert found["scale_slipper"]["verdict"] == "fixed"
+    (row,) = outcome.rows["fits"]
+    reference = OperatingConditions.from_bar(200.0, 50.0, 30.0)
+    assert row["reference_leakage_l_per_min"] == pytest.approx(
+        leakage_l_per_min(truth, reference)[0], rel=1e-9
+    )
+
+
+def test_columns_are_those_of_the_declared_paths(axial: MotorSpec) -> None:
+    motor = axial.motor(NIGHT, "none")
+    names = ("piston_clearance", "valve_plate", "distributor", "one", "known", "measured")
+    assert motor.columns == names
+    blocks = fit_exact(axial, operate(), axial_by_hand(axial)).rows["block_statistics"]
+    assert {tuple(row["columns"]) for row in blocks} == {names}
+    assert {len(row["statistics"]) for row in blocks} == {21}
+
+
+def test_gaps_are_what_the_loss_factors_leave(axial: MotorSpec) -> None:
+    found = parameters_of(fit_exact(axial, operate(), axial_by_hand(axial)))
+    # A gap without eccentricity is known; one with it only as a range that holds the truth.
+    assert found["h_valve_plate"]["value"] == pytest.approx(10.0, rel=1e-6)
+    clearance = found["h_piston_clearance"]
+    assert clearance["value"] is None
+    assert clearance["verdict"] == "only_in_combination"
+    assert clearance["feasible_min"] < 23.0 < clearance["feasible_max"]
+    assert clearance["feasible_max"] / clearance["feasible_min"] == pytest.approx(2.5 ** (1 / 3))
+    ratio = found["film_thickness_ratio_valve_plate"]["value"]
+    by_hand = float(film_thickness_ratio(10e-6, 0.0, 0.1e-6, 0.4e-6))
+    assert ratio == pytest.approx(by_hand, rel=1e-6)
+
+
+def test_points_give_the_constants_that_made_them(axial: MotorSpec) -> None:
+    clearance, plate, _, slipper = axial.motor_type.paths()
+    assert isinstance(clearance, AnnularGap)
+    assert isinstance(plate, AnnularGap)
+    assert isinstance(slipper, SpeedCurve)
+    assert clearance.deformation_pressure_pa == pytest.approx(150e5, rel=1e-9)
+    assert plate.deformation_pressure_pa == pytest.approx(700e5, rel=1e-9)
+    speed = np.linspace(0.0, 200.0, 41)
+    expected = [slipper_l_per_min(rpm) for rpm in speed]
+    assert slipper.curve_l_per_min(speed) == pytest.approx(expected, rel=1e-9)
+    # Beyond the points the curve's end is held, and such samples are counted.
+    assert slipper.curve_l_per_min(np.array([400.0]))[0] == pytest.approx(slipper_l_per_min(200.0))
+
+
+def test_speeds_beyond_the_points_are_counted(axial: MotorSpec) -> None:
+    fast = replace(operate(), speed_rpm=operate().speed_rpm + 150.0)
+    outcome = fit_exact(axial, fast, axial_by_hand(axial))
+    assert outcome.status == OK
+    counted = sum(row["n_beyond_curve"] for row in outcome.rows["block_statistics"])
+    kept = sum(row["n"] for row in outcome.rows["block_statistics"])
+    assert counted == pytest.approx(
+        int((fast.speed_rpm > 200.0).sum()), abs=len(fast.speed_rpm) - kept
+    )
+    assert counted > 0
+
+
+def test_the_laminar_path_is_searched_as_well(axial: MotorSpec) -> None:
+    """The search sees the distributor in m³ beside gaps in µm; it must still come home."""
+    operation = operate()
+    flow = operation.flow(axial_by_hand(axial))
+    noisy = flow + np.random.default_rng(3).normal(0.0, 0.005, len(flow))
+    values = operation.channels(noisy)
+    outcome = fit_night(axial, night_of(), raw(operation.time_us, values), {})
+    (row,) = outcome.rows["fits"]
+    assert row["n_starts"] == 10
+    assert row["n_starts_at_minimum"] >= 9
+    assert row["certificate_gap"] >= -1e-10
+
+
+def test_a_free_scale_on_the_roller_curve(tmp_path: Path) -> None:
+    shipped = load_motor(tmp_path / "a", motor_toml("M1"))
+    text = (tmp_path / "a/configs/motor_types/CB560.toml").read_text(encoding="utf-8")
+    freed = text + "scale = { value = 1.0, minimum = 0.0, maximum = 5.0, fixed = false }\n"
+    spec = load_motor(tmp_path / "b", motor_toml("M1"), {"CB560": freed})
+    assert "cam_roller" in spec.motor(NIGHT, "none").columns
+    assert "cam_roller" not in shipped.motor(NIGHT, "none").columns
+    operation = operate()
+    truth = spec.motor(NIGHT, "none")
+    coefficients = {path.name: path.configured_coefficient for path in truth.paths}
+    coefficients["cam_roller"] = 1.3
+    values = operation.channels(operation.flow(truth, coefficients))
+    outcome = fit_night(spec, night_of(), raw(operation.time_us, values), {})
+    found = parameters_of(outcome)
+    assert found["scale_cam_roller"]["value"] == pytest.approx(1.3, rel=1e-6)
+    assert found["K_piston_ring"]["value"] == pytest.approx(coefficients["piston_ring"], rel=1e-6)
+
+
+def test_a_type_with_nothing_free_is_judged_and_not_fitted(tmp_path: Path) -> None:
+    fixed = AXIAL.replace(" }", ", fixed = true }")
+    spec = load_motor(tmp_path, motor_toml("AX", "AX-9"), {"AX-9": fixed})
+    assert spec.motor(NIGHT, "none").columns == ("one", "known", "measured")
+    operation = operate()
+    outcome = fit_exact(spec, operation, spec.motor(NIGHT, "none"))
+    assert outcome.status == OK, outcome.reason
+    (row,) = outcome.rows["fits"]
+    assert row["validation_fit_percent"] == pytest.approx(100.0, abs=1e-6)
+    assert row["n_starts"] == 0
+    assert {one["verdict"] for one in outcome.rows["parameters"] if one.get("verdict")} == {"fixed"}
+
+
+def test_from_toml_and_logs_to_the_tables(tmp_path: Path) -> None:
+    """The whole way: files in, tables out, no line of code."""
+    fleet_file = write_configs(tmp_path, {"AX": motor_toml("AX", "AX-9")}, {"AX-9": AXIAL})
+    fleet = load_fleet(fleet_file)
+    (spec,) = fleet.motors
+    truth, operation = axial_by_hand(spec), operate()
+    write_log(
+        tmp_path / "logs" / "AX" / "night.parquet",
+        operation.time_us,
+        operation.channels(operation.flow(truth)),
+    )
+    result = run_fleet(RunRequest(fleet))
+    assert not result.failed
+    tables = tmp_path / "out" / "tables"
+    parameters = pl.read_parquet(tables / "parameters" / "month=2026-03" / "2026-03-02.parquet")
+    found = dict(parameters.select("parameter", "value").iter_rows())
+    for path in truth.paths[:3]:
+        assert found[f"K_{path.name}"] == pytest.approx(path.configured_coefficient, rel=1e-6)
+    fits = pl.read_parquet(tables / "fits" / "month=2026-03" / "2026-03-02.parquet")
+    assert fits["motor_type"].to_list() == ["AX-9"]

@@ -1,0 +1,153 @@
+"""Nights: local days that end at a stated hour, across clock changes."""
+
+from __future__ import annotations
+
+import datetime as dt
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.config import Nights
+from pipeline.config.nights import DAY, night, night_of, nights_between, nights_of
+
+OSLO = Nights(time_zone="Europe/Oslo", end_hour=6)
+HOUR = 3_600_000_000
+SPRING, AUTUMN = dt.date(2026, 3, 29), dt.date(2026, 10, 25)
+# Zones that change at midnight, by half an hour, by two hours, on other days or never.
+ZONES = (
+    "UTC",
+    "Europe/Oslo",
+    "America/Santiago",
+    "Asia/Beirut",
+    "Africa/Cairo",
+    "America/Nuuk",
+    "Australia/Lord_Howe",
+    "Antarctica/Troll",
+    "Pacific/Chatham",
+    "Asia/Kathmandu",
+    "Africa/Casablanca",
+    "Pacific/Kiritimati",
+)
+ANY_NIGHTS = st.builds(Nights, time_zone=st.sampled_from(ZONES), end_hour=st.integers(0, 23))
+MOMENTS = st.integers(1_577_836_800_000_000, 2_000_000_000_000_000)  # 2020 to 2033
+
+
+def utc(*parts: int) -> int:
+    return int(dt.datetime(*parts, tzinfo=dt.UTC).timestamp()) * 1_000_000  # type: ignore[misc, arg-type]
+
+
+def local(nights: Nights, *parts: int, fold: int = 0) -> int:
+    stamp = dt.datetime(*parts, tzinfo=nights.zone, fold=fold)  # type: ignore[misc, arg-type]
+    return int(stamp.timestamp()) * 1_000_000
+
+
+def hours(label: dt.date, nights: Nights) -> float:
+    here = night(label, nights)
+    return (here.end_us - here.start_us) / HOUR
+
+
+def test_label_is_the_local_date_of_the_end() -> None:
+    """The night of 2 March: from 1 March 06:00 to 2 March 06:00 in Oslo, 05:00 UTC."""
+    here = night(dt.date(2026, 3, 2), OSLO)
+    assert here.date == dt.date(2026, 3, 2)
+    assert (here.start_us, here.end_us) == (utc(2026, 3, 1, 5), utc(2026, 3, 2, 5))
+
+
+def test_half_open() -> None:
+    here = night(dt.date(2026, 3, 2), OSLO)
+    assert night_of(here.start_us - 1, OSLO) == here.date - DAY
+    assert night_of(here.start_us, OSLO) == here.date
+    assert night_of(here.end_us - 1, OSLO) == here.date
+    assert night_of(here.end_us, OSLO) == here.date + DAY
+
+
+class TestClockChange:
+    def test_lengths(self) -> None:
+        assert hours(SPRING, OSLO) == 23
+        assert hours(AUTUMN, OSLO) == 25
+        for label in (SPRING, AUTUMN):
+            assert hours(label - DAY, OSLO) == hours(label + DAY, OSLO) == 24
+
+    def test_borders_stay_at_the_local_hour(self) -> None:
+        assert night(SPRING, OSLO).start_us == utc(2026, 3, 28, 5)
+        assert night(SPRING, OSLO).end_us == utc(2026, 3, 29, 4)
+        assert night(AUTUMN, OSLO).start_us == utc(2026, 10, 24, 4)
+        assert night(AUTUMN, OSLO).end_us == utc(2026, 10, 25, 5)
+
+    @pytest.mark.parametrize(("end_hour", "spring"), [(1, 24), (2, 24), (3, 23), (4, 23)])
+    def test_end_hour_around_the_skipped_one(self, end_hour: int, spring: int) -> None:
+        """02:00 does not exist on 29 March: that night ends when the clock jumps, at 03:00."""
+        nights = Nights(time_zone="Europe/Oslo", end_hour=end_hour)
+        assert hours(SPRING, nights) == spring
+        assert hours(SPRING, nights) + hours(SPRING + DAY, nights) == 47
+        if end_hour == 2:
+            assert night(SPRING, nights).end_us == utc(2026, 3, 29, 1)
+
+    @pytest.mark.parametrize(("end_hour", "autumn"), [(1, 24), (2, 24), (3, 25), (4, 25)])
+    def test_end_hour_around_the_repeated_one(self, end_hour: int, autumn: int) -> None:
+        """02:00 comes twice on 25 October: the night ends with its first pass."""
+        nights = Nights(time_zone="Europe/Oslo", end_hour=end_hour)
+        assert hours(AUTUMN, nights) == autumn
+        assert hours(AUTUMN, nights) + hours(AUTUMN + DAY, nights) == 49
+        if end_hour == 2:
+            assert night(AUTUMN, nights).end_us == utc(2026, 10, 25, 0)
+
+    def test_both_passes_of_the_repeated_hour(self) -> None:
+        nights = Nights(time_zone="Europe/Oslo", end_hour=2)
+        for fold in (0, 1):
+            moment = local(nights, 2026, 10, 25, 2, 30, fold=fold)
+            assert night_of(moment, nights) == AUTUMN + DAY
+        assert night_of(local(nights, 2026, 10, 25, 1, 59), nights) == AUTUMN
+
+
+def test_midnight_ends_the_day_before() -> None:
+    """A night that ends at 00:00 of 2 March is all of 1 March, and labelled 2 March."""
+    nights = Nights(end_hour=0)
+    assert night_of(utc(2026, 3, 1, 0), nights) == dt.date(2026, 3, 2)
+    assert night_of(utc(2026, 3, 1, 23), nights) == dt.date(2026, 3, 2)
+    assert night(dt.date(2026, 3, 2), nights).end_us == utc(2026, 3, 2)
+
+
+def test_month_and_year_ends() -> None:
+    assert night_of(utc(2026, 12, 31, 23), Nights()) == dt.date(2027, 1, 1)
+    assert night_of(utc(2028, 2, 28, 23), Nights()) == dt.date(2028, 2, 29)
+
+
+@given(MOMENTS, ANY_NIGHTS)
+def test_a_moment_lies_within_its_night(moment: int, nights: Nights) -> None:
+    here = night(night_of(moment, nights), nights)
+    assert here.start_us <= moment < here.end_us
+    for edge in (here.start_us, here.end_us - 1):
+        assert night_of(edge, nights) == here.date
+
+
+@given(st.dates(dt.date(2020, 1, 1), dt.date(2033, 1, 1)), ANY_NIGHTS)
+def test_nights_follow_without_gap_or_overlap(label: dt.date, nights: Nights) -> None:
+    one, other = night(label, nights), night(label + DAY, nights)
+    assert one.end_us == other.start_us
+    assert 22 <= (one.end_us - one.start_us) / HOUR <= 26
+    end = dt.datetime.fromtimestamp(one.end_us / 1e6, ZoneInfo(nights.time_zone))
+    assert end.date() == label
+
+
+@given(st.lists(MOMENTS, max_size=20), ANY_NIGHTS)
+def test_nights_of_many_moments_are_those_of_each(moments: list[int], nights: Nights) -> None:
+    expected = {night_of(moment, nights) for moment in moments}
+    assert nights_of(np.array(moments, np.int64), nights) == expected
+
+
+def test_nights_of_borders() -> None:
+    here = night(SPRING, OSLO)
+    assert nights_of(np.array([here.start_us, here.end_us - 1]), OSLO) == {SPRING}
+    assert nights_of(np.array([here.start_us, here.end_us]), OSLO) == {SPRING, SPRING + DAY}
+    far = np.array([here.start_us, here.start_us + 100 * 24 * HOUR])
+    assert len(nights_of(far, OSLO)) == 2  # none of those between
+
+
+def test_nights_between_has_both_ends() -> None:
+    assert nights_between(SPRING, SPRING) == [SPRING]
+    assert nights_between(SPRING, SPRING + 2 * DAY) == [SPRING, SPRING + DAY, SPRING + 2 * DAY]
+    assert nights_between(SPRING, SPRING - DAY) == []

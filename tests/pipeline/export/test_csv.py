@@ -1,0 +1,360 @@
+"""CSV export: what is read back is what was published, and no text is a formula."""
+
+from __future__ import annotations
+
+import csv
+import datetime as dt
+import io
+import json
+import math
+import re
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pandas as pd
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from polars.testing import assert_frame_equal
+
+import pipeline.export.csv
+from pipeline.cli import main
+from pipeline.errors import StoreError, UsageError
+from pipeline.export.csv import Selection, as_text, export_csv, tables_named
+from pipeline.schema import DATA_DICTIONARY, FITS, INPUT_FILES, TABLES, TIMESTAMP, Table, frame
+from pipeline.store.tables import night_file, read_table, table_folder, write_table
+
+NIGHT = dt.date(2026, 1, 3)
+HOSTILE = [
+    "=cmd|'/c calc'!A1", "+1+1", "-2+3", "@SUM(A1)", "\t=1+1", "\r=1+1", "\n=1+1", "＝1+1",
+    "＋1", "－1", "＠x", "\x00=1", '=HYPERLINK("http://x","y")', "a;=1+1", "a\n=1+1", "a\t@x",
+    '"=1+1"', "=1,=2", ";=1+1",
+]  # fmt: skip
+HARMLESS = ["", "1 - 2", "a=b", "x, -2; +3", "ok", "'quoted'", "é − 漢", "line\nbreak", "a;b"]
+
+
+def export(output: Path, folder: Path, *tables: Table, **others: object) -> dict[str, int]:
+    selection = Selection(tables=tables or TABLES, **others)  # type: ignore[arg-type]
+    return {file.table: file.n_rows for file in export_csv(output, folder, selection)}
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.iterdir())
+
+
+def published(output: Path, table: Table) -> pl.DataFrame:
+    files = sorted(table_folder(output, table).rglob("*.parquet"))
+    assert files or table not in (FITS, INPUT_FILES)
+    return pl.concat([frame(table, []), *(read_table(path, table) for path in files)])
+
+
+@pytest.fixture(scope="module")
+def exported(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """All tables of the demo's nights as CSV; only to be read."""
+    folder = tmp_path_factory.mktemp("csv")
+    counts = export(fitted_output, folder)
+    assert counts == {table.name: published(fitted_output, table).height for table in TABLES}
+    assert {path.name for path in folder.iterdir()} == {f"{table.name}.csv" for table in TABLES}
+    return folder
+
+
+# Round trips
+
+
+@pytest.mark.parametrize("table", TABLES, ids=lambda table: table.name)
+def test_round_trip_through_polars(fitted_output: Path, exported: Path, table: Table) -> None:
+    texts = {
+        name: pl.String if kind == TIMESTAMP or isinstance(kind, pl.List) else kind
+        for name, kind in table.schema.items()
+    }
+    rows = pl.read_csv(exported / f"{table.name}.csv", schema=texts)
+    back = [
+        pl.col(name).str.to_datetime("%Y-%m-%dT%H:%M:%S%.6f%#z", time_unit="us", time_zone="UTC")
+        if kind == TIMESTAMP
+        else pl.col(name).str.json_decode(kind)
+        for name, kind in table.schema.items()
+        if kind == TIMESTAMP or isinstance(kind, pl.List)
+    ]
+    expected = published(fitted_output, table)
+    # Exactly: no digit may be lost.
+    assert_frame_equal(rows.with_columns(back), expected, check_exact=True)
+
+
+@pytest.mark.parametrize("table", [FITS, INPUT_FILES], ids=lambda table: table.name)
+def test_round_trip_through_pandas(fitted_output: Path, exported: Path, table: Table) -> None:
+    times = [name for name, kind in table.schema.items() if kind in (TIMESTAMP, pl.Date)]
+    rows = pd.read_csv(exported / f"{table.name}.csv", parse_dates=times)
+    expected = published(fitted_output, table).to_dict(as_series=False)
+    assert list(rows.columns) == list(expected)
+    for name, values in expected.items():
+        found = [None if pd.isna(value) else value for value in rows[name]]
+        if table.schema[name] == pl.Date:
+            found = [value.date() for value in found]
+        if isinstance(table.schema[name], pl.List):
+            found = [json.loads(value) if value else None for value in found]
+        assert found == values, name
+
+
+def test_null_is_empty_and_an_empty_text_is_not() -> None:
+    rows = pl.DataFrame({"a": [None, ""], "b": [1, 2]})
+    assert as_text(rows).write_csv() == 'a,b\n,1\n"",2\n'
+
+
+def test_times_dates_and_lists_as_text() -> None:
+    night = dt.datetime(2026, 1, 2, 3, 4, 5, 67, dt.UTC)
+    row = {"motor_id": "A", "night": NIGHT, "window_start": night, "is_primary": True}
+    (text,) = as_text(frame(FITS, [row | {"singular_values": [1.5, 2e-14, math.nan]}])).to_dicts()
+    assert text["window_start"] == "2026-01-02T03:04:05.000067Z"
+    assert text["window_end"] is None
+    assert text["singular_values"] == "[1.5, 2e-14, null]"
+    line = as_text(frame(FITS, [row])).write_csv().splitlines()[1]
+    assert line.startswith("A,,2026-01-03,2026-01-02T03:04:05.000067Z,,,true,")
+
+
+# Formulas
+
+
+def cells(text: str, separator: str) -> list[str]:
+    """What a spreadsheet takes for cells."""
+    rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
+    return [cell for row in rows for cell in row]
+
+
+def is_formula(cell: str) -> bool:
+    return cell[:1] in set("=+-@\t\r\n\x00＝＋－＠")
+
+
+def hides_a_formula(cell: str) -> bool:
+    """Whether a spreadsheet with another separator would find one, blanks before it or none."""
+    parts = re.split("[;\t\r\n]", cell)
+    return any(part.lstrip("\x00")[:1] in set("=+-@＝＋－＠") for part in parts)
+
+
+@pytest.mark.parametrize("text", HOSTILE)
+def test_hostile_text_is_no_formula(text: str) -> None:
+    written = as_text(pl.DataFrame({"a": [text]})).write_csv(include_header=False)
+    (cell,) = cells(written, ",")
+    assert not is_formula(cell)
+    assert cell.replace("'", "") == text.replace("'", "")
+    # Nor where the spreadsheet's separator is another.
+    assert not hides_a_formula(cell)
+
+
+@pytest.mark.parametrize("text", HARMLESS)
+def test_other_text_is_left_as_it_is(text: str) -> None:
+    assert as_text(pl.DataFrame({"a": [text]}))["a"].to_list() == [text]
+
+
+@given(st.text(alphabet=st.sampled_from("=+-@;,\t\r\n\x00'\"ab ＝"), max_size=12))
+def test_no_text_whatever_is_a_formula(text: str) -> None:
+    (cell,) = as_text(pl.DataFrame({"a": [text]}))["a"].to_list()
+    assert not is_formula(cell)
+    assert [one for one in cell if one != "'"] == [one for one in text if one != "'"]
+    assert not hides_a_formula(cell)
+
+
+def test_numbers_keep_their_sign() -> None:
+    text = as_text(pl.DataFrame({"a": [-1.5e-14, 2.0], "b": [-3, 4]})).write_csv()
+    assert text == "a,b\n-1.5e-14,-3\n2.0,4\n"
+
+
+def test_hostile_names_of_logs_reach_no_spreadsheet(tmp_path: Path) -> None:
+    rows = [
+        {"motor_id": "A", "path": f"{place:02}", "night": NIGHT, "status": "failed", "message": one}
+        for place, one in enumerate(HOSTILE)
+    ]
+    rows.append({"motor_id": "A", "path": "=1+1.csv", "night": NIGHT})
+    write_table(night_file(tmp_path, INPUT_FILES, NIGHT), frame(INPUT_FILES, rows))
+    export(tmp_path, tmp_path / "csv", INPUT_FILES)
+    text = (tmp_path / "csv" / "input_files.csv").read_bytes().decode()
+    assert not any(is_formula(cell) for cell in cells(text, ","))
+    assert "'=1+1.csv" in cells(text, ",")
+    back = pl.read_csv(tmp_path / "csv" / "input_files.csv", infer_schema=False)
+    assert back.height == len(rows)
+    # One apostrophe stands before; without it the text is the log's.
+    assert back["message"].str.strip_prefix("'")[0] == HOSTILE[0]
+
+
+# Selection
+
+
+def test_motors_and_nights(fitted_output: Path, tmp_path: Path) -> None:
+    chosen = {"motors": ("CB400-01", "CB560-02"), "since": NIGHT, "until": NIGHT}
+    export(fitted_output, tmp_path, **chosen)
+    for table in TABLES:
+        rows = pl.read_csv(tmp_path / f"{table.name}.csv", infer_schema=False)
+        assert rows.columns == list(table.schema)
+        if "motor_id" in table.schema and "night" in table.schema:
+            assert set(rows["motor_id"]) <= {"CB400-01", "CB560-02"}
+            assert set(rows["night"]) <= {"2026-01-03"}
+    fits = pl.read_csv(tmp_path / "fits.csv", infer_schema=False)
+    assert fits.select("motor_id", "night").unique().height == 2
+    whole = pl.read_csv(tmp_path / "data_dictionary.csv", infer_schema=False)
+    assert whole.height == published(fitted_output, DATA_DICTIONARY).height > 0
+
+
+def test_runs_are_chosen_by_the_day_they_began(fitted_output: Path, tmp_path: Path) -> None:
+    (runs,) = tables_named(["runs"])
+    day = published(fitted_output, runs)["started_at"][0].date()
+    next_day = day + dt.timedelta(days=1)
+    assert export(fitted_output, tmp_path, runs, since=day, until=day) == {"runs": 1}
+    assert export(fitted_output, tmp_path, runs, since=next_day) == {"runs": 0}
+    header = (tmp_path / "runs.csv").read_text()
+    assert header == ",".join(runs.schema) + "\n"
+
+
+def test_rows_come_in_the_order_of_nights(exported: Path) -> None:
+    nights = pl.read_csv(exported / "fits.csv")["night"].to_list()
+    assert nights == sorted(nights)
+    assert len(set(nights)) == 3
+
+
+def test_tables_by_name() -> None:
+    assert [one.name for one in tables_named(["parameters", "fits", "fits"])] == [
+        "parameters",
+        "fits",
+    ]
+    assert tables_named([]) == TABLES
+    with pytest.raises(UsageError) as caught:
+        tables_named(["fits", "../fits", "fit"])
+    assert caught.value.code == "unknown_table"
+    assert "no table ../fits, fit; there are fits, parameters" in str(caught.value)
+
+
+# Files
+
+
+def test_byte_order_mark_where_asked_for(fitted_output: Path, tmp_path: Path) -> None:
+    export(fitted_output, tmp_path, FITS)
+    without = (tmp_path / "fits.csv").read_bytes()
+    list(export_csv(fitted_output, tmp_path, Selection((FITS,)), byte_order_mark=True))
+    assert (tmp_path / "fits.csv").read_bytes() == b"\xef\xbb\xbf" + without
+    assert pl.read_csv(tmp_path / "fits.csv").columns[0] == "motor_id"
+    assert pd.read_csv(tmp_path / "fits.csv").columns[0] == "motor_id"
+
+
+def test_link_in_the_folder_is_replaced_and_not_followed(
+    fitted_output: Path, tmp_path: Path
+) -> None:
+    outside = tmp_path / "outside.csv"
+    outside.write_text("stays")
+    (tmp_path / "csv").mkdir()
+    (tmp_path / "csv" / "fits.csv").symlink_to(outside)
+    export(fitted_output, tmp_path / "csv", FITS)
+    assert outside.read_text() == "stays"
+    assert (tmp_path / "csv" / "fits.csv").read_text().startswith("motor_id,")
+    assert names(tmp_path / "csv") == ["fits.csv"]
+
+
+def test_damaged_table_leaves_the_file_before(fitted_output: Path, tmp_path: Path) -> None:
+    output, folder = tmp_path / "out", tmp_path / "csv"
+    shutil.copytree(table_folder(fitted_output, FITS), table_folder(output, FITS))
+    export(output, folder, FITS)
+    before = (folder / "fits.csv").read_bytes()
+    path = night_file(output, FITS, dt.date(2026, 1, 4))
+    content = bytearray(path.read_bytes())
+    content[len(content) // 3] ^= 0x10
+    path.write_bytes(content)
+    with pytest.raises(StoreError) as caught:
+        export(output, folder, FITS)
+    assert caught.value.code == "store_read"
+    assert "2026-01-04.parquet of fits" in str(caught.value)
+    assert (folder / "fits.csv").read_bytes() == before
+    assert names(folder) == ["fits.csv"]
+
+
+def test_night_that_a_run_takes_away_meanwhile(
+    fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    output = tmp_path / "out"
+    shutil.copytree(table_folder(fitted_output, FITS), table_folder(output, FITS))
+    gone = night_file(output, FITS, NIGHT)
+
+    def read(path: Path, table: Table) -> pl.DataFrame:
+        gone.unlink(missing_ok=True)
+        return read_table(path, table)
+
+    monkeypatch.setattr(pipeline.export.csv, "read_table", read)
+    export(output, tmp_path / "csv", FITS)
+    nights = set(pl.read_csv(tmp_path / "csv" / "fits.csv")["night"])
+    assert nights == {"2026-01-02", "2026-01-04"}
+
+
+def test_refuses_the_folder_of_the_tables(fitted_output: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(fitted_output / "tables")
+    for folder in (fitted_output / "tables" / "fits", tmp_path / "link"):
+        with pytest.raises(UsageError) as caught:
+            export(fitted_output, folder, FITS)
+        assert caught.value.code == "csv_folder"
+
+
+# Command
+
+
+@pytest.fixture
+def call(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[object, str, str]]:
+    def run(*arguments: str | Path) -> tuple[object, str, str]:
+        monkeypatch.setattr(sys, "argv", ["motor-leakage", "export", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        out, err = capfd.readouterr()
+        return caught.value.code, out, err
+
+    return run
+
+
+def test_command_says_what_it_wrote(
+    call: Callable[..., tuple[object, str, str]],
+    demo_folder: Path,
+    fitted_output: Path,
+    tmp_path: Path,
+) -> None:
+    config = demo_folder / "configs" / "fleet.toml"
+    folder = tmp_path / "csv"
+    code, out, err = call(
+        config, "--csv", folder, "--tables", "fits, parameters", "--motors", "CB400-01", "--since",
+        "2026-01-03", "--until", "2026-01-04", "--bom", "--output", fitted_output,
+    )  # fmt: skip
+    assert (code, err) == (0, "")
+    fits, parameters = out.splitlines()
+    assert fits == f"{folder / 'fits.csv'}: 2 rows"
+    assert parameters.startswith(f"{folder / 'parameters.csv'}: ")
+    assert names(folder) == ["fits.csv", "parameters.csv"]
+    assert (folder / "fits.csv").read_bytes().startswith(b"\xef\xbb\xbf")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        ([], 2, "export_format: name what to write: --csv FOLDER or --delta PLACE"),
+        (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
+        (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: --motors: no motor CB9"),
+        (["--csv", "csv", "--since", "x"], 2, "date: --since: got 'x'"),
+        (["--csv", "csv", "--since", "2026-01-03", "--until", "2026-01-02"], 2, "is after"),
+        (["--csv", "csv", "--output", "none"], 2, "no_tables: there are no tables in"),
+        (["--csv", "file"], 4, "store_write: fits.csv cannot be written"),
+    ],
+)
+def test_command_with_bad_input(
+    call: Callable[..., tuple[object, str, str]],
+    demo_folder: Path,
+    fitted_output: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    code: int,
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("stays")
+    config = demo_folder / "configs" / "fleet.toml"
+    output = [] if "--output" in arguments else ["--output", str(fitted_output)]
+    found, out, err = call(config, *arguments, *output)
+    assert (found, out) == (code, "")
+    assert message in err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]

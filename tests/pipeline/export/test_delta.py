@@ -1,0 +1,91 @@
+"""The Delta Lake export, read back by the format's own library and by DuckDB's Arrow door."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import polars as pl
+import pytest
+from deltalake import DeltaTable
+from polars.testing import assert_frame_equal
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.export.delta import export_delta
+from pipeline.schema import FITS, TABLES
+from pipeline.store.tables import read_rows, table_folder
+from tests.pipeline.s3_server import Server, s3_server
+from tests.pipeline.store.test_working_copy import FIRST
+from tests.pipeline.workshop import DAY, Workshop
+
+BUCKET = "test-delta"
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    with s3_server(monkeypatch, BUCKET) as found:
+        yield found
+
+
+def back(place: str) -> pl.DataFrame:
+    found = pl.from_arrow(DeltaTable(place).to_pyarrow_table())
+    assert isinstance(found, pl.DataFrame)
+    return found
+
+
+def test_every_table_comes_back_as_it_was(fitted_output: Path, tmp_path: Path) -> None:
+    written = {Path(one.place).name: one for one in export_delta(fitted_output, str(tmp_path))}
+    files_of = {
+        table.name: sorted(table_folder(fitted_output, table).rglob("*.parquet"))
+        for table in TABLES
+    }
+    there = {name: files for name, files in files_of.items() if files}
+    assert written.keys() == there.keys()
+    for name, files in there.items():
+        expected = pl.concat([pl.read_parquet(file, hive_partitioning=False) for file in files])
+        found = back(written[name].place)
+        assert written[name].n_rows == expected.height
+        assert_frame_equal(found, expected, check_row_order=False)
+
+
+def test_a_further_export_is_a_new_version_without_doubled_rows(tmp_path: Path) -> None:
+    shop, place = Workshop.at(tmp_path), str(tmp_path / "lake")
+    shop.log(FIRST)
+    shop.run()
+    (first,) = export_delta(shop.output, place, (FITS,))
+    shop.log(FIRST + DAY)
+    shop.run()
+    (second,) = export_delta(shop.output, place, (FITS,))
+    assert (first.version, first.n_rows, second.version, second.n_rows) == (0, 1, 1, 2)
+    assert back(second.place).height == 2
+    assert DeltaTable(first.place, version=0).to_pyarrow_table().num_rows == 1
+
+
+def test_it_goes_into_a_bucket(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    shop.run()
+    (one,) = export_delta(shop.output, f"s3://{BUCKET}/lake", (FITS,))
+    assert one.place == f"s3://{BUCKET}/lake/fits"
+    assert back(one.place)["motor_id"].to_list() == ["M1"]
+    assert read_rows(shop.output, FITS, ["M1"]).height == 1
+
+
+def test_what_cannot_be_exported_is_said(
+    tmp_path: Path, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(UsageError) as error:
+        list(export_delta(tmp_path / "nothing", str(tmp_path)))
+    assert error.value.code == "no_tables"
+    with pytest.raises(UsageError) as error:
+        list(export_delta(fitted_output, str(fitted_output / "tables" / "lake")))
+    assert error.value.code == "delta_folder"
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(StoreError) as caught:
+        list(export_delta(fitted_output, str(tmp_path / "file"), (FITS,)))
+    assert caught.value.code == "store_write"
+    monkeypatch.setitem(sys.modules, "deltalake", None)
+    with pytest.raises(UsageError, match=r"motor-leakage\[delta\]") as error:
+        list(export_delta(fitted_output, str(tmp_path)))
+    assert error.value.code == "delta_missing"

@@ -1,0 +1,288 @@
+"""Dialects of loggers: packed files, headers that come again, layouts, marks, spreadsheets."""
+
+from __future__ import annotations
+
+import gzip
+import time
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import pytest
+import zstandard
+
+import pipeline.ingest.csv.text
+from pipeline.ingest import RawLog, time_span
+from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
+from tests.pipeline.ingest.sources import column
+from tests.pipeline.ingest.writers import T0_US
+
+ROWS = "".join(f"{DAY}{i}Z,{i},{10 * i}\n" for i in range(5))
+
+
+def values(log: RawLog, channel: str = "pressure_difference") -> list[float]:
+    raw = log.channels[channel]
+    return [float(value) for value in raw.value[~raw.missing]]
+
+
+PACKERS: dict[str, Callable[[bytes], bytes]] = {
+    "gzip": lambda data: gzip.compress(data, mtime=0),
+    "zstd": zstandard.ZstdCompressor(write_checksum=True).compress,
+}
+each_packer = pytest.mark.parametrize("packer", PACKERS)
+
+
+@each_packer
+def test_packed_files_are_read_whatever_they_are_called(tmp_path: Path, packer: str) -> None:
+    data = f"time,dp,n\n{ROWS}".encode()
+    for name in ("log.csv", "log.csv.gz", "log"):
+        log = read(tmp_path, PACKERS[packer](data), name=name)
+        assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0]
+        assert log.notes == ()
+    # Loggers append a packed piece an hour.
+    pieces = PACKERS[packer](data) + PACKERS[packer](ROWS.encode())
+    assert read(tmp_path, pieces).rows == 10
+    assert time_span(tmp_path / "log.csv", *SOURCE) == (T0_US, T0_US + 4_000_000)
+
+
+@each_packer
+def test_a_packed_file_that_is_cut_or_damaged_is_told(tmp_path: Path, packer: str) -> None:
+    data = PACKERS[packer](f"time,dp,n\n{ROWS * 200}".encode())
+    assert error(tmp_path, data[:-9]).code == "log_truncated"
+    assert error(tmp_path, data[: len(data) // 2]).code == "log_truncated"
+    at = len(data) - 6 if packer == "gzip" else len(data) - 2  # in the checksum
+    damaged = data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :]
+    assert error(tmp_path, damaged).code == "log_damaged"
+
+
+def test_a_small_file_that_unfolds_to_gigabytes_is_refused(tmp_path: Path) -> None:
+    packer = zstandard.ZstdCompressor(level=19).compressobj(size=-1)
+    row = f"{DAY}0Z,1.0,2.0\n".encode()
+    block = row * (2**22 // len(row))
+    data = packer.compress(b"time,dp,n\n")
+    data += b"".join(packer.compress(block) for _ in range(128)) + packer.flush()
+    # Half a GiB; a bomb of gigabytes differs only in being refused as early.
+    assert len(data) < 2**16
+    begin = time.process_time()
+    wrong = error(tmp_path, data)
+    assert wrong.code == "log_too_large"
+    assert "unfold" in wrong.message
+    assert time.process_time() - begin < 60
+
+
+@pytest.mark.parametrize("magic", [b"PK\x03\x04", b"BZh9", b"\xfd7zXZ\x00", b"7z\xbc\xaf", b"Rar!"])
+def test_other_packers_are_named(tmp_path: Path, magic: bytes) -> None:
+    wrong = error(tmp_path, magic + bytes(100))
+    assert wrong.code == "log_not_csv"
+    assert "packed with" in wrong.message
+
+
+def test_rows_of_units_are_skipped_where_stated(tmp_path: Path) -> None:
+    source = SOURCE.but(unit_rows=2)
+    log = read(tmp_path, f"time,dp,n\n,bar,rpm\n\n-,mean,mean\n{ROWS}", source)
+    assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert log.notes == ()
+
+
+@pytest.mark.parametrize("line_end", ["\n", "\r\n", "\r"])
+def test_a_header_that_comes_again_is_no_sample(tmp_path: Path, line_end: str) -> None:
+    text = f"time,dp,n\nUTC,bar,rpm\n{ROWS}time,dp,n\nUTC,bar,rpm\n{ROWS}"
+    log = read(tmp_path, text.replace("\n", line_end), SOURCE.but(unit_rows=1))
+    assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0] * 2
+    assert log.channels["pressure_difference"].unparsed == 0
+    assert log.notes == ("1 lines that repeat the header",)
+
+
+def test_columns_that_change_within_a_file_are_read_by_name(tmp_path: Path) -> None:
+    text = f"time,dp,n\n{ROWS}n,x,time,dp\n7,?,{DAY}6Z,6\n8,?,{DAY}7Z,9\n"
+    log = read(tmp_path, text)
+    assert values(log) == [0.0, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0]
+    assert values(log, "speed")[-2:] == [7.0, 8.0]
+    assert log.refused_rows == 1
+    twice = error(tmp_path, f"time,dp,n\n{ROWS}time,dp,n,dp\n")
+    assert twice.code == "log_column_twice"
+
+
+def test_columns_that_change_between_files_are_read_by_name(tmp_path: Path) -> None:
+    one = read(tmp_path, f"time,dp,n\n{ROWS}")
+    other = read(tmp_path, "".join(f"x,{n},{dp},{t}\n" for t, dp, n in _cells()))
+    for channel in ("pressure_difference", "speed"):
+        assert values(one, channel) == values(other, channel)
+
+
+def _cells() -> list[list[str]]:
+    return [["time", "dp", "n"], *(row.split(",") for row in ROWS.splitlines())]
+
+
+@pytest.mark.parametrize("piece", [64, 100, 1000])
+def test_pieces_do_not_show(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, piece: int) -> None:
+    text = "Logger 7\n" + f"time,dp,n\nUTC,bar,rpm\n{ROWS}" * 6 + "n,time,dp\n,,\n" + "5,2025"
+    source = SOURCE.but(skip_rows=1, unit_rows=1)
+    whole = read(tmp_path, text, source)
+    read_lines = pipeline.ingest.csv.log.read_lines
+    monkeypatch.setattr(
+        pipeline.ingest.csv.log, "read_lines", lambda path, code: read_lines(path, code, piece)
+    )
+    for line_end in ("\n", "\r\n"):
+        log = read(tmp_path, text.replace("\n", line_end), source)
+        assert values(log) == values(whole)
+        assert log.notes == whole.notes
+
+
+@pytest.mark.parametrize(
+    ("thousands", "decimal", "cell", "value"),
+    [
+        (",", ".", "1,234.5", 1234.5),
+        (",", ".", "-12,345,678", -12345678.0),
+        (",", ".", "1234.5", 1234.5),
+        (".", ",", "1.234,5", 1234.5),
+        (".", ",", "+1.234", 1234.0),
+        ("'", ".", "1'234.25", 1234.25),
+        (" ", ",", "1 234,5", 1234.5),
+        ("\u202f", ",", "1\u202f234,5", 1234.5),
+        (",", ".", "1,23", None),
+        (",", ".", "12,3456", None),
+        (".", ",", "1.5", None),
+        (",", ".", "1234,567", None),
+        (",", ".", "1,234,56", None),
+        (" ", ".", "1,234", None),
+    ],
+)
+def test_marks_between_thousands(
+    tmp_path: Path, thousands: str, decimal: str, cell: str, value: float | None
+) -> None:
+    source = SOURCE.but(separator=";", thousands=thousands, decimal=decimal)
+    log = read(tmp_path, f"time;dp;n\n{DAY}0Z;{cell};1\n{DAY}1Z;7;1\n", source)
+    assert values(log) == ([7.0] if value is None else [value, 7.0])
+    assert log.channels["pressure_difference"].unparsed == (value is None)
+
+
+@pytest.mark.parametrize("token", ["---", "Bad", "-", "N/A", "", "n/a", "#N/A"])
+def test_words_of_loggers_for_no_sample(tmp_path: Path, token: str) -> None:
+    log = read(tmp_path, f"time,dp,n\n{DAY}0Z,{token},1\n{DAY}1Z,2,1\n")
+    assert values(log) == [2.0]
+    assert log.channels["pressure_difference"].unparsed == 0
+
+
+def test_a_date_in_a_column_of_its_own(tmp_path: Path) -> None:
+    source = SOURCE.but(date_column="date", time_format="%d.%m.%Y %H:%M:%S")
+    text = "date,time,dp,n\n01.03.2025,06:00:00,1,2\n01.03.2025, 06:00:01 ,3,4\n,06:00:02,5,6\n"
+    log = read(tmp_path, text, source)
+    assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 1_000_000]
+    assert log.notes == ("1 rows without a readable time",)
+    assert time_span(tmp_path / "log.csv", *source) == (T0_US, T0_US + 1_000_000)
+    iso = source.but(time_format="iso8601")
+    assert read(tmp_path, "date,time,dp,n\n2025-03-01,06:00:00,1,2\n", iso).first_us == T0_US
+
+
+def test_days_of_a_spreadsheet_with_a_decimal_comma(tmp_path: Path) -> None:
+    source = SOURCE.but(separator=";", decimal=",", time_format="excel_days")
+    for bad in ("", "?;1;2\n"):
+        log = read(tmp_path, f"time;dp;n\n45717,25;1,5;2\n45717,2500115741;3;4\n{bad}", source)
+        assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 1_000_000]
+        assert values(log) == [1.5, 3.0]
+
+
+LONG = SOURCE.but(layout="long", channel_column="tag", value_column="v")
+
+
+def test_long_tables(tmp_path: Path) -> None:
+    rows = [
+        f"{DAY}0Z,dp,1,x",
+        f"{DAY}0Z, n ,100,x",
+        f"{DAY}1Z,dp,Bad,x",
+        f"{DAY}1Z,other,ERR,x",
+        f"{DAY}2Z,n,120,x",
+        "?,n,130,x",
+    ]
+    log = read(tmp_path, "time,tag,v,who\n" + "\n".join(rows) + "\n", LONG)
+    assert values(log) == [1.0]
+    assert log.channels["pressure_difference"].missing.tolist() == [False, True]
+    assert values(log, "speed") == [100.0, 120.0]
+    assert log.channels["speed"].time_us.tolist() == [T0_US, T0_US + 2_000_000]
+    assert (log.rows, log.refused_rows) == (4, 1)
+    assert log.channels["pressure_difference"].unparsed == 0
+
+
+def test_a_long_table_without_a_channel_says_so(tmp_path: Path) -> None:
+    log = read(tmp_path, f"time,tag,v\n{DAY}0Z,n,1\n", LONG)
+    assert values(log) == []
+    assert log.notes == ("no row of 'dp'; there are 'n'",)
+    wrong = error(tmp_path, f"time,tag,v\n{DAY}0Z,N,1\n", LONG)
+    assert wrong.code == "log_column_missing"
+    assert "'N'" in wrong.message
+    assert read(tmp_path, "time,tag,v\n", LONG).rows == 0
+
+
+def test_a_file_a_channel(tmp_path: Path) -> None:
+    channels = {
+        "pressure_difference": column("*_dp_*.csv", "kPa"),
+        "speed": column("*_n_*.csv", "rpm"),
+    }
+    source = SOURCE.but(layout="file_per_channel", channels=channels)
+    text = f"time,value\n{DAY}0Z,100\n{DAY}1Z,250\n?,7\n"
+    log = read(tmp_path, text, source, "m7_dp_0301.csv")
+    assert values(log) == [1.0, 2.5]
+    assert log.channels["speed"].time_us.size == 0
+    assert values(read(tmp_path, text, source, "m7_n_0301.csv"), "speed") == [100.0, 250.0]
+    wrong = error(tmp_path, text, source, "m7_T_0301.csv")
+    assert wrong.code == "log_column_missing"
+    assert "'*_dp_*.csv'" in wrong.message
+
+
+def test_the_hour_that_comes_twice_is_told_apart_across_pieces(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    start = datetime(2025, 10, 25, 22, 30, tzinfo=UTC)
+    moments = [start + timedelta(minutes=i) for i in range(300)]
+    offsets = [2 if moment < datetime(2025, 10, 26, 1, tzinfo=UTC) else 1 for moment in moments]
+    rows = [
+        f"{(moment + timedelta(hours=offset)).strftime('%d.%m.%Y %H:%M')},{i},1\n"
+        for i, (moment, offset) in enumerate(zip(moments, offsets, strict=True))
+    ]
+    source = SOURCE.but(time_format="%d.%m.%Y %H:%M", time_zone="Europe/Stockholm")
+    read_lines = pipeline.ingest.csv.log.read_lines
+    monkeypatch.setattr(
+        pipeline.ingest.csv.log, "read_lines", lambda path, code: read_lines(path, code, 500)
+    )
+    log = read(tmp_path, "time,dp,n\n" + "".join(rows), source)
+    wanted = [int(moment.timestamp()) * 1_000_000 for moment in moments]
+    assert log.channels["speed"].time_us.tolist() == wanted
+
+
+def test_the_hour_that_never_comes_costs_its_rows(tmp_path: Path) -> None:
+    source = SOURCE.but(time_zone="Europe/Stockholm")
+    times = ["01:58:00", "01:59:00", "02:30:00", "03:00:00"]
+    rows = "".join(f"2025-03-30 {clock},{i},1\n" for i, clock in enumerate(times))
+    log = read(tmp_path, f"time,dp,n\n{rows}", source)
+    assert values(log) == [0.0, 1.0, 3.0]
+    assert log.notes == ("1 rows at a local time that the zone's clock change leaves out",)
+
+
+def test_time_in_the_future_is_refused(tmp_path: Path) -> None:
+    ahead = (datetime.now(UTC) + timedelta(days=3)).isoformat()
+    soon = (datetime.now(UTC) + timedelta(hours=3)).isoformat()
+    log = read(tmp_path, f"time,dp,n\n{ROWS}{soon},5,1\n{ahead},6,1\n")
+    assert values(log)[-1] == 5.0
+    assert log.notes == ("1 rows with a time more than a day in the future",)
+    wrong = error(tmp_path, f"time,dp,n\n{ahead},6,1\n")
+    assert wrong.code == "log_time"
+    assert "future" in wrong.message
+
+
+@pytest.mark.parametrize(
+    ("data", "code"),
+    [
+        (b"", "log_empty"),
+        (b"\n\n", "log_empty"),
+        (bytes(range(256)) * 20, "log_not_csv"),
+        (b"\x89PNG\r\n\x1a\n" + bytes(300), "log_encoding"),
+        (b"time,dp\n1,2\n", "log_column_missing"),
+        (f"time,dp,n\n{DAY}0Z,a,b\n".encode(), "log_type"),
+        (b"time,dp,n\n,,\n,,\n", "log_time"),
+        (b"time,dp,n\nnever,1,2\n", "log_time"),
+        (b'time,dp,n\n2025-01-01,1,"2\n2025-01-02,1,2\n', "log_damaged"),
+    ],
+)
+def test_each_damage_has_its_code(tmp_path: Path, data: bytes, code: str) -> None:
+    assert error(tmp_path, data).code == code

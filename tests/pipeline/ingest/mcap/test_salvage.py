@@ -1,0 +1,257 @@
+"""What stands before the damage of an MCAP file, where the source allows to read it."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader, breakup_chunk
+from mcap.writer import CompressionType, IndexType, Writer
+
+from pipeline.errors import LogError
+from pipeline.ingest import RawLog, read_log, time_span
+from tests.pipeline.ingest.sources import Source, column
+from tests.pipeline.ingest.writers import T0_US
+
+COUNT = 400
+STRICT = Source.of("mcap", {"pressure_difference": column("dp", "bar")})
+SALVAGE = STRICT.but(salvage=True)
+EVERY_WAY: list[dict[str, Any]] = [
+    {"compression": CompressionType.ZSTD},
+    {"compression": CompressionType.LZ4},
+    {"compression": CompressionType.NONE, "index_types": IndexType.NONE},
+    {"use_chunking": False},
+    {"use_chunking": False, "enable_data_crcs": True},
+]
+
+
+def made(**options: Any) -> bytes:
+    """A file whose readings count up from 0."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, **{"chunk_size": 1000} | options)
+    writer.start()
+    number = writer.register_channel("dp", "json", 0)
+    for i in range(COUNT):
+        time_ns = (T0_US + i) * 1000
+        writer.add_message(number, time_ns, b'{"value": %d}' % i, time_ns)
+    writer.finish()
+    return buffer.getvalue()
+
+
+def read(path: Path, data: bytes, source: Source = SALVAGE) -> RawLog:
+    path.write_bytes(data)
+    return read_log(path, *source)
+
+
+def count_of(log: RawLog) -> int:
+    """Number of readings, which are the first ones and in their order."""
+    channel = log.channels["pressure_difference"]
+    np.testing.assert_array_equal(channel.value, np.arange(channel.value.size))
+    np.testing.assert_array_equal(channel.time_us, T0_US + np.arange(channel.value.size))
+    return channel.value.size
+
+
+def chunk_starts(data: bytes) -> list[int]:
+    """Where the chunks of a file begin."""
+    at, starts = 8, []
+    while at + 9 < len(data) - 8:
+        opcode, length = struct.unpack_from("<BQ", data, at)
+        starts += [at] if opcode == 0x06 else []
+        at += 9 + length
+    return starts
+
+
+@pytest.mark.parametrize("options", EVERY_WAY)
+def test_a_sound_file_is_read_the_same_and_nothing_is_noted(
+    tmp_path: Path, options: dict[str, Any]
+) -> None:
+    for source in (STRICT, SALVAGE):
+        log = read(tmp_path / "log.mcap", made(**options), source)
+        assert count_of(log) == COUNT
+        assert log.notes == ()
+
+
+@pytest.mark.parametrize("options", EVERY_WAY)
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.95])
+def test_a_truncated_file_gives_the_messages_before_its_end(
+    tmp_path: Path, options: dict[str, Any], share: float
+) -> None:
+    data = made(**options)
+    cut = data[: int(len(data) * share)]
+    with pytest.raises(LogError) as raised:
+        read(tmp_path / "log.mcap", cut, STRICT)
+    assert raised.value.code == "log_truncated"
+    log = read(tmp_path / "log.mcap", cut)
+    assert count_of(log) > COUNT * share / 3
+    (note,) = log.notes
+    assert note.startswith(f"salvaged: {count_of(log)} messages stand before the damage")
+    assert f"of {len(cut)} bytes are not read" in note
+    assert time_span(tmp_path / "log.mcap", *SALVAGE) == (log.first_us, log.last_us)
+
+
+def test_without_its_summary_all_messages_are_there(tmp_path: Path) -> None:
+    for cut in (1, 8, 30, 40):
+        log = read(tmp_path / "log.mcap", made()[:-cut])
+        assert count_of(log) == COUNT
+        assert "salvaged: 400 messages" in log.notes[0]
+
+
+@pytest.mark.parametrize("options", EVERY_WAY[:2])
+def test_a_damaged_chunk_gives_those_before_it(tmp_path: Path, options: dict[str, Any]) -> None:
+    data = bytearray(made(**options))
+    starts = chunk_starts(bytes(data))
+    data[starts[3] + 60] ^= 1
+    with pytest.raises(LogError) as raised:
+        read(tmp_path / "log.mcap", bytes(data), STRICT)
+    assert raised.value.code == "log_damaged"
+    log = read(tmp_path / "log.mcap", bytes(data))
+    first_three = read(tmp_path / "log.mcap", bytes(data[: starts[3]]))
+    assert 0 < count_of(log) == count_of(first_three) < COUNT
+    assert f"salvaged: {count_of(log)} of {COUNT} messages" in log.notes[0]
+    assert f"chunk at byte {starts[3]}" in log.notes[0]
+
+
+def test_damage_without_a_place_is_not_salvaged(tmp_path: Path) -> None:
+    data = bytearray(made(use_chunking=False, enable_data_crcs=True))
+    at = data.index(b'{"value": 200}') + 10
+    data[at] ^= 1
+    with pytest.raises(LogError, match="data section") as raised:
+        read(tmp_path / "log.mcap", bytes(data))
+    assert raised.value.code == "log_damaged"
+
+
+def test_what_is_no_mcap_or_packed_in_unknown_ways_is_not_salvaged(tmp_path: Path) -> None:
+    for data, code in (
+        (b"no magic" + made(), "log_not_mcap"),
+        (made(compression=CompressionType.ZSTD).replace(b"zstd", b"gzip"), "log_compression"),
+    ):
+        with pytest.raises(LogError) as raised:
+            read(tmp_path / "log.mcap", data)
+        assert raised.value.code == code
+
+
+def test_a_file_cut_before_its_first_message_has_no_such_topic(tmp_path: Path) -> None:
+    with pytest.raises(LogError) as raised:
+        read(tmp_path / "log.mcap", made()[:40])
+    assert raised.value.code == "log_column_missing"
+
+
+@pytest.mark.parametrize("data", [made(**options) for options in EVERY_WAY[:3]], ids=range(3))
+@given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7), cut=st.floats(0.2, 1))
+def test_any_damage_ends_in_the_first_messages_or_a_coded_error(
+    tmp_path_factory: pytest.TempPathFactory,
+    data: bytes,
+    place: float,
+    bit: int,
+    cut: float,
+) -> None:
+    """Of chunks: bare messages have no checksum that would show theirs in a file that is cut."""
+    damaged = bytearray(data)
+    damaged[int(place * len(data))] ^= 1 << bit
+    damaged = damaged[: int(len(data) * cut)]
+    try:
+        log = read(tmp_path_factory.mktemp("damage") / "log.mcap", bytes(damaged))
+    except LogError:
+        return
+    assert count_of(log) == COUNT or log.notes
+
+
+def damaged(data: bytes, kind: str, start: int) -> bytes:
+    """A file with one kind of damage in the chunk that begins at a byte."""
+    changed = bytearray(data)
+    size_at, checksum_at, name_at = start + 9 + 16, start + 9 + 24, start + 9 + 32
+    match kind:
+        case "cut":
+            return data[: start + 100]
+        case "cut between":
+            return data[:start]
+        case "checksum":
+            changed[checksum_at] ^= 1
+        case "content":
+            changed[start + 120] ^= 0x10
+        case "size":
+            struct.pack_into("<Q", changed, size_at, 999)
+        case "packed size":
+            struct.pack_into("<Q", changed, name_at + int(changed[name_at - 4]), 2**30)
+        case "length":
+            struct.pack_into("<Q", changed, start + 1, 2**50)
+        case "bomb":
+            struct.pack_into("<Q", changed, size_at, 2**40)
+        case "compression":
+            changed[name_at : name_at + 3] = b"xyz"
+    return bytes(changed)
+
+
+def messages_before(data: bytes, start: int) -> int:
+    """Messages in the chunks before a byte, counted by the official reader of records."""
+    count = 0
+    reader = StreamReader(io.BytesIO(data), emit_chunks=True, validate_crcs=True)
+    for chunk in islice(
+        (one for one in reader.records if isinstance(one, Chunk)), chunk_starts(data).index(start)
+    ):
+        count += sum(isinstance(one, Message) for one in breakup_chunk(chunk, validate_crc=True))
+    return count
+
+
+CODES = {
+    "cut": "log_truncated",
+    "cut between": "log_truncated",
+    "checksum": "log_damaged",
+    "content": "log_damaged",
+    "size": "log_damaged",
+    "packed size": "log_damaged",
+    "length": "log_damaged",
+    "bomb": "log_too_large",
+    "compression": "log_compression",
+}
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    # The name of no compression has no letters to change.
+    [
+        (one, kind)
+        for one in EVERY_WAY[:3]
+        for kind in CODES
+        if (one["compression"], kind) != (CompressionType.NONE, "compression")
+    ],
+)
+@pytest.mark.parametrize("chunk", [0, 3])
+def test_each_kind_of_damage_in_each_mode(
+    tmp_path: Path, options: dict[str, Any], chunk: int, kind: str
+) -> None:
+    code = CODES[kind]
+    whole = made(**options)
+    start = chunk_starts(whole)[chunk]
+    data = damaged(whole, kind, start)
+    path = tmp_path / "log.mcap"
+    # Refused, unless the source allows what can be had; and what would fill the memory, or cannot
+    # be unpacked by anything we know, is refused in any case.
+    with pytest.raises(LogError) as raised:
+        read(path, data, STRICT)
+    assert raised.value.code == code
+    before = messages_before(whole, start)
+    if code in ("log_too_large", "log_compression"):
+        with pytest.raises(LogError) as raised:
+            read(path, data)
+        assert raised.value.code == code
+    elif "cut" in kind and not before:
+        with pytest.raises(LogError, match="no topic") as raised:
+            read(path, data)
+    else:
+        log = read(path, data)
+        assert count_of(log) == before
+        assert (before == 0) == (chunk == 0)
+        stated = "" if code == "log_truncated" else f" of {COUNT}"
+        assert log.notes[0].startswith(f"salvaged: {before}{stated} messages stand before the")
+        lost = int(re.findall(r"last (\d+) of \d+ bytes are not read", log.notes[0])[0])
+        assert 0 <= lost <= len(data) - start

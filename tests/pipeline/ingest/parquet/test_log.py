@@ -1,0 +1,376 @@
+"""What only Parquet can do to a log."""
+
+from __future__ import annotations
+
+import random
+from contextlib import suppress
+from datetime import date
+from decimal import Decimal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import pipeline.ingest.parquet.log
+from pipeline.errors import LogError
+from pipeline.ingest import RawLog, read_log, time_span
+from tests.pipeline.ingest.sources import Source, column
+from tests.pipeline.ingest.writers import T0_US
+
+SOURCE = Source.of("parquet", {"pressure_difference": column("dp", "bar")})
+TIMES = pa.array([T0_US, T0_US + 1, T0_US + 2], pa.timestamp("us", "UTC"))
+
+
+def written(folder: Path, columns: dict[str, Any], **options: Any) -> Path:
+    path = folder / "log.parquet"
+    pq.write_table(pa.table(columns), path, **options)
+    return path
+
+
+def read(folder: Path, dp: pa.Array, time: pa.Array = TIMES, **changes: Any) -> RawLog:
+    return read_log(written(folder, {"time": time, "dp": dp}), *SOURCE.but(**changes))
+
+
+def error(path: Path, source: Source = SOURCE) -> LogError:
+    with pytest.raises(LogError) as raised:
+        read_log(path, *source)
+    return raised.value
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        pa.int8(),
+        pa.uint8(),
+        pa.int32(),
+        pa.int64(),
+        pa.uint64(),
+        pa.float16(),
+        pa.float32(),
+        pa.float64(),
+        pa.decimal128(10, 2),
+        pa.decimal256(40, 2),
+    ],
+    ids=str,
+)
+def test_every_type_of_number_becomes_float64(tmp_path: Path, kind: pa.DataType) -> None:
+    values = [Decimal(1), None, Decimal(3)] if pa.types.is_decimal(kind) else [1, None, 3]
+    cells = pa.array(
+        [np.float16(v) if v is not None else None for v in values]
+        if kind == pa.float16()
+        else values,
+        kind,
+    )
+    channel = read(tmp_path, cells).channels["pressure_difference"]
+    np.testing.assert_array_equal(channel.value, [1.0, np.nan, 3.0], strict=True)
+    assert channel.missing.tolist() == [False, True, False]
+
+
+def test_a_signalling_nan_is_a_nan(tmp_path: Path) -> None:
+    cells = np.array([0x7FF0000000000001, 0xFFF0000000000001, 0], dtype=np.uint64)
+    channel = read(tmp_path, pa.array(cells.view(np.float64))).channels["pressure_difference"]
+    np.testing.assert_array_equal(channel.value, [np.nan, np.nan, 0.0])
+    assert not channel.missing.any()
+
+
+def test_integers_beyond_float64_lose_their_last_digits_only(tmp_path: Path) -> None:
+    channel = read(tmp_path, pa.array([2**63 - 1, 2**53 + 1, -(2**63)])).channels
+    assert channel["pressure_difference"].value.tolist() == [2.0**63, 2.0**53, -(2.0**63)]
+
+
+def test_a_column_of_type_null_is_missing_throughout(tmp_path: Path) -> None:
+    log = read(tmp_path, pa.nulls(3))
+    assert log.channels["pressure_difference"].missing.all()
+
+
+@pytest.mark.parametrize(
+    "cells",
+    [
+        pa.array(["1", "2", "3"]),
+        pa.array([True, False, None]),
+        pa.array([b"1", b"2", b"3"]),
+        pa.array([[1.0], [2.0], [3.0]]),
+        pa.array([{"value": 1.0}, None, None]),
+        TIMES,
+        pa.array([date(2025, 3, 1)] * 3),
+        pa.array(["1", "2", "3"]).dictionary_encode(),
+    ],
+    ids=lambda cells: str(cells.type),
+)
+def test_what_is_no_number_is_an_error_of_type(tmp_path: Path, cells: pa.Array) -> None:
+    path = written(tmp_path, {"time": TIMES, "dp": cells})
+    wrong = error(path)
+    assert wrong.code == "log_type"
+    assert "'dp'" in wrong.message
+
+
+@pytest.mark.parametrize(
+    ("cells", "time_format"),
+    [
+        (pa.array([T0_US // 10**6], pa.timestamp("s", "Asia/Tokyo")), "iso8601"),
+        (pa.array([T0_US // 1000], pa.timestamp("ms", "UTC")), "iso8601"),
+        (pa.array([T0_US * 1000 + 999], pa.timestamp("ns", "UTC")), "iso8601"),
+        (pa.array([T0_US // 10**6]), "epoch_s"),
+        (pa.array([T0_US // 10**6], pa.uint32()), "epoch_s"),
+        (pa.array([T0_US / 10**6]), "epoch_s"),
+        (pa.array([T0_US // 1000]), "epoch_ms"),
+        (pa.array([T0_US]), "epoch_us"),
+        (pa.array([T0_US * 1000 + 999]), "epoch_ns"),
+        (pa.array(["2025-03-01T06:00:00Z"]), "iso8601"),
+        (pa.array(["2025-03-01T06:00:00Z"], pa.large_string()), "iso8601"),
+        (pa.array(["01.03.2025 06:00:00"]), "%d.%m.%Y %H:%M:%S"),
+        (pa.array(["1740808800"]), "epoch_s"),
+    ],
+    ids=lambda value: str(getattr(value, "type", value)),
+)
+def test_time_in_every_type(tmp_path: Path, cells: pa.Array, time_format: str) -> None:
+    path = written(tmp_path, {"time": cells, "dp": [1.0]})
+    source = SOURCE.but(time_format=time_format)
+    assert read_log(path, *source).first_us == T0_US
+    assert time_span(path, *source) == (T0_US, T0_US)
+
+
+@pytest.mark.parametrize(
+    ("cells", "time_format"),
+    [
+        (pa.array([T0_US // 10**6]), "iso8601"),
+        (pa.array([T0_US // 10**6], pa.int64()), "epoch_ms"),
+        (pa.array([T0_US / 10**6], pa.float32()), "epoch_s"),
+        (pa.array([date(2025, 3, 1)]), "iso8601"),
+        (pa.array([True]), "epoch_s"),
+        (pa.array([b"2025-03-01T06:00:00Z"]), "iso8601"),
+        (pa.array(["6 am"]), "iso8601"),
+        (pa.nulls(1), "epoch_s"),
+        (pa.array([None], pa.timestamp("us", "UTC")), "iso8601"),
+        (pa.array([{"t": 1}]), "epoch_s"),
+    ],
+    ids=lambda value: str(getattr(value, "type", value)),
+)
+def test_what_is_no_time(tmp_path: Path, cells: pa.Array, time_format: str) -> None:
+    path = written(tmp_path, {"time": cells, "dp": [1.0]})
+    source = SOURCE.but(time_format=time_format)
+    assert error(path, source).code == "log_time"
+    with pytest.raises(LogError) as raised:
+        time_span(path, *source)
+    assert raised.value.code == "log_time"
+
+
+def test_a_local_time_that_does_not_exist_is_an_error(tmp_path: Path) -> None:
+    night = pa.array(["2025-03-30T02:30:00"]).cast(pa.timestamp("us"))
+    path = written(tmp_path, {"time": night, "dp": [1.0]})
+    assert error(path, SOURCE.but(time_zone="Europe/Stockholm")).code == "log_time"
+
+
+def test_a_row_without_a_time_is_left_out_and_noted(tmp_path: Path) -> None:
+    times = pa.array([T0_US, None, T0_US + 2], pa.timestamp("us", "UTC"))
+    log = read(tmp_path, pa.array([1.0, 2.0, 3.0]), times)
+    assert log.channels["pressure_difference"].value.tolist() == [1.0, 3.0]
+    assert log.notes == ("1 rows without a readable time",)
+    assert log.refused_rows == 1
+
+
+def test_columns_of_one_name_are_an_error(tmp_path: Path) -> None:
+    path = tmp_path / "log.parquet"
+    table = pa.table([TIMES, [1.0, 2.0, 3.0], [4.0, 5.0, 6.0]], names=["time", "dp", "dp"])
+    pq.write_table(table, path)
+    assert error(path).code == "log_column_twice"
+
+
+def test_a_name_with_a_dot_is_a_name(tmp_path: Path) -> None:
+    source = SOURCE.but({"pressure_difference": column("motor.dp", "bar")})
+    log = read_log(written(tmp_path, {"time": TIMES, "motor.dp": [1.0, 2.0, 3.0]}), *source)
+    assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 3.0]
+    nested = pa.array([{"dp": 4.0}, {"dp": 5.0}, {"dp": 6.0}])
+    path = written(tmp_path, {"time": TIMES, "motor.dp": [1.0, 2.0, 3.0], "motor": nested})
+    assert error(path, source).code == "log_column_twice"
+
+
+NESTED = {
+    "pressure_difference": column("hydraulics.pressure.a", "bar"),
+    "oil_temperature": column("hydraulics.oil.T.in", "degC"),
+}
+
+
+def test_nested_columns_by_their_paths(tmp_path: Path) -> None:
+    # Null within, null around it, and a name that has a dot itself.
+    rows = [
+        {"pressure": {"a": 1.0, "b": 9.0}, "oil.T": {"in": 50}, "x": [1]},
+        {"pressure": {"a": None, "b": 9.0}, "oil.T": None, "x": None},
+        None,
+    ]
+    path = written(tmp_path, {"time": TIMES, "hydraulics": pa.array(rows)})
+    log = read_log(path, *SOURCE.but(channels=NESTED))
+    for name, value in (("pressure_difference", 1.0), ("oil_temperature", 50.0)):
+        assert log.channels[name].missing.tolist() == [False, True, True]
+        assert log.channels[name].value[0] == value
+    absent = column("hydraulics.pressure.c", "bar")
+    wrong = error(path, SOURCE.but({"pressure_difference": absent}))
+    assert wrong.code == "log_column_missing"
+    assert "'hydraulics.pressure.a'" in wrong.message
+    for name in ("hydraulics.pressure", "hydraulics.x"):
+        not_a_number = {"pressure_difference": column(name, "bar")}
+        assert error(path, SOURCE.but(not_a_number)).code == "log_type"
+
+
+def test_a_nested_time(tmp_path: Path) -> None:
+    head = pa.StructArray.from_arrays([TIMES], names=["stamp"])
+    path = written(tmp_path, {"head": head, "dp": [1.0, 2.0, 3.0]})
+    source = SOURCE.but(time="head.stamp")
+    assert read_log(path, *source).first_us == T0_US
+    assert time_span(path, *source) == (T0_US, T0_US + 2)
+
+
+def test_dictionary_columns(tmp_path: Path) -> None:
+    stamps = pa.array(["2025-03-01T06:00:00Z"] * 3).dictionary_encode()
+    cells = pa.array([1.5, None, 1.5]).dictionary_encode()
+    log = read(tmp_path, cells, stamps)
+    channel = log.channels["pressure_difference"]
+    np.testing.assert_array_equal(channel.value, [1.5, np.nan, 1.5])
+    assert channel.time_us.tolist() == [T0_US] * 3
+
+
+LONG = SOURCE.but(layout="long", channel_column="tag", value_column="v")
+
+
+@pytest.mark.parametrize("dictionary", [False, True])
+def test_long_tables_of_many_row_groups(tmp_path: Path, dictionary: bool) -> None:
+    tags = pa.array(["dp", "n", None, "other", "dp"] * 40)
+    columns = {
+        "time": pa.array([T0_US + i for i in range(200)], pa.timestamp("us", "UTC")),
+        "tag": tags.dictionary_encode() if dictionary else tags,
+        "v": pa.array([float(i) for i in range(200)]),
+    }
+    source = LONG.but({**LONG.channels, "speed": column("n", "rpm")})
+    path = written(tmp_path, columns, row_group_size=7)
+    log = read_log(path, *source)
+    values = log.channels["pressure_difference"].value.tolist()
+    assert values == [float(i) for i in range(200) if i % 5 in (0, 4)]
+    times = (log.channels["speed"].time_us - T0_US).tolist()
+    assert times == list(range(1, 200, 5))
+    assert time_span(path, *source) == (T0_US, T0_US + 199)
+
+
+def test_a_long_table_whose_names_are_numbers(tmp_path: Path) -> None:
+    path = written(tmp_path, {"time": TIMES, "tag": [1, 2, 3], "v": [1.0, 2.0, 3.0]})
+    assert error(path, LONG).code == "log_type"
+
+
+def test_a_file_a_channel(tmp_path: Path) -> None:
+    channels = {"pressure_difference": column("lo*", "bar"), "speed": column("n_*", "rpm")}
+    source = SOURCE.but(layout="file_per_channel", channels=channels)
+    path = written(tmp_path, {"time": TIMES, "value": [1.0, 2.0, 3.0]})
+    log = read_log(path, *source)
+    assert log.channels["pressure_difference"].value.tolist() == [1.0, 2.0, 3.0]
+    assert log.channels["speed"].time_us.size == 0
+
+
+def test_integers_with_a_scale(tmp_path: Path) -> None:
+    scaled = {"pressure_difference": column("dp", "bar", scale=0.1, offset=-5.0)}
+    log = read(tmp_path, pa.array([2050, None, 50], pa.int16()), channels=scaled)
+    np.testing.assert_allclose(log.channels["pressure_difference"].value, [200.0, np.nan, 0.0])
+
+
+def test_days_of_a_spreadsheet(tmp_path: Path) -> None:
+    log = read(tmp_path, pa.array([1.0]), pa.array([45717.25]), time_format="excel_days")
+    assert log.first_us == T0_US
+
+
+def test_pandas_index_columns_and_other_company_do_not_matter(tmp_path: Path) -> None:
+    company = {"__index_level_0__": [0, 1, 2], "note": ["a", "b", "c"], "x": [[1], [2], []]}
+    path = written(tmp_path, {**company, "dp": [1.0, 2.0, 3.0], "time": TIMES})
+    assert read_log(path, *SOURCE).rows == 3
+
+
+def test_more_rows_than_fit_are_refused_while_they_unfold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = 3_000_000
+    times = pa.array(np.full(rows, T0_US), pa.timestamp("us", "UTC"))
+    path = written(tmp_path, {"time": times, "dp": np.ones(rows)})
+    assert path.stat().st_size < rows / 100
+    assert read_log(path, *SOURCE).rows == rows
+    monkeypatch.setattr(pipeline.ingest.parquet.log, "MOST_ROWS", 1_000_000)
+    assert error(path).code == "log_too_large"
+
+
+def test_a_flipped_bit_in_a_page_is_found_by_its_checksum(tmp_path: Path) -> None:
+    rng = random.Random(5)  # noqa: S311
+    columns = {
+        "time": pa.array([T0_US + i for i in range(500)], pa.timestamp("us", "UTC")),
+        "dp": [rng.gauss(200.0, 10.0) for _ in range(500)],
+    }
+    path = written(tmp_path, columns, write_page_checksum=True, use_dictionary=False)
+    data = path.read_bytes()
+    whole = read_log(path, *SOURCE).channels["pressure_difference"]
+    found = 0
+    # Pages begin behind the magic bytes; the footer's length stands before the last four bytes.
+    end_of_pages = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    for _ in range(100):
+        damaged = bytearray(data)
+        damaged[rng.randrange(4, end_of_pages)] ^= 1 << rng.randrange(8)
+        path.write_bytes(damaged)
+        try:
+            channel = read_log(path, *SOURCE).channels["pressure_difference"]
+        except LogError:
+            found += 1
+            continue
+        # The heads of pages repeat what stands elsewhere, such as their statistics.
+        np.testing.assert_array_equal(channel.value, whole.value)
+        np.testing.assert_array_equal(channel.time_us, whole.time_us)
+    assert found > 90
+
+
+@pytest.mark.parametrize("end", [b"PAR1", b"PARE"])
+def test_a_footer_that_is_not_one(tmp_path: Path, end: bytes) -> None:
+    path = tmp_path / "log.parquet"
+    for body in (b"", b"\0" * 8, b"\xff" * 8, b"\x00" * 20 + (8).to_bytes(4, "little")):
+        path.write_bytes(b"PAR1" + body + end)
+        assert error(path).code in {"log_damaged", "log_truncated"}
+
+
+def test_damaged_metadata_of_a_column_do_not_end_the_process(tmp_path: Path) -> None:
+    # PyArrow 26 ends the process where it is asked for the statistics of such a column.
+    path = written(tmp_path, {"time": TIMES, "dp": pa.array([1.0, None, 3.0])})
+    data = path.read_bytes()
+    footer = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    for at in range(footer, len(data)):
+        damaged = bytearray(data)
+        damaged[at] ^= 1 << (at % 8)
+        path.write_bytes(damaged)
+        for reader in (read_log, time_span):
+            with suppress(LogError):
+                reader(path, *SOURCE)
+        with suppress(LogError):
+            assert read_log(path, *SOURCE).rows == pq.read_metadata(path).num_rows
+
+
+def test_text_that_is_no_utf_8_is_damage(tmp_path: Path) -> None:
+    offsets = np.array([0, 20], dtype=np.int32)
+    stamp = b"2025-03-01T06:00:00\xff"
+    cells = pa.StringArray.from_buffers(1, pa.py_buffer(offsets), pa.py_buffer(stamp))
+    assert error(written(tmp_path, {"time": cells, "dp": [1.0]})).code == "log_damaged"
+
+
+def test_malformed_files_of_others_raise_nothing_else(foreign_files: Path) -> None:
+    """The files of apache/parquet-testing ``bad_data``: some columns can be read, some not."""
+    paths = sorted((foreign_files / "parquet_bad").glob("*.parquet"))
+    assert len(paths) >= 8
+    for path in paths:
+        for name in _names(path):
+            channels = {"pressure_difference": column(name, "bar")}
+            for time_format in ("iso8601", "epoch_us"):
+                source = Source.of("parquet", channels, time=name, time_format=time_format)
+                for reader in (read_log, time_span):
+                    with suppress(LogError):
+                        reader(path, *source)
+
+
+def _names(path: Path) -> list[str]:
+    try:
+        with pq.ParquetFile(path) as file:
+            return list(file.schema_arrow.names)
+    except OSError:
+        return ["time"]

@@ -1,0 +1,283 @@
+"""What a motor's task remembers, and that nothing of it is believed once it is damaged."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.errors import StoreError
+from pipeline.logs.ledger import (
+    FileRecord,
+    Ledger,
+    NightRecord,
+    changed_months,
+    content_hash,
+    forget_nights,
+    ledger_folder,
+    read_ledger,
+    read_settings,
+    settings_file,
+    write_months,
+    write_settings,
+)
+from pipeline.run.verification import verify_tables
+
+MODELS = st.dictionaries(
+    st.sampled_from(["none", "fixed", "estimated"]),
+    st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=5).map(tuple),
+)
+NIGHTS = st.builds(
+    NightRecord,
+    st.sampled_from(["ok", "failed", "stood_still"]),
+    MODELS,
+    statistics_hash=st.sampled_from(["", "0123456789abcdef"]),
+)
+TEXTS = st.text(st.characters(codec="utf-8"), max_size=20)
+RECORDS = st.builds(
+    FileRecord,
+    path=TEXTS,
+    size=st.integers(0, 2**60),
+    modified_ns=st.integers(0, 2**63),
+    sha256=st.none() | st.just("ab" * 32),
+    read_with=st.sampled_from(["", "0123456789abcdef"]),
+    rows=st.none() | st.integers(0, 2**40),
+    first_us=st.none() | st.integers(-(2**60), 2**60),
+    nights=st.lists(st.dates().map(dt.date.isoformat), max_size=3).map(tuple),
+    status=st.sampled_from(["ok", "failed"]),
+    message=st.none() | TEXTS,
+)
+LEDGERS = st.builds(
+    Ledger,
+    st.dictionaries(TEXTS, RECORDS, max_size=3),
+    st.dictionaries(st.dates(), NIGHTS, max_size=4),
+)
+NEW_YEAR = dt.date(2026, 1, 2)
+SOME = Ledger(
+    {"A/1.csv": FileRecord("A/1.csv", 100, 17, "ab" * 32, "", 5, 1, 2, ("2026-01-02",))},
+    {
+        NEW_YEAR: NightRecord("ok", {"none": (7.5e-14, 1.56e-14, 4.37e-14, 0.0)}),
+        dt.date(2026, 1, 3): NightRecord("stood_still"),
+    },
+)
+TWO_MONTHS = Ledger(
+    SOME.files, {**SOME.nights, dt.date(2026, 2, 1): NightRecord("ok", {"none": (1.0, 2.0)})}
+)
+
+
+def write_whole(output: Path, motor_id: str, ledger: Ledger) -> None:
+    write_months(output, motor_id, changed_months(read_ledger(output, motor_id), ledger))
+
+
+@given(LEDGERS, LEDGERS)
+def test_round_trip(
+    tmp_path_factory: pytest.TempPathFactory, first: Ledger, second: Ledger
+) -> None:
+    """To the last bit: last night's model is part of tonight's figures."""
+    output = tmp_path_factory.mktemp("ledger")
+    for ledger in (first, second):
+        write_whole(output, "A", ledger)
+        assert read_ledger(output, "A") == ledger
+
+
+def test_same_ledger_same_bytes(tmp_path: Path) -> None:
+    backwards = Ledger(SOME.files, dict(reversed(list(SOME.nights.items()))))
+    for motor, ledger in (("A", SOME), ("B", backwards)):
+        write_whole(tmp_path, motor, ledger)
+    assert [
+        (ledger_folder(tmp_path, motor) / "2026-01.json").read_bytes() for motor in "AB"
+    ] == 2 * [(ledger_folder(tmp_path, "A") / "2026-01.json").read_bytes()]
+
+
+def test_each_motor_and_month_has_its_own_file(tmp_path: Path) -> None:
+    write_whole(tmp_path, "A", TWO_MONTHS)
+    assert read_ledger(tmp_path, "B") == Ledger()
+    files = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.json")}
+    assert files == {"ledger/A/2026-01.json", "ledger/A/2026-02.json"}
+
+
+def test_only_months_that_changed_are_written() -> None:
+    later = {**TWO_MONTHS.nights, dt.date(2026, 2, 2): NightRecord("failed")}
+    changed = changed_months(TWO_MONTHS, Ledger(TWO_MONTHS.files, later))
+    assert list(changed) == ["2026-02"]
+    assert not changed_months(TWO_MONTHS, TWO_MONTHS)
+    assert changed_months(SOME, Ledger()) == {"2026-01": Ledger()}
+
+
+def test_a_file_moves_with_its_first_night(tmp_path: Path) -> None:
+    write_whole(tmp_path, "A", SOME)
+    moved = replace(SOME.files["A/1.csv"], nights=("2026-03-01",))
+    after = Ledger({"A/1.csv": moved}, SOME.nights)
+    write_whole(tmp_path, "A", after)
+    assert read_ledger(tmp_path, "A") == after
+
+
+def test_none_there(tmp_path: Path) -> None:
+    assert read_ledger(tmp_path, "A") == Ledger()
+
+
+def test_a_forgotten_night_is_forgotten_with_its_files(tmp_path: Path) -> None:
+    for motor in "AB":
+        write_whole(tmp_path, motor, TWO_MONTHS)
+    third = dt.date(2026, 1, 3)
+    assert forget_nights(tmp_path, {NEW_YEAR, third}, {"B"}) == {"A": {NEW_YEAR}}
+    # The night after is still judged with the model of one whose log may be gone.
+    kept = {night: one for night, one in TWO_MONTHS.nights.items() if night != third}
+    assert read_ledger(tmp_path, "A") == Ledger({}, kept)
+    assert read_ledger(tmp_path, "B") == TWO_MONTHS
+
+
+def test_a_forgotten_night_can_be_fitted_anew_from_its_statistics(tmp_path: Path) -> None:
+    made = replace(SOME.nights[NEW_YEAR], figures_hash="0123456789abcdef")
+    write_whole(tmp_path, "A", Ledger(SOME.files, {NEW_YEAR: made}))
+    forget_nights(tmp_path, {NEW_YEAR}, refit={NEW_YEAR})
+    expected = replace(made, figures_hash="")
+    assert read_ledger(tmp_path, "A") == Ledger({}, {NEW_YEAR: expected})
+
+
+class TestDamage:
+    @pytest.fixture
+    def file(self, tmp_path: Path) -> Path:
+        write_whole(tmp_path, "A", SOME)
+        return ledger_folder(tmp_path, "A") / "2026-01.json"
+
+    @pytest.mark.parametrize(
+        "content",
+        [
+            b"",
+            b"null",
+            b"[]",
+            b"{}",
+            b'"text"',
+            b"\xff\xfe",
+            b"\0" * 4096,
+            b"[" * 100_000,
+            json.dumps({"sha256": "x"}).encode(),
+            json.dumps({"files": [], "nights": {}}).encode(),
+            json.dumps({"files": {"a": 1}, "nights": {}}).encode(),
+            json.dumps({"files": {}, "nights": {"soon": {}}}).encode(),
+        ],
+        ids=lambda content: content[:20].decode(errors="replace"),
+    )
+    def test_something_else(self, tmp_path: Path, file: Path, content: bytes) -> None:
+        file.write_bytes(content)
+        assert read_ledger(tmp_path, "A") == Ledger()
+
+    def test_a_damaged_month_costs_no_other(self, tmp_path: Path, file: Path) -> None:
+        write_whole(tmp_path, "A", TWO_MONTHS)
+        file.write_bytes(b"{")
+        february = dt.date(2026, 2, 1)
+        expected = Ledger({}, {february: TWO_MONTHS.nights[february]})
+        assert read_ledger(tmp_path, "A") == expected
+
+    def test_any_truncation(self, tmp_path: Path, file: Path) -> None:
+        whole = file.read_bytes()
+        for length in range(len(whole) - 1):
+            file.write_bytes(whole[:length])
+            assert read_ledger(tmp_path, "A") == Ledger()
+
+    def test_any_flipped_bit(self, tmp_path: Path, file: Path) -> None:
+        """A digit of last night's model that is another one would show in tonight's figures."""
+        whole = file.read_bytes()
+        for place in range(0, 8 * len(whole), 11):
+            flipped = bytearray(whole)
+            flipped[place // 8] ^= 1 << place % 8
+            file.write_bytes(flipped)
+            assert read_ledger(tmp_path, "A") in (Ledger(), SOME)
+
+    def test_folder_in_its_place(self, tmp_path: Path) -> None:
+        (ledger_folder(tmp_path, "A") / "2026-01.json").mkdir(parents=True)
+        assert read_ledger(tmp_path, "A") == Ledger()
+        with pytest.raises(StoreError):
+            write_whole(tmp_path, "A", SOME)
+
+    def test_failed_write_leaves_the_old_one(
+        self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def fail(*_: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "replace", fail)
+        with pytest.raises(StoreError):
+            write_whole(tmp_path, "A", Ledger())
+        assert read_ledger(tmp_path, "A") == SOME
+        assert [path.name for path in file.parent.iterdir()] == [file.name]
+
+
+def test_any_flipped_bit_of_the_settings_is_seen(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Thirty of thirty: they were the one file of a ledger that was not sealed."""
+    settings = {"reference.speed_rpm": "30.0", "cleaning.hampel_window": "11"}
+    write_settings(tmp_path, "A", settings)
+    assert read_settings(tmp_path, "A") == settings
+    path = settings_file(tmp_path, "A")
+    whole = path.read_bytes()
+    for bit in np.random.default_rng(1).choice(8 * len(whole), 30, replace=False):
+        flipped = bytearray(whole)
+        flipped[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(flipped)
+        caplog.clear()
+        assert read_settings(tmp_path, "A") == {}, bit
+        assert "ledger/A/settings is damaged" in caplog.text
+        assert [fault.code for fault in verify_tables(tmp_path)] == ["ledger_damaged"]
+    write_settings(tmp_path, "A", settings)
+    assert path.read_bytes() == whole
+
+
+class TestModelBefore:
+    MODEL = {"none": (1.0, 2.0)}  # noqa: RUF012 - never changed
+
+    def ledger(self, **nights: bool) -> Ledger:
+        """Nights of January by day, and whether they have a model."""
+        return Ledger(
+            nights={
+                dt.date(2026, 1, int(day[1:])): NightRecord(
+                    "ok" if fitted else "stood_still", {"none": (float(day[1:]),)} if fitted else {}
+                )
+                for day, fitted in nights.items()
+            },
+        )
+
+    def before(self, ledger: Ledger, day: int) -> float | None:
+        model = ledger.model_before(dt.date(2026, 1, day))
+        return model["none"][0] if model else None
+
+    def test_the_night_s_own_model_is_not_before_it(self) -> None:
+        assert self.before(self.ledger(d5=True), 5) is None
+
+    def test_nights_without_a_fit_are_passed_over(self) -> None:
+        ledger = self.ledger(d3=True, d4=False, d5=False)
+        assert self.before(ledger, 6) == 3
+
+    def test_later_nights_do_not_count(self) -> None:
+        assert self.before(self.ledger(d3=True, d9=True), 5) == 3
+
+    def test_the_last_one_whatever_the_order(self) -> None:
+        assert self.before(self.ledger(d4=True, d2=True, d3=True), 8) == 4
+
+    def test_none_before_the_first(self) -> None:
+        assert self.before(Ledger(), 1) is None
+        assert self.before(self.ledger(d3=True), 3) is None
+
+
+@settings(max_examples=20)
+@given(st.binary(max_size=100))
+def test_content_hash(tmp_path_factory: pytest.TempPathFactory, content: bytes) -> None:
+    path = tmp_path_factory.mktemp("hash") / "log"
+    path.write_bytes(content)
+    assert content_hash(path) == hashlib.sha256(content).hexdigest()
+
+
+def test_content_hash_of_what_cannot_be_read(tmp_path: Path) -> None:
+    for path in (tmp_path, tmp_path / "absent"):
+        with pytest.raises((FileNotFoundError, IsADirectoryError)):
+            content_hash(path)

@@ -1,0 +1,300 @@
+"""The last sample of an on-change channel before a night holds into it, whatever files it is in."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable, Mapping
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from polars.testing import assert_frame_equal
+
+from pipeline.config import Channel, Cleaning, TimeBase, load_fleet
+from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.time_base import Samples, bring_together, on_grid
+from tests.pipeline.simulated import (
+    NIGHT,
+    SECOND_US,
+    Operation,
+    motor_toml,
+    night_of,
+    operate,
+    write_configs,
+)
+from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
+
+START = night_of().start_us
+END = night_of().end_us
+SILENCE_S = 600.0
+Log = Mapping[str, pa.Array]
+Make = Callable[[], Workshop]
+
+
+def cleaned(seconds: list[int], value: list[float], **keys: Any) -> CleanChannel:
+    """An on-change channel whose times count from the night's start; nan for a blank cell."""
+    bad = np.isin(np.array(value), keys.pop("bad", []))
+    stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 100.0} | keys
+    channel = Channel(source="x", unit=stated.pop("unit", "bar"), **stated)
+    name = "leakage_flow" if channel.counts else "pressure_difference"
+    rules = ChannelRules.of(name, channel, Cleaning())
+    values = np.array(value)
+    times = START + np.array(seconds, dtype=np.int64) * SECOND_US
+    return clean_channel(RawChannel(times, values, np.isnan(values), 0, bad), rules, START)
+
+
+def at(channel: CleanChannel, *seconds: int) -> list[float]:
+    chosen = np.array(seconds) - seconds[0]
+    grid = START + np.arange(seconds[0], seconds[-1] + 1, dtype=np.int64) * SECOND_US
+    value, present, _ = on_grid(channel, grid, SECOND_US)
+    return np.where(present, value, np.nan)[chosen].tolist()
+
+
+def same(found: list[float], *expected: float) -> None:
+    np.testing.assert_allclose(found, expected)
+
+
+NONE = float("nan")
+
+
+class TestCarried:
+    def test_the_last_sample_before_the_night_is_held_until_the_first_of_the_night(self) -> None:
+        found = cleaned([-300, -50, -20, 30], [1.0, 2.0, 3.0, 4.0], between="hold")
+        same(at(found, 0, 29, 30, 31), 3.0, 3.0, 4.0, 4.0)
+        assert (found.n_carried, found.n_samples) == (1, 1)
+
+    def test_or_interpolated(self) -> None:
+        same(at(cleaned([-20, 30], [3.0, 8.0]), 0, 10, 30), 5.0, 6.0, 8.0)
+
+    def test_as_long_as_silence_may_be(self) -> None:
+        found = cleaned([-90, 30], [3.0, 8.0], between="hold")
+        same(at(found, 0, 10, 11, 30), 3.0, 3.0, NONE, 8.0)
+        same(at(cleaned([-80, 30], [3.0, 8.0]), 0, 29, 30), NONE, NONE, 8.0)  # 110 s apart
+        assert cleaned([-101, 30], [3.0, 8.0]).n_carried == 0
+
+    def test_without_a_sample_in_the_night_it_is_held_all_the_same(self) -> None:
+        found = cleaned([-10], [3.0], between="hold")
+        same(at(found, 0, 90, 91), 3.0, 3.0, NONE)
+        assert (found.n_carried, found.n_samples, found.counts["any"]) == (1, 0, 0)
+
+    def test_blank_cells_of_a_wide_log_are_passed_over(self) -> None:
+        found = cleaned([-30, -20, -10, 30], [3.0, NONE, NONE, 4.0], between="hold")
+        same(at(found, 0), 3.0)
+
+    def test_one_that_is_bad_or_refused_is_none_and_nothing_before_it_either(self) -> None:
+        bad = cleaned([-30, -20, 30], [3.0, 5.0, 4.0], bad=[5.0], between="hold")
+        same(at(bad, 0, 29, 30), NONE, NONE, 4.0)
+        out_of_range = cleaned([-30, -20, 30], [3.0, 5000.0, 4.0], between="hold")
+        same(at(out_of_range, 0, 29, 30), NONE, NONE, 4.0)
+
+    def test_no_count_has_it(self) -> None:
+        """It belongs to the night before, which has counted it."""
+        found = cleaned([-20, 30, 40], [5000.0, 5000.0, 5.0])
+        assert found.n_samples == 2
+        assert {r: n for r, n in found.counts.items() if n} == {"out_of_range": 1, "any": 1}
+
+    def test_the_latest_by_its_time_wherever_it_stands(self) -> None:
+        """Samples of the night in order, those before it as two files have them."""
+        found = cleaned([-20, -60, -40, 30], [3.0, 1.0, 2.0, 4.0], between="hold")
+        same(at(found, 0), 3.0)
+        assert found.counts["backward_time"] == 0
+        assert found.noted["backward_time"] == 0
+
+    def test_its_clock_is_put_right_as_that_of_all(self) -> None:
+        found = cleaned([-20, 30], [3.0, 8.0], time_offset_s=10.0)
+        same(at(found, 0, 40), 3.0 + 5.0 * 10 / 50, 8.0)
+
+    def test_the_count_of_a_meter_carries_over(self) -> None:
+        meter: dict[str, Any] = {"counts": "cumulative", "volume_per_count_cm3": 1000.0}
+        found = cleaned([-20, 40, 60], [100.0, 103.0, 104.0], unit="count", **meter)
+        # 3 l in 60 s, then 1 l in 20 s; known from the first interval on.
+        same(at(found, 10, 50), 3.0, 3.0)
+        assert found.counts["no_interval"] == 0
+
+    def test_a_periodic_channel_has_nothing_to_carry(self) -> None:
+        found = cleaned([-2, -1, 0, 1], [1.0, 2.0, 3.0, 4.0], sampling="periodic")
+        assert (found.n_carried, found.n_samples) == (0, 2)
+
+
+def together(**channels: CleanChannel) -> Samples:
+    samples, _ = bring_together(channels, START, END, TimeBase(rate_hz=1.0), Cleaning())
+    return samples
+
+
+def test_the_night_begins_with_its_first_sample_unless_all_channels_carry_over() -> None:
+    """A value that is held from the start alone makes no hours of an empty log."""
+    held = cleaned([-10, 3000], [100.0, 110.0], longest_silence_s=5000.0)
+    late = cleaned([2000, 2010, 4000], [20.0, 21.0, 22.0], longest_silence_s=5000.0)
+    names = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+    some = together(**dict.fromkeys(names, held) | {"speed": late})
+    assert (some.first_index, some.n_grid) == (2000, 2001)
+    all_of_them = together(**dict.fromkeys(names, held))
+    assert (all_of_them.first_index, all_of_them.n_grid) == (0, 3001)
+    assert all_of_them.time_us[0] == START
+
+
+@pytest.fixture
+def make(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Workshop]:
+    """Motors whose temperature is sent on change."""
+
+    def made() -> Workshop:
+        head = "[channels.oil_temperature]\n"
+        stated = f'sampling = "on_change"\nlongest_silence_s = {SILENCE_S}\n'
+        workshop = Workshop(tmp_path_factory.mktemp("border"))
+        workshop.take(motor_toml("M1", "MINI").replace(head, head + stated))
+        return workshop
+
+    return made
+
+
+def write(workshop: Workshop, name: str, rows: slice, log: Log) -> None:
+    cells = {column: part[rows] for column, part in log.items()}
+    pq.write_table(pa.table(cells), workshop.logs / f"{name}.parquet")
+
+
+def gaps(workshop: Workshop) -> list[int]:
+    """Samples without a temperature for want of one near enough, night by night."""
+    found = workshop.rows("quality").filter(channel="oil_temperature", reason="gap")
+    return found.sort("night")["n_refused"].to_list()
+
+
+SPLIT = QUICK.replace('backend = "sequential"', "nights_a_part = 1")
+BORDER = 30 * 60  # seconds of the log before the night's end
+KNOTS = np.arange(-70, 3600, 230)  # the border lies 140 s behind one and 90 s before the next
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> dict[str, pa.Array]:
+    """An hour around 06:00, the temperature a line from knot to knot, the flow exact for it."""
+    configs = write_configs(
+        tmp_path_factory.mktemp("motor"), {"M1": motor_toml("M1", "MINI")}, {"MINI": MINI}, QUICK
+    )
+    (spec,) = load_fleet(configs).motors
+    moving = operate(NIGHT, 60.0)
+    second = np.arange(3600)
+    temperature = np.interp(second, KNOTS, 50.0 + 5.0 * np.sin(KNOTS / 400.0))
+    there = Operation(
+        moving.time_us + (8 * 3600 - BORDER) * SECOND_US,
+        moving.pressure_bar,
+        temperature,
+        moving.speed_rpm,
+    )
+    values = there.channels(there.flow(spec.motor(NIGHT, "none")))
+    cells = {name: pa.array(value) for name, value in values.items()}
+    cells["oil_temperature"] = pa.array(temperature, mask=~np.isin(second, KNOTS))
+    return {"time": pa.array(there.time_us, pa.timestamp("us", "UTC")), **cells}
+
+
+class TestFiles:
+    def test_the_value_across_the_border_is_the_one_that_was_there(
+        self, make: Make, log: Log
+    ) -> None:
+        """Without noise the loss factor of the second night is exact, its first minutes too."""
+        workshop = make()
+        write(workshop, "all", slice(None), log)
+        assert dict(workshop.run().counts) == {"ok": 2}
+        # Before the first and behind the last temperature of the log, and nothing between.
+        assert gaps(workshop)[0] >= 90
+        second = workshop.rows("fits").filter(night=NIGHT + DAY).row(0, named=True)
+        assert second["window_start"] == dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
+        (found,) = workshop.rows("parameters").filter(night=NIGHT + DAY, parameter="K_gap")["value"]
+        expected = 8 * np.pi * 35.0e-3 * 8.0e-6**3 / (6 * 4.0e-3)
+        assert found == pytest.approx(expected, rel=1e-9)
+
+    @pytest.mark.parametrize(
+        "borders", [[BORDER], [BORDER - 700, BORDER], [1000, BORDER + 95], [BORDER - 141]]
+    )
+    def test_in_whatever_files(self, make: Make, log: Log, borders: list[int]) -> None:
+        in_one, in_parts = make(), make()
+        write(in_one, "all", slice(None), log)
+        for number, (begin, end) in enumerate(pairwise([0, *borders, 3600])):
+            write(in_parts, str(9 - number), slice(begin, end), log)
+        in_one.run()
+        assert dict(in_parts.run().counts) == {"ok": 2}
+        check_same_figures(in_one, in_parts, "input_files")
+
+    def test_in_tasks_of_a_night_each(self, make: Make, log: Log) -> None:
+        """What holds over the border is known to the task of the second night, too."""
+        together, apart = make(), make()
+        for workshop, fleet in ((together, QUICK), (apart, SPLIT)):
+            write(workshop, "a", slice(0, BORDER), log)
+            write(workshop, "b", slice(BORDER, None), log)
+            (workshop.folder / "configs" / "fleet.toml").write_text(fleet, "utf-8")
+            assert dict(workshop.run().counts) == {"ok": 2}
+        check_same_figures(together, apart)
+
+    def test_in_whatever_order_they_come(self, make: Make, log: Log) -> None:
+        at_once, early_first, late_first = make(), make(), make()
+        parts = {"a": slice(0, BORDER), "b": slice(BORDER, None)}
+        for name, rows in parts.items():
+            write(at_once, name, rows, log)
+        at_once.run()
+        write(early_first, "a", parts["a"], log)
+        # Its last value would hold into a night of which there is no log yet.
+        assert early_first.run().nights == (NIGHT,)
+        write(early_first, "b", parts["b"], log)
+        assert early_first.run().nights == (NIGHT + DAY,)
+        check_same_figures(at_once, early_first, "input_files")
+        write(late_first, "b", parts["b"], log)
+        assert late_first.run().nights == (NIGHT + DAY,)
+        assert gaps(late_first)[0] >= 90
+        write(late_first, "a", parts["a"], log)
+        assert late_first.run().nights == (NIGHT, NIGHT + DAY)
+        check_same_figures(at_once, late_first, "input_files")
+        for workshop in (at_once, early_first, late_first):
+            assert workshop.run().nights == ()
+
+    def test_a_night_that_is_asked_for_alone_has_it_too(self, make: Make, log: Log) -> None:
+        at_once, alone = make(), make()
+        for workshop in (at_once, alone):
+            for name, rows in {"a": slice(0, BORDER), "b": slice(BORDER, None)}.items():
+                write(workshop, name, rows, log)
+        at_once.run()
+        assert alone.run(since=NIGHT + DAY).nights == (NIGHT + DAY,)
+        night_2 = pl.col("night") == NIGHT + DAY
+        assert_frame_equal(
+            alone.rows("quality").filter(night_2), at_once.rows("quality").filter(night_2)
+        )
+        alone.run()
+        check_same_figures(at_once, alone, "input_files")
+
+    def test_a_correction_of_the_night_before_that_reaches_over_the_border_redoes_both(
+        self, make: Make, log: Log
+    ) -> None:
+        """The first file first ends a quarter of an hour before the border, then at it."""
+        corrected, at_once = make(), make()
+        write(at_once, "a", slice(0, BORDER), log)
+        write(corrected, "a", slice(0, BORDER - 900), log)
+        for workshop in (corrected, at_once):
+            write(workshop, "b", slice(BORDER, None), log)
+            workshop.run()
+        write(corrected, "a", slice(0, BORDER), log)
+        assert corrected.run().nights == (NIGHT, NIGHT + DAY)
+        check_same_figures(at_once, corrected, "input_files")
+
+    def test_a_broken_file_before_it_fails_its_own_night_alone(self, make: Make, log: Log) -> None:
+        workshop = make()
+        write(workshop, str(NIGHT), slice(0, BORDER), log)
+        write(workshop, str(NIGHT + DAY), slice(BORDER, None), log)
+        broken = workshop.logs / f"{NIGHT}.parquet"
+        broken.write_bytes(broken.read_bytes()[:-50])
+        assert dict(workshop.run().counts) == {"failed": 1, "ok": 1}
+
+    def test_channels_sent_at_a_period_are_as_they_were(self, make: Make, log: Log) -> None:
+        """No other file is read for them."""
+        workshop = make()
+        text = motor_toml("M1", "MINI")
+        write_configs(workshop.folder, {"M1": text}, {"MINI": MINI}, QUICK)
+        sent = log | {"oil_temperature": pa.array(np.full(3600, 50.0) + np.arange(3600) % 2)}
+        write(workshop, "a", slice(0, BORDER), sent)
+        workshop.run()
+        write(workshop, "b", slice(BORDER, None), sent)
+        outcome = workshop.run()
+        assert outcome.files["read"] == 1
+        assert outcome.files["unchanged"] == 1

@@ -1,0 +1,216 @@
+"""Logs in an object store: what is read of them, and what is told of those that change."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+import pipeline.run.motor_task
+import pipeline.store.object_store
+from pipeline.cli import app
+from pipeline.config import load_fleet
+from pipeline.errors import StoreError
+from pipeline.logs.locations import FolderLogs, StoredLogs
+from pipeline.run.disk_space import MIB, NIGHT_BYTES, new_files
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.setup.check import check_motor
+from pipeline.store.object_store import ObjectStore
+from tests.pipeline.run.test_disk_space import leave
+from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
+from tests.pipeline.workshop import DAY, QUICK, Workshop
+
+BUCKET = "test-stored-logs"
+URL = f"s3://{BUCKET}/logs"
+FIRST = dt.date(2026, 1, 2)
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
+    with s3_server(monkeypatch, BUCKET) as found:
+        yield found
+
+
+def stored(workshop: Workshop, **changed: Any) -> Any:
+    """The workshop's motor with its logs in the bucket."""
+    task = workshop.task()
+    spec = replace(task.spec, log_url=URL)
+    return replace(task, spec=spec, **changed)
+
+
+def test_a_log_that_is_replaced_while_it_is_read_waits(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    store = ObjectStore.at(URL)
+    upload(tmp_path / "logs", store.url)
+    key = f"M1/{FIRST}.parquet"
+    other = shop.log(FIRST, seed=9).read_bytes()
+
+    def swap(asked: Request) -> None:
+        # Asked for its tag after it was read: by then somebody has replaced it.
+        if asked.method == "HEAD" and asked.path.endswith(key):
+            server.before = never
+            listed = store.get(key)
+            assert listed is not None
+            store.replace(key, other, listed[1])
+
+    server.before = swap
+    outcome = pipeline.run.motor_task.run_motor(stored(shop))
+    assert outcome.files == {"growing": 1, "read": 1}
+    assert outcome.nights == (FIRST + DAY,)
+    assert "it was replaced while it was read" in outcome.growing[0]
+
+
+def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) -> None:
+    names = ["M1/a.csv", "M1/b.csv", "M1/old/c.csv", "M1/a[1].csv", "M10/a.csv", "M1/b.txt"]
+    store = ObjectStore.at(URL)
+    shop = Workshop.at(tmp_path)
+    for name in names:
+        store.create(name, b"x")
+        (tmp_path / "logs" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "logs" / name).write_bytes(b"x")
+    for patterns in (["M1/*.csv"], ["M1/**/*.csv"], ["M1/a[1].csv"], ["*/a.csv"], ["M1/[!a].csv"]):
+        shop.configure(files=json.dumps(patterns)[1:-1])
+        spec = stored(shop).spec
+        here = FolderLogs(shop.task().spec)
+        there = StoredLogs(spec)
+        assert there.names == here.names
+        assert here.names
+    shop.configure(files='"M1/absent.csv"')
+    assert StoredLogs(stored(shop).spec).absent == ["M1/absent.csv"]
+
+
+def test_a_log_that_is_removed_after_it_was_listed_is_missing(
+    server: Server, tmp_path: Path
+) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    upload(tmp_path / "logs", URL)
+    store, key = ObjectStore.at(URL), f"M1/{FIRST}.parquet"
+
+    def take_away(asked: Request) -> None:
+        if asked.method == "GET" and asked.path.endswith(key):
+            server.before = never
+            store.remove([key])
+
+    server.before = take_away
+    outcome = pipeline.run.motor_task.run_motor(stored(shop))
+    assert outcome.files == {"failed": 1, "read": 1}
+    assert outcome.counts == {"ok": 1, "failed": 1}
+    assert outcome.error_code == "log_missing"
+    assert f"{FIRST}.parquet" in (outcome.message or "")
+
+
+@pytest.mark.parametrize(
+    ("url", "key_id", "code"),
+    [(URL, "", "object_store_credentials"), ("s3://absent/logs", "a", "object_store_bucket")],
+)
+def test_a_run_whose_logs_cannot_be_listed_ends_with_4(
+    server: Server,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    url: str,
+    key_id: str,
+    code: str,
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.configure(fleet=QUICK.replace("../logs", url))
+    if not key_id:
+        monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    ended = CliRunner().invoke(app, ["fit-fleet", str(shop.fleet)])
+    assert isinstance(ended.exception, StoreError)  # for which the command ends with 4
+    assert ended.exception.code == code
+    assert not shop.output.exists()
+
+
+# Check
+
+
+def in_bucket(shop: Workshop) -> Any:
+    """The workshop's fleet, its logs moved into the bucket."""
+    upload(shop.folder / "logs", URL)
+    shutil.rmtree(shop.folder / "logs")
+    shop.configure(fleet=QUICK.replace("../logs", URL))
+    return load_fleet(shop.fleet)
+
+
+def test_check_says_of_a_bucket_what_it_says_of_a_folder(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    (shop.logs / "broken.parquet").write_bytes(b"PAR1 and nothing of use")
+    (spec,) = load_fleet(shop.fleet).motors
+    here = check_motor(spec)
+    (spec,) = in_bucket(shop).motors
+    there = check_motor(spec)
+    assert there.n_files == 3
+    assert len(there.channels) == 4
+    (fault,) = there.faults
+    assert "broken.parquet" in fault
+    assert replace(there, faults=()) == replace(here, faults=())
+
+
+def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(5):
+        shop.log(FIRST + number * DAY, seed=number)
+    (spec,) = in_bucket(shop).motors
+    server.forget()
+    one = check_motor(spec)
+    opened = {Path(path).stem for path in server.asked("GET") if path.endswith(".parquet")}
+    assert opened == {str(FIRST + number * DAY) for number in (0, 3, 4)}
+    assert (one.n_files, one.first, one.last) == (5, str(FIRST), str(FIRST + 4 * DAY))
+    (note,) = one.notes
+    assert note.startswith("3 of 5 objects were opened")
+    ended = CliRunner().invoke(app, ["check", str(shop.fleet)])
+    assert ended.exit_code == 0
+    assert "M1: MINI, parquet, 5 files" in ended.output
+    assert note in ended.output
+
+
+def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
+    server: Server, tmp_path: Path
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    upload(tmp_path / "logs", URL)
+    files = '"M1/*.parquet", "M1/*.csv", "M1/named.parquet"'
+    shop.configure(files=files, fleet=QUICK.replace("../logs", URL))
+    (spec,) = load_fleet(shop.fleet).motors
+    one = check_motor(spec)
+    assert one.notes == (f"no object matches M1/*.csv below {URL}",)
+    assert one.faults == ("log_missing: M1/named.parquet: named in the config and absent",)
+
+
+# Room on the disk
+
+
+def test_new_logs_in_a_bucket_ask_for_room(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    fleet = in_bucket(shop)
+    needed = 100 * MIB + 2 * NIGHT_BYTES
+    leave(monkeypatch, needed - 1)
+    with pytest.raises(StoreError, match="2 new log files") as error:
+        run_fleet(RunRequest(fleet))
+    assert error.value.code == "disk_space"
+    # A working copy of another machine's output knows the logs, once it is up to date.
+    leave(monkeypatch, needed)
+    published = replace(fleet, object_store=f"s3://{BUCKET}/fleet")
+    assert run_fleet(RunRequest(published)).n_nights == 2
+    assert new_files(shop.output, fleet.motors[0]) == 0
+    leave(monkeypatch, 100 * MIB)
+    assert run_fleet(RunRequest(replace(published, output=tmp_path / "copy"))).n_nights == 0

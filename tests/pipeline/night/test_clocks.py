@@ -1,0 +1,190 @@
+"""Clocks: what is put back in order, what is refused, what is only counted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pipeline.config import Channel, Cleaning, TimeBase
+from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.clocks import (
+    _distance_of_nearest,
+    backward_time,
+    jittered,
+    stray_time,
+    written_late,
+)
+from pipeline.night.time_base import bring_together
+
+SECOND = 1_000_000
+STEP = 100_000
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+
+def lively(n: int) -> Floats:
+    return np.resize(np.array([50.0, 50.3, 49.8, 50.1, 49.9, 50.2, 49.7]), n)
+
+
+def stamps(n: int) -> Times:
+    return np.arange(n, dtype=np.int64) * STEP
+
+
+def cleaned(time_us: Times, value: Floats, cleaning: Cleaning | None = None, **keys: Any) -> Any:
+    channel = Channel(source="x", unit="bar", resolution=0.1, **keys)
+    rules = ChannelRules.of("pressure_difference", channel, cleaning or Cleaning())
+    return clean_channel(RawChannel(time_us, value, np.isnan(value), 0), rules)
+
+
+class TestWrittenLate:
+    @given(st.permutations(range(12)), st.integers(20, 60))
+    def test_chunks_written_in_any_order_are_all_put_back(
+        self, order: list[int], size: int
+    ) -> None:
+        """Files whose names do not sort as their times do; a logger that flushed late."""
+        time, value = stamps(12 * size), lively(12 * size)
+        rows = np.concatenate([np.arange(one * size, (one + 1) * size) for one in order])
+        found = cleaned(time[rows], value[rows])
+        np.testing.assert_array_equal(found.time_us, time)
+        np.testing.assert_array_equal(found.value, value)
+        assert found.counts["any"] == 0
+        assert found.noted["backward_time"] == int(backward_time(time[rows]).sum())
+
+    @pytest.mark.parametrize("at", [1, 50, 150, 199])
+    @pytest.mark.parametrize("rows_late", [1, 2, 30])
+    def test_a_sample_that_came_late_is_put_back(self, at: int, rows_late: int) -> None:
+        place = np.arange(200)
+        rows = np.insert(np.delete(place, at), min(at + rows_late, 199), at)
+        found = cleaned(stamps(200)[rows], lively(200)[rows])
+        np.testing.assert_array_equal(found.value, lively(200))
+
+    def test_a_clock_that_was_set_back_runs_over_times_that_are_taken(self) -> None:
+        for back_us in (30 * STEP, 30 * STEP + STEP // 2, 30 * STEP + 7):
+            time = stamps(300)
+            time[150:] -= back_us
+            found = cleaned(time, lively(300))
+            assert found.noted["backward_time"] == 0
+            assert found.counts["backward_time"] + found.counts["duplicate_time"] in (30, 31)
+
+    def test_a_hole_in_what_it_runs_over_changes_nothing(self) -> None:
+        time = np.delete(stamps(300), np.arange(130, 140))
+        time[140:] -= 30 * STEP
+        found = cleaned(time, lively(290))
+        assert found.noted["backward_time"] == 0
+
+    def test_a_lone_stamp_far_from_all_others_is_wrong(self) -> None:
+        time = np.append(stamps(100), stamps(100) + 3600 * SECOND)
+        time[150] -= 1800 * SECOND
+        found = cleaned(time, lively(200))
+        assert found.counts["backward_time"] == 1
+        assert found.noted["backward_time"] == 0
+
+    def test_of_two_rows_that_contradict_each_other_the_stray_one_is_refused(self) -> None:
+        time = stamps(100) + 3600 * SECOND
+        time[1] = 0
+        late = written_late(time, backward_time(time))
+        assert (np.flatnonzero(late).tolist(), stray_time(time, late)[1]) == ([0], True)
+        found = cleaned(time, lively(100))
+        assert found.counts["backward_time"] == 1
+        np.testing.assert_array_equal(found.value, np.delete(lively(100), 1))
+
+    def test_may_be_asked_to_refuse_them(self) -> None:
+        rows = np.concatenate([np.arange(40, 100), np.arange(40)])
+        found = cleaned(stamps(100)[rows], lively(100)[rows], Cleaning(out_of_order="refuse"))
+        assert found.counts["backward_time"] == 40
+        assert found.noted["backward_time"] == 0
+
+    @given(st.lists(st.integers(0, 10**6), max_size=60))
+    def test_every_sample_is_counted_once(self, times: list[int]) -> None:
+        time = np.array(times, dtype=np.int64)
+        found = cleaned(time, np.random.default_rng(1).uniform(40, 60, len(time)))
+        refused = found.counts["backward_time"] + found.counts["duplicate_time"]
+        assert (np.diff(found.time_us) > 0).all()
+        assert len(found.time_us) + refused == found.n_samples == len(time)
+
+
+class TestNearest:
+    @given(st.lists(st.integers(0, 200), min_size=1, max_size=60), st.data())
+    def test_as_compared_with_each_other_stamp(self, times: list[int], data: st.DataObject) -> None:
+        time = np.array(times, dtype=np.int64)
+        rows = np.array(data.draw(st.lists(st.integers(0, len(times) - 1))), dtype=np.intp)
+        expected = [
+            min((abs(time[row] - one) for one in np.delete(time, row)), default=np.inf)
+            for row in rows
+        ]
+        assert _distance_of_nearest(time, rows).tolist() == expected
+
+
+class TestJitter:
+    def test_is_counted_and_refuses_nothing(self) -> None:
+        time = stamps(1000)
+        time[[100, 500, 700]] += 40_000
+        found = cleaned(time, lively(1000))
+        assert found.noted["jitter"] == 6
+        assert found.counts["any"] == 0
+
+    def test_samples_left_out_are_none(self) -> None:
+        time = np.delete(stamps(1000), [5, 70, 71, 72])
+        assert not jittered(time, float(STEP)).any()
+        assert not jittered(time, None).any()
+
+    def test_interpolation_goes_by_the_stamps(self) -> None:
+        """A ramp sampled at jittering times is still that ramp on the time base."""
+        rng = np.random.default_rng(2)
+        night = 1_767_333_600 * SECOND
+        time = night + stamps(3000) + rng.integers(-30_000, 30_001, 3000)
+        samples, _ = bring_together(
+            {name: on_a_ramp(time, night) for name in NAMES}, night, night + 3600 * SECOND,
+            TimeBase(), Cleaning(),
+        )  # fmt: skip
+        expected = 20.0 + (samples.time_us - night) / SECOND / 10
+        np.testing.assert_allclose(samples.pressure_difference_bar, expected, rtol=1e-9)
+        assert len(samples.index) > 2990
+
+
+NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+WIDE = ChannelRules.of("pressure_difference", Channel(source="x", unit="bar"), Cleaning())
+
+
+def on_a_ramp(time_us: Times, night_us: int, offset_s: float = 0.0) -> CleanChannel:
+    value = 20.0 + (time_us - night_us) / SECOND / 10
+    sampling = replace(WIDE.sampling, shift_us=round(offset_s * SECOND))
+    shifted = time_us - sampling.shift_us
+    raw = RawChannel(shifted, value, np.zeros(len(value), np.bool_), 0)
+    return clean_channel(raw, replace(WIDE, sampling=sampling))
+
+
+class TestOffset:
+    def test_a_clock_known_to_be_off_is_put_right(self) -> None:
+        night = 1_767_333_600 * SECOND
+        time = night + stamps(3000)
+        channels = {name: on_a_ramp(time, night) for name in NAMES}
+        channels["leakage_flow"] = on_a_ramp(time, night, offset_s=-12.3)
+        samples, _ = bring_together(channels, night, night + 3600 * SECOND, TimeBase(), Cleaning())
+        np.testing.assert_allclose(
+            samples.leakage_l_per_min, samples.pressure_difference_bar, rtol=1e-9
+        )
+
+    def test_it_is_stated_a_channel(self) -> None:
+        found = cleaned(stamps(50), lively(50), time_offset_s=2.5)
+        np.testing.assert_array_equal(found.time_us, stamps(50) + 2_500_000)
+
+
+def test_channels_that_start_and_end_at_different_times_are_gaps_at_the_ends() -> None:
+    night = 1_767_333_600 * SECOND
+    time = night + stamps(3000)
+    channels = {name: on_a_ramp(time, night) for name in NAMES}
+    channels["leakage_flow"] = on_a_ramp(time[600:2500], night)
+    samples, found = bring_together(channels, night, night + 3600 * SECOND, TimeBase(), Cleaning())
+    gaps = {one.channel: one.n_refused for one in found if one.reason == "gap"}
+    assert gaps["leakage_flow"] == 600 + 500
+    assert gaps["speed"] == 0
+    assert len(samples.index) == 1900

@@ -1,0 +1,131 @@
+"""Zeros of the sensors at depressurised, settled halts, in made-up signals of known zeros."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from pipeline.arrays import SECOND_US
+from pipeline.config import SensorHealth
+from pipeline.night.cleaning import CleanChannel
+from pipeline.night.halts import Halts, settled_halts
+
+Array = NDArray[np.float64]
+
+N = 6000
+GRID = np.arange(N, dtype=np.int64) * SECOND_US
+# Left out after the motor has stopped, and needed after that [s]: the defaults.
+SETTLE, NEEDED = 45, 20
+ZERO_BAR, ZERO_FLOW = 0.7, 0.03
+
+
+def channel(values: Array, at_maximum: NDArray[np.bool_] | None = None) -> CleanChannel:
+    """A cleaned channel of one sample a second."""
+    nothing = np.zeros(N, dtype=np.bool_)
+    saturated = nothing if at_maximum is None else at_maximum
+    return CleanChannel(GRID, values, nothing, saturated, SECOND_US, 5 * SECOND_US, {}, N)
+
+
+def night(*halts: tuple[int, int]) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Standstill, pressure and flow of a motor that runs but in these halts."""
+    still = np.zeros(N, dtype=np.bool_)
+    for first, end in halts:
+        still[first:end] = True
+    generator = np.random.default_rng(1)
+    bar = np.where(still, ZERO_BAR, 180.0) + 0.05 * generator.standard_normal(N)
+    flow = np.where(still, ZERO_FLOW, 1.4) + 0.002 * generator.standard_normal(N)
+    return still, bar, flow
+
+
+def found(still: NDArray[np.bool_], bar: Array, flow: Array, **more: CleanChannel) -> Halts:
+    channels = {"pressure_difference": channel(bar), "leakage_flow": channel(flow)} | more
+    return settled_halts(still, GRID, channels, SensorHealth())
+
+
+THREE = ((500, 700), (2000, 2300), (4000, 4200))
+
+
+def test_the_zeros_are_those_that_were_put_in() -> None:
+    seen = found(*night(*THREE))
+    assert seen.n == 3
+    for zero, truth, sd in (
+        (seen.pressure_bar, ZERO_BAR, 0.05),
+        (seen.flow_l_per_min, ZERO_FLOW, 0.002),
+    ):
+        assert zero is not None
+        assert zero.value == pytest.approx(truth, abs=sd)
+        # From the scatter of three medians of 155 samples and more each.
+        assert zero.standard_error is not None
+        assert 0 < zero.standard_error < sd / 4
+
+
+def test_what_has_not_settled_is_left_out() -> None:
+    """The oil drains for 40 s after a halt: none of it is in the zero."""
+    still, bar, flow = night(*THREE)
+    for first, _ in THREE:
+        flow[first : first + 40] = 1.0
+        bar[first : first + 40] = 90.0
+    zero = found(still, bar, flow).flow_l_per_min
+    assert zero is not None
+    assert zero.value == pytest.approx(ZERO_FLOW, abs=0.001)
+
+
+def test_a_halt_that_is_too_short_tells_nothing() -> None:
+    just_too_short = SETTLE + NEEDED
+    assert found(*night((500, 500 + just_too_short))).n == 0
+    assert found(*night((500, 500 + just_too_short + 1))).n == 1
+
+
+def test_fewer_than_three_halts_have_no_error() -> None:
+    seen = found(*night(*THREE[:2]))
+    assert seen.n == 2
+    assert seen.flow_l_per_min is not None
+    assert seen.flow_l_per_min.standard_error is None
+
+
+def test_a_halt_under_load_shows_no_zero() -> None:
+    still, bar, flow = night(*THREE)
+    bar[2000:2300] = 60.0  # the brake holds a load
+    bar[4100] = 40.0  # and here somebody tries
+    assert found(still, bar, flow).n == 1
+
+
+def test_two_ports_at_charge_pressure_have_a_difference_of_zero() -> None:
+    still, _, flow = night(*THREE)
+    high, low = np.where(still, 15.4, 200.0), np.full(N, 15.0)
+    channels = {
+        "high_port_pressure": channel(high),
+        "low_port_pressure": channel(low),
+        "leakage_flow": channel(flow),
+    }
+    seen = settled_halts(still, GRID, channels, SensorHealth())
+    assert seen.n == 3
+    assert seen.pressure_bar is not None
+    assert seen.pressure_bar.value == pytest.approx(0.4)
+
+
+def test_readings_at_the_sensors_maximum_are_no_zero() -> None:
+    """Back-flow through the leakage sensor drives it to its maximum."""
+    still, bar, flow = night(*THREE)
+    stuck = np.zeros(N, dtype=np.bool_)
+    stuck[2000:2290] = True
+    flow[stuck] = 20.0
+    seen = found(still, bar, flow, leakage_flow=channel(flow, stuck))
+    # Ten seconds are left of the second halt: less than it takes.
+    assert seen.n == 2
+    assert seen.flow_l_per_min is not None
+    assert seen.flow_l_per_min.value == pytest.approx(ZERO_FLOW, abs=0.001)
+
+
+def test_a_silent_sensor_has_no_zero() -> None:
+    still, bar, flow = night(*THREE)
+    flow[2000:2300] = np.nan
+    assert found(still, bar, flow).n == 2
+    assert found(still, bar, np.full(N, np.nan)) == Halts()
+
+
+def test_a_motor_that_never_halts_or_always_stands() -> None:
+    assert found(*night()) == Halts()
+    seen = found(*night((0, N)))
+    assert seen.n == 1

@@ -1,0 +1,181 @@
+"""A changed setting makes anew what depends on it, from the logs only where it must.
+
+Nights fitted anew from their statistics give what their logs would give.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+
+import pipeline.logs.motor_logs
+from pipeline.errors import LogError
+from pipeline.schema import NIGHT_TABLES
+from tests.pipeline.simulated import NIGHT
+from tests.pipeline.workshop import DAY, QUICK, Workshop
+
+OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45.0\n"
+OTHER_CLEANING = QUICK + "[cleaning]\nhampel_threshold = 6.0\n"
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    """Three nights, done."""
+    made = Workshop.at(tmp_path)
+    for day in range(3):
+        made.log(NIGHT + day * DAY, seed=day)
+    assert made.run().status == "ok"
+    return made
+
+
+@pytest.fixture
+def unread(workshop: Workshop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From now on no log may be read."""
+
+    def refuse(path: Path, _: object) -> None:
+        raise LogError("log_not_readable", path, "it must not be read")
+
+    monkeypatch.setattr(pipeline.logs.motor_logs, "read_log", refuse)
+
+
+def from_scratch(workshop: Workshop) -> Workshop:
+    """The same logs and config with an output of its own."""
+    fresh = Workshop(workshop.folder / "fresh")
+    shutil.copytree(workshop.folder / "configs", fresh.folder / "configs")
+    shutil.copytree(workshop.folder / "logs", fresh.folder / "logs")
+    assert fresh.run().status == "ok"
+    return fresh
+
+
+def figures(workshop: Workshop, table: str) -> pl.DataFrame:
+    return workshop.rows(table).drop("is_refitted", strict=False)
+
+
+def test_starts_are_made_without_a_log_where_asked_for(tmp_path: Path) -> None:
+    workshop = Workshop.at(tmp_path)
+    workshop.log(NIGHT)
+    workshop.configure(fleet=QUICK.replace("starting_points = 0", "starting_points = 4"))
+    workshop.run()
+    first = workshop.rows("starts")
+    workshop.configure(fleet=OTHER_REFERENCE.replace("starting_points = 0", "starting_points = 6"))
+    assert workshop.run().n_refitted == 1
+    assert_frame_equal(workshop.rows("starts"), first, check_exact=True)
+    assert workshop.run(with_starts=True).n_refitted == 1
+    fresh = from_scratch(workshop)
+    for name, columns in (
+        ("starts", ["start", "status", "at_minimum", "cost", "initial_values"]),
+        ("fits", ["n_starts", "n_starts_at_minimum", "reference_leakage_l_per_min"]),
+    ):
+        assert_frame_equal(
+            workshop.rows(name).select(columns),
+            fresh.rows(name).select(columns),
+            check_exact=False,
+            rel_tol=1e-9,
+        )
+    assert workshop.rows("starts").height == 6
+
+
+@pytest.mark.usefixtures("unread")
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"fleet": OTHER_REFERENCE},
+        {"fleet": QUICK.replace("starting_points = 0", "starting_points = 0\nseed = 8")},
+        {"fleet": QUICK + "[model]\nfilm_pressure_share_tolerance = 0.1\n"},
+    ],
+    ids=["reference conditions", "seed", "a tolerance"],
+)
+def test_settings_of_the_fit_need_no_log(workshop: Workshop, change: dict[str, str]) -> None:
+    others = {
+        table.name: workshop.rows(table.name)
+        for table in NIGHT_TABLES
+        if table.name not in ("fits", "parameters")
+    }
+    workshop.configure(**change)
+    outcome = workshop.run()
+    assert (len(outcome.nights), outcome.n_refitted, outcome.status) == (3, 3, "ok")
+    assert workshop.rows("fits")["is_refitted"].all()
+    for name, before in others.items():
+        assert_frame_equal(workshop.rows(name), before, check_exact=True)
+    assert not workshop.run().nights
+
+
+def test_they_give_what_the_logs_would_give(workshop: Workshop) -> None:
+    workshop.configure(fleet=OTHER_REFERENCE)
+    assert workshop.run().n_refitted == 3
+    fresh = from_scratch(workshop)
+    for table in ("fits", "parameters"):
+        assert_frame_equal(
+            figures(workshop, table), figures(fresh, table), rel_tol=1e-9, abs_tol=1e-9
+        )
+
+
+def test_another_bound_of_a_gap(workshop: Workshop) -> None:
+    """Below where the gap lies: the fit ends there, and no log is needed to see it."""
+    before = workshop.rows("parameters").filter(parameter="h_gap")["value"]
+    path = workshop.folder / "configs" / "motor_types" / "MINI.toml"
+    path.write_text(path.read_text("utf-8").replace("maximum = 60.0", "maximum = 7.0"), "utf-8")
+    text = path.read_text("utf-8").replace("value = 8.0", "value = 6.0")
+    path.write_text(text, "utf-8")
+    assert (before > 7.0).all()
+    assert workshop.run().n_refitted == 3
+    found = workshop.rows("parameters").filter(parameter="h_gap")
+    assert found["value"].to_list() == pytest.approx([7.0] * 3, rel=1e-9)
+
+
+def test_settings_of_the_statistics_need_the_logs(workshop: Workshop) -> None:
+    workshop.configure(fleet=OTHER_CLEANING)
+    outcome = workshop.run()
+    assert (len(outcome.nights), outcome.n_refitted) == (3, 0)
+    fresh = from_scratch(workshop)
+    for table in NIGHT_TABLES:
+        assert_frame_equal(workshop.rows(table.name), fresh.rows(table.name), check_exact=True)
+
+
+def test_without_its_logs_a_published_night_stays(workshop: Workshop) -> None:
+    before = workshop.rows("fits")
+    shutil.rmtree(workshop.logs)
+    workshop.configure(fleet=OTHER_CLEANING)
+    assert not workshop.run().nights
+    assert_frame_equal(workshop.rows("fits"), before, check_exact=True)
+
+
+@pytest.mark.usefixtures("unread")
+def test_without_its_logs_a_night_can_still_be_fitted_anew(workshop: Workshop) -> None:
+    shutil.rmtree(workshop.logs)
+    workshop.configure(fleet=OTHER_REFERENCE)
+    assert workshop.run().n_refitted == 3
+    assert set(workshop.rows("fits")["reference_pressure_bar"]) == {150.0}
+
+
+def test_a_setting_that_is_taken_back_leaves_the_figures_as_they_were(workshop: Workshop) -> None:
+    before = figures(workshop, "fits")
+    for fleet in (OTHER_REFERENCE, QUICK):
+        workshop.configure(fleet=fleet)
+        workshop.run()
+    assert_frame_equal(figures(workshop, "fits"), before, rel_tol=1e-9, abs_tol=1e-9)
+
+
+def test_damaged_statistics_are_made_anew_from_the_log(workshop: Workshop) -> None:
+    """What cannot be trusted is not fitted."""
+    for path in (workshop.output / "tables" / "block_statistics").rglob("*.parquet"):
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+        path.write_bytes(content)
+    workshop.configure(fleet=OTHER_REFERENCE)
+    outcome = workshop.run()
+    assert (len(outcome.nights), outcome.n_refitted) == (3, 0)
+    fresh = from_scratch(workshop)
+    for table in ("fits", "parameters"):
+        assert_frame_equal(workshop.rows(table), fresh.rows(table), check_exact=True)
+
+
+def test_an_oil_change_is_no_business_of_the_nights_before(workshop: Workshop) -> None:
+    changed = NIGHT + 2 * DAY
+    workshop.configure(more=f'[[events]]\ndate = {changed}\nkind = "oil_change"\noil = "vg46"\n')
+    assert workshop.run().nights == (changed,)
+    assert workshop.rows("fits")["oil"].to_list() == ["vg68", "vg68", "vg46"]

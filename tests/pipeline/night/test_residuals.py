@@ -1,0 +1,432 @@
+"""A night's residual analysis, metrics and predictions: against the errors as computed by hand."""
+
+from __future__ import annotations
+
+import datetime as dt
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from leakage import OperatingConditions, regressors
+from pipeline.config import MotorSpec
+from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.report.explain_residuals import explain_residuals
+from tests.pipeline.simulated import (
+    NIGHT,
+    Operation,
+    load_motor,
+    motor_toml,
+    night_of,
+    operate,
+    raw,
+)
+
+Array = NDArray[np.float64]
+Row = dict[str, Any]
+MINUTES = 120.0
+N = 7200
+INPUTS = ("pressure_difference", "oil_temperature", "speed")
+
+
+# Every sample is kept, so that errors can be computed by hand.
+KEEP_ALL = "[override.cleaning]\nhampel_threshold = 1000.0\nfrozen_after_s = 1e6\n"
+
+
+def motor(folder: Path, more: str = "") -> MotorSpec:
+    return load_motor(folder, motor_toml("M1", more=more + KEEP_ALL))
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> MotorSpec:
+    return motor(tmp_path)
+
+
+def white(seed: int = 1, sd: float = 0.01, n: int = N) -> Array:
+    return sd * np.random.default_rng(seed).standard_normal(n)
+
+
+def true_flow(spec: MotorSpec, operation: Operation) -> Array:
+    return operation.flow(spec.motor(NIGHT, "none"))
+
+
+def fitted(
+    spec: MotorSpec,
+    operation: Operation,
+    flow: Array,
+    previous: Mapping[str, tuple[float, ...]] | None = None,
+) -> NightOutcome:
+    channels = raw(operation.time_us, operation.channels(flow))
+    outcome = fit_night(spec, night_of(), channels, previous or {})
+    assert outcome.status == OK, outcome.reason
+    return outcome
+
+
+def primary(outcome: NightOutcome) -> Row:
+    return next(row for row in outcome.rows["fits"] if row["is_primary"])
+
+
+def verdict(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> Row:
+    (found,) = (
+        row
+        for row in outcome.rows["residual_verdicts"]
+        if (row["part"], row["smoothed"]) == (part, smoothed)
+        and test in (row["input"], row["test"])
+    )
+    return found
+
+
+def lags(outcome: NightOutcome, part: str, test: str, smoothed: bool = False) -> dict[int, Row]:
+    return {
+        row["lag"]: row
+        for row in outcome.rows["residual_tests"]
+        if (row["part"], row["smoothed"]) == (part, smoothed)
+        and test in (row["input"], row["test"])
+    }
+
+
+class ByHand(NamedTuple):
+    """Errors of a fit, and which samples train and validate."""
+
+    error: Array
+    training: slice
+    validation: slice
+
+
+def by_hand(spec: MotorSpec, operation: Operation, flow: Array, outcome: NightOutcome) -> ByHand:
+    """No sample may be missing."""
+    at = OperatingConditions.from_bar(
+        operation.pressure_bar, operation.temperature_c, operation.speed_rpm
+    )
+    theta = np.append(outcome.model["none"], 1.0)
+    row = primary(outcome)
+    assert row["n_training"] + row["n_validation"] == N - 120  # a block of guard between them
+    return ByHand(
+        flow - regressors(spec.motor(NIGHT, "none"), at) @ theta,
+        slice(0, row["n_training"]),
+        slice(N - row["n_validation"], N),
+    )
+
+
+# --- rows -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("part", ["training", "validation"])
+def test_rows_are_the_correlations_of_the_errors(spec: MotorSpec, part: str) -> None:
+    operation = operate(minutes=MINUTES)
+    flow = true_flow(spec, operation) + white()
+    outcome = fitted(spec, operation, flow)
+    hand = by_hand(spec, operation, flow, outcome)
+    rows = getattr(hand, part)
+    error = hand.error[rows]
+    e = error - error.mean()
+    channels = {
+        "pressure_difference": operation.pressure_bar,
+        "oil_temperature": operation.temperature_c,
+        "speed": operation.speed_rpm,
+    }
+    n = len(e)
+    found = lags(outcome, part, "whiteness")
+    assert sorted(found) == list(range(26))
+    assert found[0]["value"] == pytest.approx(1.0)
+    assert (found[0]["bound"], found[0]["outside"]) == (None, None)
+    for lag in (1, 7, 25):
+        expected = np.mean(e[lag:] * e[:-lag]) / np.mean(e**2)
+        assert found[lag]["value"] == pytest.approx(expected, rel=1e-8)
+        assert found[lag]["bound"] == pytest.approx(2.576 / math.sqrt(n - lag))
+        assert found[lag]["outside"] == (abs(expected) > 2.576 / math.sqrt(n - lag))
+        assert found[lag]["lag_s"] == float(lag)  # one sample a second
+    for name, values in channels.items():
+        u = values[rows] - values[rows].mean()
+        found = lags(outcome, part, name)
+        assert sorted(found) == list(range(-25, 26))
+        for lag in (-25, -3, 0, 3, 25):
+            later, earlier = (e, u) if lag >= 0 else (u, e)
+            size = abs(lag)
+            products = later[size:] * earlier[: n - size]
+            expected = np.mean(products) / math.sqrt(np.mean(e**2) * np.mean(u**2))
+            assert found[lag]["value"] == pytest.approx(expected, abs=1e-9), (name, lag)
+    assert verdict(outcome, part, "whiteness")["n"] == n
+    assert verdict(outcome, part, "whiteness")["mean_error_l_per_min"] == pytest.approx(
+        error.mean(), abs=1e-12
+    )
+
+
+def test_every_test_has_its_rows_and_its_verdict(tmp_path: Path) -> None:
+    more = '[flushing]\nmode = "none"\nalso = ["estimated"]\n'
+    more += "[override.smoothing]\nwindow_s = 5.0\n"
+    spec = motor(tmp_path, more)
+    operation = operate(minutes=MINUTES)
+    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
+    tests, verdicts = (outcome.rows[f"residual_{name}"] for name in ("tests", "verdicts"))
+    # Two modes, two parts, smoothed or not.
+    assert len(tests) == 2 * 2 * 2 * (26 + 3 * 51)
+    assert len(verdicts) == 2 * 2 * 2 * (1 + 3)
+    for row in verdicts:
+        same = ("flushing_mode", "part", "smoothed", "test", "input")
+        own = [one for one in tests if all(one[key] == row[key] for key in same)]
+        judged = [one for one in own if one["bound"] is not None]
+        assert row["n_lags"] == len(judged) == (25 if row["test"] == "whiteness" else 51)
+        assert row["n_outside"] == sum(one["outside"] for one in judged)
+        assert row["n_expected_outside"] == pytest.approx(0.01 * len(judged))
+        largest = max(judged, key=lambda one: abs(one["value"]))
+        assert row["largest_value"] == largest["value"]
+        assert (row["largest_lag"], row["largest_lag_s"]) == (largest["lag"], largest["lag_s"])
+        assert (row["input"] == "none") == (row["test"] == "whiteness")
+        assert row["verdict"] == ("failed" if row["p_value"] < 0.01 else "passed")
+        assert row["reason"] is None
+
+
+def test_pairs_across_a_gap_do_not_count(spec: MotorSpec) -> None:
+    """Six stretches of 20 minutes, 30 s apart: bounds count the pairs within them."""
+    operation = operate(minutes=MINUTES)
+    kept = np.arange(N) % 1200 >= 30
+    gappy = Operation(
+        operation.time_us[kept],
+        operation.pressure_bar[kept],
+        operation.temperature_c[kept],
+        operation.speed_rpm[kept],
+    )
+    outcome = fitted(spec, gappy, true_flow(spec, gappy) + white(n=int(kept.sum())))
+    n = primary(outcome)["n_training"]
+    # A sample beside a gap is refused or not by the cleaning; the stretches are the same.
+    stretches = 5 if n > 4680 else 4
+    found = lags(outcome, "training", "whiteness")
+    assert found[1]["bound"] == pytest.approx(2.576 / math.sqrt(n - stretches), rel=1e-9)
+    assert found[25]["bound"] == pytest.approx(2.576 / math.sqrt(n - 25 * stretches), rel=1e-9)
+    assert verdict(outcome, "training", "whiteness")["verdict"] == "passed"
+
+
+def test_smoothing_colours_the_smoothed_errors_alone(tmp_path: Path) -> None:
+    """A mean over five white errors correlates by 0.8, 0.6, 0.4, 0.2 and not beyond."""
+    spec = motor(tmp_path, "[override.smoothing]\nwindow_s = 5.0\n")
+    operation = operate(minutes=MINUTES)
+    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
+    smoothed = lags(outcome, "training", "whiteness", smoothed=True)
+    expected = [0.8, 0.6, 0.4, 0.2, 0.0, 0.0]
+    assert [smoothed[k]["value"] for k in range(1, 7)] == pytest.approx(expected, abs=0.06)
+    assert verdict(outcome, "training", "whiteness", smoothed=True)["verdict"] == "failed"
+    assert verdict(outcome, "training", "whiteness")["verdict"] == "passed"
+    row = primary(outcome)
+    # The table of fits tells of the errors before smoothing, and how much those fitted tell.
+    assert row["training_whiteness"] == "passed"
+    assert row["n_effective_summed"] == pytest.approx(row["n_training"] / 5, rel=0.25)
+    assert row["validation_n_effective_summed"] == pytest.approx(row["n_validation"] / 5, rel=0.4)
+
+
+@pytest.mark.parametrize("apply_to", ["all", "leakage"])
+def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: str) -> None:
+    more = f'[override.smoothing]\nwindow_s = 61.0\napply_to = "{apply_to}"\n'
+    spec = motor(tmp_path, more)
+    operation = operate(minutes=MINUTES)
+    flow = true_flow(spec, operation) + white()
+    outcome = fitted(spec, operation, flow)
+
+    def averaged(values: Array) -> Array:
+        """Centred over 61 samples, within each block of 120 from the whole hour on."""
+        blocks = values.reshape(-1, 120)
+        window = np.ones(61)
+        sums = np.array([np.convolve(one, window, "same") for one in blocks])
+        return np.asarray((sums / np.convolve(np.ones(120), window, "same")).ravel())
+
+    hand = by_hand(spec, operation, flow, outcome)
+    rows = hand.training
+    raw_error = hand.error
+    pressure = operation.pressure_bar
+    if apply_to == "all":
+        error, u = averaged(raw_error), averaged(pressure)
+    else:
+        error, u = raw_error - flow + averaged(flow), pressure
+    e, u = error[rows], u[rows]
+    expected = np.corrcoef(e, u)[0, 1]
+    found = lags(outcome, "training", "pressure_difference", smoothed=True)
+    assert found[0]["value"] == pytest.approx(expected, abs=1e-8)
+    unsmoothed = lags(outcome, "training", "pressure_difference")
+    plain = np.corrcoef(raw_error[rows], pressure[rows])[0, 1]
+    assert unsmoothed[0]["value"] == pytest.approx(plain, abs=1e-8)
+    assert abs(plain - expected) > 1e-4
+
+
+# --- what it finds ----------------------------------------------------------------------------
+
+
+def test_white_errors_of_the_true_model_pass(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    outcome = fitted(spec, operation, true_flow(spec, operation) + white())
+    row = primary(outcome)
+    for part in ("training", "validation"):
+        assert row[f"{part}_whiteness"] == "passed"
+        assert row[f"{part}_independence"] == "passed"
+    told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))
+    assert len(told) == 6
+    assert "training errors: white; none tells of a later one" in told
+    assert "validation errors: independent of all inputs" in told
+
+
+def test_a_flow_that_comes_late_depends_on_the_pressure(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    truth = true_flow(spec, operation)
+    late = np.concatenate([np.full(2, truth[0]), truth[:-2]])
+    outcome = fitted(spec, operation, late + white())
+    row = primary(outcome)
+    assert row["training_independence"] == "failed"
+    found = verdict(outcome, "training", "pressure_difference")
+    assert found["verdict"] == "failed"
+    # Pressure repeats itself every few minutes: errors that do too tell little each time.
+    assert found["p_value"] < 1e-3
+    told = "\n".join(explain_residuals(row, outcome.rows["residual_verdicts"]))
+    assert "training errors: depend on pressure (p = " in told
+
+
+def test_one_input_that_tells_of_the_errors_is_enough_to_fail(spec: MotorSpec) -> None:
+    """A drift with the oil temperature that no regressor can follow."""
+    operation = operate(minutes=MINUTES)
+    bent = 0.02 * np.cos(operation.temperature_c)
+    outcome = fitted(spec, operation, true_flow(spec, operation) + bent + white(sd=0.002))
+    verdicts = {name: verdict(outcome, "training", name)["verdict"] for name in INPUTS}
+    assert "failed" in verdicts.values()
+    assert primary(outcome)["training_independence"] == "failed"
+
+
+def test_a_night_without_errors_has_nothing_to_test(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    outcome = fitted(spec, operation, true_flow(spec, operation))
+    assert outcome.rows["residual_tests"] == []
+    assert len(outcome.rows["residual_verdicts"]) == 8
+    for row in outcome.rows["residual_verdicts"]:
+        assert row["verdict"] == "not_tested"
+        assert row["reason"] == "the errors are rounding"
+        assert row["p_value"] is row["largest_lag"] is row["statistic"] is None
+        assert row["n_lags"] == row["n_outside"] == 0
+    fit = primary(outcome)
+    assert fit["training_whiteness"] == fit["validation_independence"] == "not_tested"
+    told = list(explain_residuals(fit, outcome.rows["residual_verdicts"]))
+    assert "training errors: not tested: the errors are rounding" in told
+
+
+def test_a_night_without_validation_says_so(spec: MotorSpec) -> None:
+    begin = dt.datetime(2026, 3, 1, 22, tzinfo=dt.UTC)
+    periods = spec.file.periods.model_copy(
+        update={"training": ((begin, begin + dt.timedelta(hours=2)),)}
+    )
+    by_hand_set = replace(spec, file=spec.file.model_copy(update={"periods": periods}))
+    operation = operate(minutes=MINUTES)
+    outcome = fitted(by_hand_set, operation, true_flow(spec, operation) + white())
+    row = primary(outcome)
+    assert row["n_validation"] == 0
+    for column in ("fit_percent", "rmse_l_per_min", "mean_error_l_per_min", "n_effective"):
+        assert row[f"validation_{column}"] is None
+    assert row["validation_n_effective_summed"] is None
+    found = verdict(outcome, "validation", "whiteness")
+    assert (found["n"], found["mean_error_l_per_min"]) == (0, None)
+    assert found["reason"] == "0 samples, 1000 are needed"
+    told = list(explain_residuals(row, outcome.rows["residual_verdicts"]))
+    assert "validation errors: no samples" in told
+
+
+def test_an_input_that_stands_still_is_named(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    steady = replace(operation, speed_rpm=np.full(N, 40.0))
+    outcome = fitted(spec, steady, true_flow(spec, steady) + white())
+    found = verdict(outcome, "training", "speed")
+    assert (found["verdict"], found["reason"]) == ("not_tested", "the input does not vary")
+    told = list(explain_residuals(primary(outcome), outcome.rows["residual_verdicts"]))
+    assert "training errors: independent of pressure and oil temperature" in told
+    assert "training errors: independence of speed not tested: the input does not vary" in told
+
+
+# --- metrics ----------------------------------------------------------------------------------
+
+
+def test_mean_errors_and_sizes_are_those_of_the_errors(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    # More flow towards the end, which the training samples do not show.
+    flow = true_flow(spec, operation) + white() + np.where(np.arange(N) > 6000, 0.05, 0.0)
+    outcome = fitted(spec, operation, flow)
+    hand, row = by_hand(spec, operation, flow, outcome), primary(outcome)
+    for part in ("training", "validation"):
+        error = hand.error[getattr(hand, part)]
+        assert row[f"{part}_mean_error_l_per_min"] == pytest.approx(error.mean(), abs=1e-10)
+        assert row[f"{part}_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
+        y = flow[getattr(hand, part)]
+        fit = 100 * (1 - np.linalg.norm(error) / np.linalg.norm(y - y.mean()))
+        assert row[f"{part}_fit_percent"] == pytest.approx(fit, rel=1e-9)
+    assert row["validation_mean_error_l_per_min"] > 0.03
+
+
+def test_the_model_before_has_its_error_on_all_of_tonight(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    flow = true_flow(spec, operation) + white()
+    first = fitted(spec, operation, flow)
+    assert primary(first)["previous_model_rmse_l_per_min"] is None
+    assert primary(first)["previous_model_mean_error_l_per_min"] is None
+    worn = {mode: tuple(1.1 * k for k in theta) for mode, theta in first.model.items()}
+    row = primary(fitted(spec, operation, flow, worn))
+    at = OperatingConditions.from_bar(
+        operation.pressure_bar, operation.temperature_c, operation.speed_rpm
+    )
+    error = flow - regressors(spec.motor(NIGHT, "none"), at) @ np.append(worn["none"], 1.0)
+    assert row["previous_model_mean_error_l_per_min"] == pytest.approx(error.mean(), rel=1e-9)
+    assert row["previous_model_rmse_l_per_min"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert row["previous_model_mean_error_l_per_min"] < 0  # it predicts too much
+
+
+def test_white_noise_does_not_hide_a_slow_error_from_the_effective_number(
+    spec: MotorSpec,
+) -> None:
+    """Errors of 20 s with as much white noise: lag one tells half of them, all lags the rest."""
+    operation = operate(minutes=8 * 60.0)
+    n = len(operation.time_us)
+    phi = math.exp(-1 / 20)
+    slow, _ = lfilter([math.sqrt(1 - phi**2)], [1, -phi], white(2, 0.01, n), zi=[0.0])
+    flow = true_flow(spec, operation) + slow + white(3, 0.01, n)
+    row = primary(fitted(spec, operation, flow))
+    share = row["n_effective_summed"] / row["n_training"]
+    assert share == pytest.approx(1 / (1 + phi / (1 - phi)), rel=0.2)
+    lag_one = phi / 2
+    assert row["n_effective"] / row["n_training"] == pytest.approx(
+        (1 - lag_one) / (1 + lag_one), rel=0.1
+    )
+    assert row["n_effective"] > 5 * row["n_effective_summed"]
+
+
+# --- predictions ------------------------------------------------------------------------------
+
+
+def test_predictions_are_samples_of_the_night_and_the_fit_at_them(spec: MotorSpec) -> None:
+    operation = operate(minutes=MINUTES)
+    flow = true_flow(spec, operation) + white()
+    outcome = fitted(spec, operation, flow)
+    hand, rows = by_hand(spec, operation, flow, outcome), outcome.rows["predictions"]
+    # Thinned for plots, extremes kept.
+    assert 400 <= len(rows) <= 720
+    microsecond = dt.timedelta(microseconds=1)
+    epoch = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
+    places = [
+        int(np.searchsorted(operation.time_us, (row["time"] - epoch) // microsecond))
+        for row in rows
+    ]
+    # From the first sample to the last, without a stretch left out.
+    assert (places[0], places[-1]) == (0, N - 1)
+    # Lowest and highest of four figures in each of 90 bins: no two bins go without a sample.
+    assert np.diff(places).max() < 2 * N / 90
+    error = hand.error
+    for place, row in zip(places, rows, strict=True):
+        assert row["measured_l_per_min"] == flow[place]
+        assert row["predicted_l_per_min"] == pytest.approx(flow[place] - error[place], rel=1e-9)
+        assert row["pressure_difference_bar"] == operation.pressure_bar[place]
+        assert row["oil_temperature_c"] == operation.temperature_c[place]
+        assert row["speed_rpm"] == operation.speed_rpm[place]
+        inside = {
+            part: place in range(*getattr(hand, part).indices(N))
+            for part in ("training", "validation")
+        }
+        assert row["part"] == next((part for part, has in inside.items() if has), "guard")
+    counts = [sum(row["part"] == part for row in rows) for part in ("training", "validation")]
+    assert [count / len(rows) for count in counts] == pytest.approx([0.80, 0.18], abs=0.02)

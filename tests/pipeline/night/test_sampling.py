@@ -1,0 +1,371 @@
+"""What samples mean: counts of a volume, values sent on change, means of a period."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pipeline.config import Channel, Cleaning, TimeBase
+from pipeline.config.faults import ConfigError
+from pipeline.ingest import RawChannel
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.fit_night import FAILED, OK, NightOutcome, fit_night
+from pipeline.night.masks import spike
+from pipeline.night.sampling import Sampling, flow_from_counts, means_too_long, step_of_readings
+from pipeline.night.time_base import grid_period_us, on_grid
+from tests.pipeline.simulated import (
+    CANONICAL,
+    NIGHT,
+    Array,
+    load_motor,
+    motor_toml,
+    night_of,
+    operate,
+    raw,
+)
+
+SECOND = 1_000_000
+Times = NDArray[np.int64]
+
+
+def as_read(time_us: Times, value: Array) -> RawChannel:
+    return RawChannel(time_us, value, np.isnan(value), 0)
+
+
+def cleaned(name: str, time_us: Times, value: Array, **keys: Any) -> CleanChannel:
+    unit = "count" if "counts" in keys else CANONICAL[name]
+    channel = Channel(source="x", unit=unit, **keys)
+    return clean_channel(as_read(time_us, value), ChannelRules.of(name, channel, Cleaning()))
+
+
+def refused_by(channel: CleanChannel) -> dict[str, int]:
+    return {reason: count for reason, count in channel.counts.items() if count}
+
+
+class TestPulseFlowMeter:
+    """1 cm³ a pulse, read at 10 Hz: at 0.35 l/min a reading is 0 or 0.6 l/min, the MAD is 0."""
+
+    FLOW = 0.35
+    TIME = np.arange(36_000, dtype=np.int64) * (SECOND // 10)
+    TOTAL = np.floor(FLOW * 1000 / 60 * TIME / SECOND)
+    PULSES = np.diff(TOTAL, prepend=0.0)
+
+    def kept_mean(self, channel: CleanChannel) -> float:
+        return float(channel.value[~channel.refused].mean())
+
+    def test_a_plain_hampel_filter_ruins_it(self) -> None:
+        """The reference that the design states: 42 % refused, a mean 71 % too high."""
+        flow = self.PULSES * 0.6
+        settings = Cleaning()
+        refused = spike(flow, settings.hampel_window, settings.hampel_threshold, resolution=0.0)
+        assert refused.mean() == pytest.approx(0.42, abs=0.005)
+        assert flow[~refused].mean() / self.FLOW - 1 == pytest.approx(0.71, abs=0.01)
+
+    def test_as_a_flow_with_its_resolution_stated(self) -> None:
+        found = cleaned("leakage_flow", self.TIME, self.PULSES * 0.6, resolution=0.6)
+        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=0.01)
+        assert refused_by(found) == {}
+
+    @pytest.mark.parametrize("unit", [1.0, 0.06, 1 / 3.785411784])
+    def test_as_a_flow_of_which_no_resolution_is_stated(self, unit: float) -> None:
+        """The step shows in the readings, also after a conversion from m³/h or gallons."""
+        found = cleaned("leakage_flow", self.TIME, self.PULSES * 0.6 * unit / unit)
+        assert refused_by(found) == {}
+        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=0.01)
+
+    def test_what_the_sensor_measures_is_no_step_of_it(self) -> None:
+        noise = np.random.default_rng(5).normal(1.0, 0.1, 5000)
+        assert step_of_readings(noise) == 0.0
+        assert step_of_readings(np.append(np.full(500, 1.0), [40.0, 1.0, 1.0])) == 0.0
+        assert step_of_readings(np.round(noise / 0.05) * 0.05) == pytest.approx(0.05)
+
+    @pytest.mark.parametrize("counts", ["pulses", "cumulative"])
+    def test_as_counts_of_a_volume_with_nothing_else_stated(
+        self, counts: Literal["pulses", "cumulative"]
+    ) -> None:
+        logged = self.PULSES if counts == "pulses" else self.TOTAL
+        found = cleaned("leakage_flow", self.TIME, logged, counts=counts, volume_per_count_cm3=1.0)
+        assert refused_by(found) == {"no_interval": 1, "any": 1}
+        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=1e-3)
+
+    def test_its_spikes_are_found_all_the_same(self) -> None:
+        pulses = self.PULSES.copy()
+        pulses[[500, 900]] = 40.0
+        found = cleaned(
+            "leakage_flow", self.TIME, pulses, counts="pulses", volume_per_count_cm3=1.0
+        )
+        assert found.counts["spike"] == 2
+        assert self.kept_mean(found) == pytest.approx(self.FLOW, rel=1e-3)
+
+    def test_on_the_time_base_its_mean_is_kept(self) -> None:
+        found = cleaned(
+            "leakage_flow", self.TIME, self.PULSES, counts="pulses", volume_per_count_cm3=1.0
+        )
+        for period in (SECOND // 10, SECOND, 10 * SECOND):
+            grid = np.arange(0, 3600 * SECOND, period, dtype=np.int64)
+            value, present, _ = on_grid(found, grid, period)
+            assert value[present].mean() == pytest.approx(self.FLOW, rel=0.01)
+
+
+class TestCounts:
+    @given(
+        st.lists(st.integers(0, 400), min_size=2, max_size=60),
+        st.lists(st.integers(200_000, 1_800_000), min_size=60, max_size=60),
+        st.sampled_from([None, 1000.0, 4096.0]),
+        st.floats(0.01, 1000.0),
+    )
+    def test_volume_is_kept_whatever_the_jitter_and_however_often_it_rolls_over(
+        self, fresh: list[int], steps: list[int], rolls_over_at: float | None, volume: float
+    ) -> None:
+        time = np.cumsum(steps[: len(fresh)]).astype(np.int64)
+        total = np.cumsum(fresh).astype(np.float64)
+        logged = total if rolls_over_at is None else np.mod(total, rolls_over_at)
+        meter = Sampling(
+            counts="cumulative", volume_per_count_cm3=volume, rolls_over_at=rolls_over_at
+        )
+        found = flow_from_counts(time, logged, 5e6, meter)
+        pulses = flow_from_counts(
+            time, np.array(fresh, float), 5e6, replace(meter, counts="pulses")
+        )
+        np.testing.assert_allclose(found.flow_l_per_min, pulses.flow_l_per_min, rtol=1e-9)
+        litres = np.nansum(found.flow_l_per_min[1:] * np.diff(time) / 60e6)
+        assert litres == pytest.approx((total[-1] - total[0]) * volume / 1000, rel=1e-9, abs=1e-12)
+        assert found.no_interval.tolist() == [True] + [False] * (len(fresh) - 1)
+        assert not found.counter_reset.any()
+        assert (np.diff(found.time_us) > 0).all()
+
+    def test_flow_stands_in_the_middle_of_its_interval(self) -> None:
+        meter = Sampling(counts="cumulative", volume_per_count_cm3=1000.0)
+        time = np.array([0, 10, 20], dtype=np.int64) * SECOND
+        found = flow_from_counts(time, np.array([5.0, 6.0, 8.0]), 50e6, meter)
+        np.testing.assert_array_equal(found.time_us[1:], np.array([5, 15]) * SECOND)
+        np.testing.assert_allclose(found.flow_l_per_min[1:], [6.0, 12.0])
+
+    def test_a_reset_costs_one_sample_and_is_counted(self) -> None:
+        total = np.arange(100.0) * 3.0
+        total[60:] -= total[60]
+        for rolls_over_at in (None, 1e6):
+            found = cleaned(
+                "leakage_flow",
+                np.arange(100, dtype=np.int64) * SECOND,
+                total,
+                counts="cumulative",
+                volume_per_count_cm3=1.0,
+                counter_rolls_over_at=rolls_over_at,
+            )
+            assert refused_by(found) == {"no_interval": 1, "counter_reset": 1, "any": 2}
+            np.testing.assert_allclose(found.value[~found.refused], 0.18)
+
+    def test_a_gap_and_a_lost_reading_leave_no_interval(self) -> None:
+        time = np.delete(np.arange(100, dtype=np.int64), np.arange(40, 60)) * SECOND
+        total = time / SECOND * 3.0
+        total[20] = np.inf
+        found = cleaned("leakage_flow", time, total, counts="cumulative", volume_per_count_cm3=1.0)
+        assert found.counts["not_finite"] == 1
+        assert found.counts["any"] == 4
+        assert (np.diff(found.time_us) > 0).all()
+        np.testing.assert_allclose(found.value[~found.refused], 0.18)
+
+    def test_a_counter_that_stopped_is_frozen_and_a_steady_one_is_not(self) -> None:
+        time = np.arange(600, dtype=np.int64) * SECOND
+        pulses = np.full(600, 7.0)
+        pulses[300:] = 0.0
+        found = cleaned("leakage_flow", time, pulses, counts="pulses", volume_per_count_cm3=1.0)
+        assert refused_by(found) == {"no_interval": 1, "frozen": 300, "any": 301}
+
+
+class TestOnChange:
+    """Silence up to a stated length is no gap and no frozen sensor."""
+
+    TIME = np.array([0, 40, 41, 300, 1000, 1001], dtype=np.int64) * SECOND
+    VALUE = np.array([200.0, 180.0, 120.0, 121.0, 150.0, 260.0])
+
+    def channel(self, **keys: Any) -> CleanChannel:
+        stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
+        return cleaned("pressure_difference", self.TIME, self.VALUE, **(stated | keys))
+
+    def test_nothing_is_refused_neither_as_spike_nor_as_frozen(self) -> None:
+        assert refused_by(self.channel()) == {}
+
+    def test_periodic_rules_would_lose_it(self) -> None:
+        periodic = cleaned("pressure_difference", self.TIME, self.VALUE)
+        grid = np.arange(0, 1002, dtype=np.int64) * SECOND
+        _, present, _ = on_grid(periodic, grid, SECOND)
+        assert present.mean() < 0.4
+
+    def test_held_until_the_next_sample_or_the_longest_silence(self) -> None:
+        grid = np.array([-1, 0, 39, 40, 299, 300, 600, 601, 999, 1000, 1301, 1302]) * SECOND
+        value, present, silent = on_grid(self.channel(between="hold"), grid, SECOND)
+        expected = [200, 200, 180, 120, 121, 121, 150, 260]
+        np.testing.assert_array_equal(value[present], expected)
+        assert np.flatnonzero(~present).tolist() == [0, 7, 8, 11]
+        np.testing.assert_array_equal(silent, ~present)
+
+    def test_interpolated_between_samples_that_are_near_enough(self) -> None:
+        seconds = np.array([20, 40, 170, 301, 1000])
+        grid = np.arange(seconds[-1] + 1) * SECOND
+        value, present, _ = (found[seconds] for found in on_grid(self.channel(), grid, SECOND))
+        np.testing.assert_allclose(value[present], [190.0, 180.0, 120 + 129 / 259, 150.0])
+        assert present.tolist() == [True, True, True, False, True]
+
+    def test_a_refused_sample_is_not_held(self) -> None:
+        found = self.channel(between="hold", valid_range=(0.0, 190.0))
+        _, present, silent = on_grid(found, np.array([0, 20, 40]) * SECOND, SECOND)
+        assert present.tolist() == [False, False, True]
+        assert not silent.any()
+
+    def test_the_same_value_for_longer_than_the_longest_silence_is_frozen(self) -> None:
+        time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
+        stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
+        stuck = cleaned("pressure_difference", time, np.full(4, 80.0), **stated)
+        assert stuck.counts["frozen"] == 4
+        heartbeat = cleaned("pressure_difference", time[:2], np.full(2, 80.0), **stated)
+        assert heartbeat.counts["frozen"] == 0
+
+    def test_blank_cells_of_a_wide_log_miss_nothing(self) -> None:
+        value = np.full(500, np.nan)
+        value[[0, 3, 250]] = 10.0, 20.0, 30.0
+        time = np.arange(500, dtype=np.int64) * SECOND
+        stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
+        found = cleaned("pressure_difference", time, value, **stated)
+        assert (found.n_samples, refused_by(found)) == (3, {})
+
+    def test_it_has_no_rate_to_set_the_time_base_by(self) -> None:
+        slow = cleaned("speed", np.arange(50, dtype=np.int64) * SECOND, np.arange(50.0))
+        burst = cleaned(
+            "pressure_difference",
+            np.arange(50, dtype=np.int64) * (SECOND // 10),
+            np.arange(50.0),
+            sampling="on_change",
+            longest_silence_s=300.0,
+        )
+        assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
+        assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10
+
+
+MOVING = operate(minutes=90.0)
+
+
+def means(time_us: Times, value: Array, seconds: int) -> tuple[Times, Array]:
+    """Means of whole periods, stamped in their middle."""
+    n = len(time_us) // seconds
+    middle = time_us[: n * seconds].reshape(n, seconds).mean(axis=1)
+    return middle.astype(np.int64), value[: n * seconds].reshape(n, seconds).mean(axis=1)
+
+
+def fit_of_means(folder: Path, seconds: int, more: str = "") -> NightOutcome:
+    keys = "" if seconds == 1 else f'sampling = "mean"\nmean_of_s = {float(seconds)}\n'
+    text = motor_toml("M1")
+    for name in CANONICAL:
+        text = text.replace(f"[channels.{name}]\n", f"[channels.{name}]\n{keys}")
+    spec = load_motor(folder, text + more)
+    flow = MOVING.flow(spec.motor(NIGHT, "none"))
+    averaged = {
+        name: means(MOVING.time_us, value, seconds) for name, value in MOVING.channels(flow).items()
+    }
+    time = averaged["speed"][0]
+    values = {name: value for name, (_, value) in averaged.items()}
+    return fit_night(spec, night_of(), raw(time, values), {})
+
+
+class TestMeans:
+    def test_means_of_a_period_above_the_limit_are_refused_by_name(self, tmp_path: Path) -> None:
+        outcome = fit_of_means(tmp_path, 60)
+        assert (outcome.status, outcome.error_code) == (FAILED, "means_too_long")
+        assert "speed is logged as means of 60 s" in (outcome.reason or "")
+        (row,) = outcome.rows["fits"]
+        assert row["error_code"] == "means_too_long"
+
+    def test_the_limit_is_a_setting(self) -> None:
+        channels: dict[Any, Channel] = {
+            "speed": Channel(source="n", unit="rpm", sampling="mean", mean_of_s=10.0)
+        }
+        assert means_too_long(channels, Cleaning()) is None
+        assert means_too_long(channels, Cleaning(maximum_mean_s=9.9)) is not None
+
+    def test_means_up_to_the_limit_are_fitted_on_their_own_period(self, tmp_path: Path) -> None:
+        outcome = fit_of_means(tmp_path, 10)
+        (row,) = outcome.rows["fits"]
+        assert row["n_training"] + row["n_validation"] > 480
+        temperature = [
+            one["n_refused"]
+            for one in outcome.rows["quality"]
+            if (one["channel"], one["reason"]) == ("oil_temperature", "gap")
+        ]
+        assert temperature[0] < 5
+
+    def test_a_mean_holds_over_its_period_and_is_not_averaged_again(self) -> None:
+        time = np.arange(5, 100, 10, dtype=np.int64) * SECOND
+        found = cleaned("speed", time, np.arange(10.0), sampling="mean", mean_of_s=10.0)
+        grid = np.array([-2, 1, 9, 12, 58, 61, 99, 102]) * SECOND
+        value, present, silent = on_grid(found, grid, SECOND)
+        assert value[present].tolist() == [0, 0, 1, 5, 6, 9]
+        assert np.flatnonzero(silent).tolist() == [0, 7]
+        lost = cleaned(
+            "speed",
+            np.delete(time, 4),
+            np.delete(np.arange(10.0), 4),
+            sampling="mean",
+            mean_of_s=10.0,
+        )
+        _, present, _ = on_grid(lost, np.array([35, 44, 46, 55]) * SECOND, SECOND)
+        assert present.tolist() == [True, False, False, True]
+
+    def test_the_stamp_of_a_mean_is_moved_to_its_middle(self) -> None:
+        time = np.arange(0, 1000, 10, dtype=np.int64) * SECOND
+        stated: dict[str, Any] = {"sampling": "mean", "mean_of_s": 10.0}
+        for stamp, shift in (("begin", 5), ("middle", 0), ("end", -5)):
+            found = cleaned("speed", time, np.arange(100.0), mean_stamp=stamp, **stated)
+            np.testing.assert_array_equal(found.time_us, time + shift * SECOND)
+
+
+@pytest.mark.parametrize(
+    ("keys", "place"),
+    [
+        ('sampling = "on_change"', "longest_silence_s"),
+        ('between = "hold"', "between"),
+        ('sampling = "mean"', "mean_of_s"),
+        ("mean_of_s = 10.0", "mean_of_s"),
+        ('counts = "pulses"', "counts"),
+        ("volume_per_count_cm3 = 1.0", "volume_per_count_cm3"),
+        ("counter_rolls_over_at = 65536.0", "counter_rolls_over_at"),
+        ("time_offset_s = 3600.0", "time_offset_s"),
+    ],
+)
+def test_keys_that_do_not_go_together_are_faults_by_name(
+    tmp_path: Path, keys: str, place: str
+) -> None:
+    text = motor_toml("M1").replace("[channels.leakage_flow]", f"[channels.leakage_flow]\n{keys}")
+    with pytest.raises(ConfigError) as caught:
+        load_motor(tmp_path, text)
+    assert f"channels.leakage_flow.{place}" in {fault.key for fault in caught.value.faults}
+
+
+def test_only_the_drain_flow_is_counted(tmp_path: Path) -> None:
+    text = motor_toml("M1", units=CANONICAL | {"speed": "count"})
+    with pytest.raises(ConfigError, match=r"channels\.speed"):
+        load_motor(tmp_path, text)
+
+
+def test_a_night_of_a_counter_of_litres(tmp_path: Path) -> None:
+    """The flow from differences of a running total gives the loss factors of the flow itself."""
+    counted = 'counts = "cumulative"\nvolume_per_count_cm3 = 1000.0\ntime_offset_s = 0.5\n'
+    plain = load_motor(tmp_path / "plain", motor_toml("M1"))
+    text = motor_toml("M1", units=CANONICAL | {"leakage_flow": "count"})
+    text = text.replace("[channels.leakage_flow]\n", f"[channels.leakage_flow]\n{counted}")
+    spec = load_motor(tmp_path / "counted", text)
+    flow = MOVING.flow(spec.motor(NIGHT, "none"))
+    values = MOVING.channels(flow)
+    reference = fit_night(plain, night_of(), raw(MOVING.time_us, values), {})
+    values["leakage_flow"] = 1e4 + np.cumsum(flow) / 60.0
+    outcome = fit_night(spec, night_of(), raw(MOVING.time_us, values), {})
+    assert outcome.status == reference.status == OK
+    np.testing.assert_allclose(outcome.model["none"], reference.model["none"], rtol=1e-4)

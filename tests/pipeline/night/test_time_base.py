@@ -1,0 +1,568 @@
+"""The time base: interpolation against a slow reference, the grid, the joint rules."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pipeline.config import Channel, Cleaning, Nights, TimeBase
+from pipeline.config.nights import Night, night
+from pipeline.ingest import RawChannel, RawLog
+from pipeline.logs.files import slice_night
+from pipeline.night.channel_rules import ChannelRules
+from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.time_base import (
+    Quality,
+    Samples,
+    bring_together,
+    grid_period_us,
+    on_grid,
+    samples_before,
+)
+
+SECOND = 1_000_000
+STEP = 100_000
+START = 1_767_333_600 * SECOND  # 2026-01-02 06:00 UTC
+END = START + 24 * 3600 * SECOND
+Floats = NDArray[np.float64]
+Times = NDArray[np.int64]
+
+UNITS = {
+    "pressure_difference": "bar",
+    "high_port_pressure": "bar",
+    "low_port_pressure": "bar",
+    "oil_temperature": "degC",
+    "speed": "rpm",
+    "leakage_flow": "l/min",
+}
+
+
+def cleaned(
+    time_us: Times,
+    value: Floats,
+    refused: object = False,
+    *,
+    period_us: float | None = float(STEP),
+    longest_gap_us: float = 5.0 * STEP,
+    at_maximum: object = False,
+) -> CleanChannel:
+    n = len(time_us)
+    return CleanChannel(
+        time_us=np.asarray(time_us, np.int64),
+        value=np.asarray(value, np.float64),
+        refused=np.broadcast_to(np.asarray(refused, np.bool_), n).copy(),
+        at_maximum=np.broadcast_to(np.asarray(at_maximum, np.bool_), n).copy(),
+        period_us=period_us,
+        longest_gap_us=longest_gap_us,
+        counts={},
+        n_samples=n,
+    )
+
+
+def running(seconds: float, begin_us: int = START, rate_hz: int = 10) -> dict[str, CleanChannel]:
+    """A motor that runs: temperature every second, all else at the stated rate."""
+    period = SECOND // rate_hz
+    time = begin_us + np.arange(round(seconds * rate_hz) + 1) * period
+    slow = begin_us + np.arange(int(seconds) + 1) * SECOND
+    s = (time - START) / SECOND
+    fast = {
+        "pressure_difference": 200 + 50 * np.sin(s / 7),
+        "speed": 30 + 5 * np.cos(s / 11),
+        "leakage_flow": 1 + 0.1 * np.sin(s / 5),
+    }
+    channels = {
+        name: cleaned(time, value, period_us=period, longest_gap_us=5.0 * period)
+        for name, value in fast.items()
+    }
+    temperature = 50 + np.sin((slow - START) / SECOND / 60)
+    channels["oil_temperature"] = cleaned(
+        slow, temperature, period_us=SECOND, longest_gap_us=5.0 * SECOND
+    )
+    return channels
+
+
+def together(
+    channels: Mapping[str, CleanChannel], **settings: Any
+) -> tuple[Samples, dict[tuple[str, str], Quality]]:
+    samples, found = bring_together(channels, START, END, TimeBase(), Cleaning(**settings))
+    keys = [(one.channel, one.reason) for one in found]
+    assert len(keys) == len(set(keys))
+    return samples, {(one.channel, one.reason): one for one in found}
+
+
+def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float | None], list[bool]]:
+    """The definition, point by point: value where there is one, and whether the channel slept."""
+    times = channel.time_us.tolist()
+    values: list[float | None] = []
+    silent = []
+    for point in grid.tolist():
+        before = max((i for i, t in enumerate(times) if t <= point), default=None)
+        after = min((i for i, t in enumerate(times) if t >= point), default=None)
+        value = None
+        if before is None or after is None:
+            silent.append(True)
+        elif before == after:
+            silent.append(False)
+            if not channel.refused[before]:
+                value = float(channel.value[before])
+        else:
+            distance = times[after] - times[before]
+            silent.append(distance > channel.longest_gap_us)
+            good = not (channel.refused[before] or channel.refused[after] or silent[-1])
+            if good:
+                share = (point - times[before]) / distance
+                value = float((1 - share) * channel.value[before] + share * channel.value[after])
+        values.append(value)
+    return values, silent
+
+
+class TestInterpolation:
+    @given(
+        st.lists(st.integers(-50, 500), min_size=1, max_size=60).map(sorted),
+        st.integers(1, 40),
+        st.integers(1, 60),
+    )
+    def test_samples_before_are_those_of_a_search(
+        self, times: list[int], period: int, n: int
+    ) -> None:
+        time, grid = np.array(times, np.int64), 7 + period * np.arange(n, dtype=np.int64)
+        found = samples_before(time, grid, period)
+        assert found.tolist() == np.searchsorted(time, grid).tolist()
+
+    @given(
+        st.lists(st.integers(0, 400), unique=True, max_size=30),
+        st.integers(0, 2**32 - 1),
+        st.integers(1, 60),
+    )
+    def test_as_the_slow_definition(self, times: list[int], seed: int, longest: int) -> None:
+        rng = np.random.default_rng(seed)
+        time = np.array(sorted(times), np.int64)
+        value = rng.normal(0, 10, len(time))
+        refused = rng.random(len(time)) < 0.2
+        value[refused] = rng.choice([np.nan, np.inf, 1e9], refused.sum())
+        channel = cleaned(time, value, refused, period_us=10.0, longest_gap_us=longest)
+        grid = np.arange(-20, 420, 10, dtype=np.int64)
+        got, present, silent = on_grid(channel, grid, 10)
+        expected, asleep = slow_interpolation(channel, grid)
+        assert present.tolist() == [one is not None for one in expected]
+        assert silent.tolist() == asleep
+        np.testing.assert_allclose(
+            got[present], [one for one in expected if one is not None], rtol=1e-12, atol=1e-9
+        )
+        assert np.isnan(got[~present]).all()
+
+    @given(st.integers(0, 2**32 - 1))
+    def test_exact_at_samples(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        grid = np.arange(100, dtype=np.int64) * STEP
+        value = rng.normal(0, 1, 100) * 10.0 ** rng.integers(-8, 8, 100)
+        got, present, _ = on_grid(cleaned(grid, value), grid, STEP)
+        assert present.all()
+        np.testing.assert_array_equal(got, value)
+
+    def test_never_across_a_refused_sample(self) -> None:
+        """One refused temperature sample costs the nineteen points between its neighbours."""
+        time = np.arange(10, dtype=np.int64) * SECOND
+        channel = cleaned(
+            time, 50 + time / SECOND, time == 5 * SECOND, period_us=SECOND, longest_gap_us=5e6
+        )
+        grid = np.arange(91, dtype=np.int64) * STEP
+        got, present, silent = on_grid(channel, grid, STEP)
+        np.testing.assert_array_equal(np.flatnonzero(~present), range(41, 60))
+        np.testing.assert_allclose(got[present], 50 + grid[present] / SECOND, rtol=1e-15)
+        assert not silent.any()
+
+    def test_a_gap_begins_beyond_the_limit(self) -> None:
+        for distance, is_gap in ((5 * STEP, False), (5 * STEP + 1, True)):
+            time = np.array([0, distance], np.int64)
+            _, present, silent = on_grid(cleaned(time, np.ones(2)), np.array([STEP]), STEP)
+            assert silent.tolist() == [is_gap]
+            assert present.tolist() == [not is_gap]
+
+    def test_never_beyond_the_first_and_last_sample(self) -> None:
+        time = np.arange(5, 10, dtype=np.int64) * STEP
+        grid = np.arange(15, dtype=np.int64) * STEP
+        _, present, silent = on_grid(cleaned(time, np.ones(5)), grid, STEP)
+        np.testing.assert_array_equal(np.flatnonzero(present), range(5, 10))
+        np.testing.assert_array_equal(silent, ~present)
+
+    def test_refused_samples_at_the_end_are_no_silence(self) -> None:
+        """A sensor that is stuck until the log ends was heard; it was not believed."""
+        grid = np.arange(20, dtype=np.int64) * STEP
+        _, present, silent = on_grid(cleaned(grid, np.ones(20), grid >= 10 * STEP), grid, STEP)
+        assert not silent.any()
+        assert present.sum() == 10
+
+    def test_channel_without_samples(self) -> None:
+        none = np.zeros(0, np.int64)
+        channel = cleaned(none, np.zeros(0), period_us=None)
+        got, present, silent = on_grid(channel, np.arange(5) * STEP, STEP)
+        assert np.isnan(got).all()
+        assert not present.any()
+        assert silent.all()
+
+
+class TestAverage:
+    """Channels faster than the grid are averaged over its cells."""
+
+    TIME = np.arange(1000, dtype=np.int64) * 10_000
+    GRID = np.arange(1, 100, dtype=np.int64) * STEP
+
+    def test_mean_of_the_cell_around_each_point(self) -> None:
+        value = np.random.default_rng(1).normal(0, 1, 1000)
+        got, present, silent = on_grid(cleaned(self.TIME, value, period_us=1e4), self.GRID, STEP)
+        assert present.all()
+        assert not silent.any()
+        expected = [
+            value[(from_point >= -STEP // 2) & (from_point < STEP // 2)].mean()
+            for from_point in (self.TIME - point for point in self.GRID)
+        ]
+        np.testing.assert_allclose(got, expected, rtol=1e-12)
+
+    def test_noise_falls_as_by_averaging(self) -> None:
+        value = np.random.default_rng(1).normal(0, 1, 1000)
+        got, _, _ = on_grid(cleaned(self.TIME, value, period_us=1e4), self.GRID, STEP)
+        assert 0.25 < got.std() < 0.38  # 1 / √10 = 0.316
+
+    def test_refused_samples_do_not_count(self) -> None:
+        value = np.ones(1000)
+        refused = np.arange(1000) % 10 < 5
+        value[refused] = np.nan
+        got, present, _ = on_grid(
+            cleaned(self.TIME, value, refused, period_us=1e4), self.GRID, STEP
+        )
+        assert present.all()
+        np.testing.assert_array_equal(got, 1.0)
+
+    def test_less_than_half_of_a_cell_is_no_value(self) -> None:
+        refused = np.arange(1000) % 10 < 6
+        channel = cleaned(self.TIME, np.ones(1000), refused, period_us=1e4)
+        got, present, silent = on_grid(channel, self.GRID, STEP)
+        assert not present.any()
+        assert np.isnan(got).all()
+        assert not silent.any()
+
+    def test_a_gap_is_silence(self) -> None:
+        awake = (self.TIME < 3 * SECOND) | (self.TIME > 7 * SECOND)
+        channel = cleaned(self.TIME[awake], np.ones(awake.sum()), period_us=1e4)
+        _, present, silent = on_grid(channel, self.GRID, STEP)
+        asleep = (self.GRID > 3.1 * SECOND) & (self.GRID < 6.9 * SECOND)
+        assert silent[asleep].all()
+        assert not present[asleep].any()
+        assert present[(self.GRID < 2.9 * SECOND) | (self.GRID > 7.1 * SECOND)].all()
+
+
+class TestGridPeriod:
+    def period(self, *rates_hz: float, **settings: float) -> int:
+        channels = {
+            str(rate): cleaned(np.zeros(0, np.int64), np.zeros(0), period_us=SECOND / rate)
+            for rate in rates_hz
+        }
+        return grid_period_us(channels, TimeBase(**settings))
+
+    @given(st.integers(1, 10), st.floats(-0.04, 0.04))
+    def test_jitter_gives_no_grid_of_its_own(self, rate_hz: int, jitter: float) -> None:
+        assert self.period(rate_hz * (1 + jitter)) == round(SECOND / rate_hz)
+
+    @given(st.integers(1, 60), st.floats(-0.008, 0.008))
+    def test_nor_does_that_of_a_slow_log(self, period_s: int, jitter: float) -> None:
+        assert self.period(1 / (period_s * (1 + jitter))) == period_s * SECOND
+
+    @pytest.mark.parametrize("rate_hz", [10.4, 20.0, 50.0, 100.0, 1000.0])
+    def test_at_most_10_hz_by_default(self, rate_hz: float) -> None:
+        assert self.period(rate_hz) == STEP
+
+    @given(st.floats(0.01, 2000.0), st.floats(0.05, 200.0))
+    def test_never_faster_than_the_limit(self, rate_hz: float, limit_hz: float) -> None:
+        assert self.period(rate_hz, maximum_rate_hz=limit_hz) >= SECOND / limit_hz - 1e-6
+
+    def test_fastest_channel_decides(self) -> None:
+        assert self.period(1.0, 5.0, 2.0) == 200_000
+
+    def test_stated_rate_wins(self) -> None:
+        assert self.period(5.0, rate_hz=20.0) == 50_000
+        assert self.period(5.0, rate_hz=0.5) == 2 * SECOND
+
+
+class TestGrid:
+    """Anchored at the night's start; the files a night came in do not matter."""
+
+    def test_counts_from_the_night_s_start(self) -> None:
+        samples, _ = together(running(60, START + 3600 * SECOND + 30_000))
+        np.testing.assert_array_equal(samples.time_us, START + samples.index * samples.period_us)
+        # The first point after the log's first sample, which stands 30 ms off the grid.
+        assert samples.index[0] == 36_001
+
+    def test_night_is_half_open(self) -> None:
+        samples, _ = together(running(30, END - 10 * SECOND))
+        assert samples.time_us[-1] == END - STEP
+        samples, _ = together(running(30, START))
+        assert samples.time_us[0] == START
+
+    def test_values_do_not_depend_on_where_the_log_begins(self) -> None:
+        """A log that begins earlier adds points and changes none."""
+        whole, _ = together(running(120, START + 600 * SECOND))
+        late, _ = together(running(80, START + 640 * SECOND))
+        same = np.isin(whole.index, late.index)
+        assert same.sum() == len(late.index) > 790
+        for name in ("index", "time_us", "pressure_difference_bar", "speed_rpm"):
+            np.testing.assert_array_equal(getattr(whole, name)[same], getattr(late, name))
+
+    @pytest.mark.parametrize("cut", [1, 333, 334, 1000, 5999])
+    def test_a_night_in_two_files_is_the_same_night(self, cut: int) -> None:
+        nights = Nights()
+        here = night(dt.date(2026, 1, 3), nights)
+        time = here.start_us + 77 * SECOND + np.arange(6000, dtype=np.int64) * STEP
+        logs = [raw_log(time[:cut]), raw_log(time[cut:])]
+        together_again, quality = cleaned_night(slice_night(logs, here), here)
+        in_one, expected = cleaned_night(slice_night([raw_log(time)], here), here)
+        assert quality == expected
+        for name in ("index", "pressure_difference_bar", "oil_temperature_c", "leakage_l_per_min"):
+            np.testing.assert_array_equal(getattr(together_again, name), getattr(in_one, name))
+
+    @given(st.integers(0, 2**32 - 1))
+    def test_data_before_a_gap_changes_nothing_after_it(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        later = running(120, START + 4000 * SECOND)
+        earlier = running(90, START + int(rng.integers(0, 3000 * SECOND)))
+        both = {name: joined(earlier[name], later[name], rng) for name in later}
+        alone, _ = together(later)
+        after, _ = together(both)
+        part = after.time_us >= START + 4000 * SECOND
+        # The guard of a standstill would reach over; none here, the motor runs.
+        for name in ("index", "pressure_difference_bar", "oil_temperature_c", "speed_rpm"):
+            np.testing.assert_array_equal(getattr(after, name)[part], getattr(alone, name))
+
+    @pytest.mark.parametrize("rate_hz", [10, 20, 100])
+    @pytest.mark.parametrize("n", [1, 2, 5])
+    def test_a_log_that_touches_the_night_with_a_few_samples(self, rate_hz: int, n: int) -> None:
+        """None of them on a point of the grid: there is nothing to keep, and no fault."""
+        period = SECOND // rate_hz
+        time = START + 3000 + np.arange(n, dtype=np.int64) * period
+        time = time[time < START + STEP]
+        channels = {name: cleaned(time, np.ones(len(time)), period_us=period) for name in FLEET}
+        samples, quality = together(channels)
+        assert len(samples.index) == samples.n_grid == 0
+        assert samples.kept_share == 0.0
+        assert all(one.n_refused == 0 for one in quality.values())
+
+
+FLEET = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+
+
+def joined(one: CleanChannel, other: CleanChannel, rng: np.random.Generator) -> CleanChannel:
+    refused = rng.random(len(one.time_us)) < 0.2
+    return replace(
+        other,
+        time_us=np.concatenate([one.time_us, other.time_us]),
+        value=np.concatenate([one.value, other.value]),
+        refused=np.concatenate([refused, other.refused]),
+        at_maximum=np.concatenate([one.at_maximum, other.at_maximum]),
+    )
+
+
+def raw_log(time: Times) -> RawLog:
+    """A wide log in which the temperature has a sample in the first row of each second."""
+    s = (time // STEP).astype(np.float64)
+    values = {
+        "pressure_difference": 200 + 50 * np.sin(s / 70) + 0.3 * np.sin(s * 1.7),
+        "oil_temperature": 50 + np.sin(s / 600) + 0.3 * np.sin(s),
+        "speed": 30 + 5 * np.cos(s / 110) + 0.3 * np.sin(s * 1.3),
+        "leakage_flow": 1 + 0.1 * np.sin(s / 50) + 0.01 * np.sin(s * 1.1),
+    }
+    blank = {name: np.zeros(len(s), np.bool_) for name in values}
+    blank["oil_temperature"] = time % SECOND != 0
+    channels = {
+        name: RawChannel(time, np.where(blank[name], np.nan, value), blank[name], 0)
+        for name, value in values.items()
+    }
+    return RawLog(channels, len(time), int(time[0]), int(time[-1]))
+
+
+def cleaned_night(
+    channels: Mapping[str, RawChannel], here: Night
+) -> tuple[Samples, tuple[Quality, ...]]:
+    settings = Cleaning()
+    clean = {
+        name: clean_channel(
+            channel, ChannelRules.of(name, Channel(source=name, unit=UNITS[name]), settings)
+        )
+        for name, channel in channels.items()
+    }
+    return bring_together(clean, here.start_us, here.end_us, TimeBase(), settings)
+
+
+class TestPorts:
+    def test_difference_of_the_ports(self) -> None:
+        channels = running(60)
+        difference = channels.pop("pressure_difference")
+        low = replace(difference, value=10 + difference.value / 100)
+        high = replace(difference, value=difference.value + low.value)
+        expected, _ = together({**channels, "pressure_difference": difference})
+        samples, quality = together(
+            {**channels, "high_port_pressure": high, "low_port_pressure": low}
+        )
+        np.testing.assert_allclose(
+            samples.pressure_difference_bar, expected.pressure_difference_bar, rtol=1e-13
+        )
+        assert ("high_port_pressure", "gap") in quality
+
+    def test_sign_is_kept(self) -> None:
+        channels = running(60)
+        pressure = channels.pop("pressure_difference")
+        zero = replace(pressure, value=np.zeros(len(pressure.value)))
+        samples, _ = together(
+            {**channels, "high_port_pressure": zero, "low_port_pressure": pressure}
+        )
+        assert (samples.pressure_difference_bar < 0).all()
+
+    @pytest.mark.parametrize("port", ["high_port_pressure", "low_port_pressure"])
+    def test_a_port_that_is_refused_refuses_the_difference(self, port: str) -> None:
+        channels = running(60)
+        pressure = channels.pop("pressure_difference")
+        ports = dict.fromkeys(("high_port_pressure", "low_port_pressure"), pressure)
+        ports[port] = replace(pressure, refused=np.arange(len(pressure.value)) == 100)
+        samples, quality = together({**channels, **ports})
+        assert 100 not in samples.index
+        assert quality["time_base", "incomplete"].n_refused == 1
+
+
+class TestJointRules:
+    def with_speed(self, change: Any, seconds: float = 200) -> dict[str, CleanChannel]:
+        channels = running(seconds)
+        speed = channels["speed"].value.copy()
+        change(speed)
+        channels["speed"] = replace(channels["speed"], value=speed)
+        return channels
+
+    @pytest.mark.parametrize("sign", [1.0, -1.0])
+    def test_standstill_and_its_guard_times(self, sign: float) -> None:
+        """Still from 100.0 to 109.9 s: refused from 90.0 to 139.9 s."""
+
+        def halt(speed: Floats) -> None:
+            speed *= sign
+            speed[1000:1100] = sign * 0.49
+
+        samples, quality = together(self.with_speed(halt))
+        assert quality["time_base", "standstill"].n_refused == 100
+        assert quality["time_base", "guard"].n_refused == 100 + 300
+        assert quality["time_base", "any"].n_refused == 500
+        lost = np.setdiff1d(np.arange(2001), samples.index)
+        np.testing.assert_array_equal(lost, range(900, 1400))
+        assert samples.n_running == 2001 - 500
+        assert samples.kept_share == 1.0
+
+    def test_half_a_revolution_is_no_standstill(self) -> None:
+        def crawl(speed: Floats) -> None:
+            speed[1000:1100] = 0.5
+
+        _, quality = together(self.with_speed(crawl))
+        assert quality["time_base", "standstill"].n_refused == 0
+
+    def test_back_flow_and_its_guard_times(self) -> None:
+        channels = running(200)
+        flow = channels["leakage_flow"]
+        back = np.arange(2001) == 1000
+        channels["leakage_flow"] = replace(flow, refused=back, at_maximum=back)
+        samples, quality = together(channels)
+        lost = np.setdiff1d(np.arange(2001), samples.index)
+        np.testing.assert_array_equal(lost, range(900, 1301))
+        assert quality["time_base", "guard"].n_refused == 401
+        assert quality["time_base", "standstill"].n_refused == 0
+
+    def test_maximum_of_another_channel_is_no_back_flow(self) -> None:
+        channels = running(200)
+        full = np.arange(2001) == 1000
+        channels["pressure_difference"] = replace(
+            channels["pressure_difference"], refused=full, at_maximum=full
+        )
+        samples, _ = together(channels)
+        assert len(samples.index) == 2000
+
+    def test_guard_times_are_settings(self) -> None:
+        def halt(speed: Floats) -> None:
+            speed[1000] = 0.0
+
+        _, quality = together(self.with_speed(halt), guard_before_s=1.0, guard_after_s=0.0)
+        assert quality["time_base", "guard"].n_refused == 10
+
+    def test_motor_that_stands_still_all_night(self) -> None:
+        def rest(speed: Floats) -> None:
+            speed[:] = 0.0
+
+        samples, quality = together(self.with_speed(rest))
+        assert samples.n_running == len(samples.index) == 0
+        assert quality["time_base", "standstill"].n_refused == samples.n_grid == 2001
+
+    def test_standstill_of_an_encoder_that_says_nothing_but_0(self) -> None:
+        """Through the channel's own rules: a halt of an hour, and the guard times about it."""
+        here = night(dt.date(2026, 1, 3), Nights())
+        time = here.start_us + np.arange(2 * 36_000, dtype=np.int64) * STEP
+        channels = dict(raw_log(time).channels)
+        speed = channels["speed"].value.copy()
+        speed[20_000:56_000] = 0.0
+        channels["speed"] = replace(channels["speed"], value=speed)
+        samples, found = cleaned_night(channels, here)
+        counts = {(one.channel, one.reason): one.n_refused for one in found}
+        assert counts["time_base", "standstill"] == 36_000
+        assert counts["time_base", "guard"] == 400
+        assert samples.n_running == 2 * 36_000 - 36_400
+        assert samples.kept_share > 0.98
+
+    def test_transients_only_where_asked_for(self) -> None:
+        def step(speed: Floats) -> None:
+            speed[1000:] += 20.0
+
+        channels = self.with_speed(step)
+        _, quality = together(channels)
+        assert ("time_base", "transient") not in quality
+        samples, quality = together(channels, refuse_transients=True)
+        assert quality["time_base", "transient"].n_refused == 2
+        assert not {999, 1000} & set(samples.index.tolist())
+
+    def test_transient_of_the_pressure(self) -> None:
+        channels = running(60)
+        pressure = channels["pressure_difference"]
+        value = pressure.value.copy()
+        value[300:] -= 60.0
+        channels["pressure_difference"] = replace(pressure, value=value)
+        _, quality = together(channels, refuse_transients=True)
+        assert quality["time_base", "transient"].n_refused == 2
+
+    def test_each_reason_counts_and_any_once(self) -> None:
+        """A gap in the flow within a standstill: refused for both, counted once under any."""
+
+        def halt(speed: Floats) -> None:
+            speed[1000:1100] = 0.0
+
+        channels = self.with_speed(halt)
+        flow = channels["leakage_flow"]
+        awake = (np.arange(2001) < 1020) | (np.arange(2001) > 1060)
+        channels["leakage_flow"] = cleaned(flow.time_us[awake], flow.value[awake])
+        _, quality = together(channels)
+        assert quality["leakage_flow", "gap"].n_refused == 41
+        assert quality["time_base", "incomplete"].n_refused == 41
+        assert quality["time_base", "standstill"].n_refused == 100
+        assert quality["time_base", "any"].n_refused == 500
+
+    def test_share_kept_is_of_the_running_motor(self) -> None:
+        channels = running(100)
+        flow = channels["leakage_flow"]
+        channels["leakage_flow"] = replace(flow, refused=np.arange(1001) % 4 == 0)
+        samples, _ = together(channels)
+        assert samples.kept_share == pytest.approx(0.75, abs=0.01)
+
+    def test_arguments_are_left_alone(self) -> None:
+        channels = running(60)
+        for channel in channels.values():
+            for array in (channel.time_us, channel.value, channel.refused, channel.at_maximum):
+                array.flags.writeable = False
+        together(channels, refuse_transients=True)

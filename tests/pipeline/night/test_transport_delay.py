@@ -1,0 +1,192 @@
+"""Equation (14): the delay itself, the pairing of flow and inputs, and its estimate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from pipeline.config import TransportDelay
+from pipeline.config.faults import ConfigError
+from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.night.transport_delay import (
+    delay_inputs,
+    delay_on_grid_s,
+    drain_line_delay_s,
+    shifted,
+)
+from tests.pipeline.simulated import (
+    NIGHT,
+    load_motor,
+    motor_toml,
+    night_of,
+    operate,
+    raw,
+)
+
+Floats = NDArray[np.float64]
+LINE: dict[str, Any] = {"line_length_m": 2.0, "line_inner_diameter_mm": 12.0}
+
+
+def test_worked_value_of_the_line_s_volume() -> None:
+    """π/4 · (12 mm)² · 2 m = 0.22619 l: 13.572 s at 1 l/min, 6.786 s at 2 l/min."""
+    found = drain_line_delay_s(np.array([1.0, 2.0, 0.0, -1.0, np.nan]), 2.0, 12.0)
+    np.testing.assert_allclose(found[:2], [13.5717, 6.7858], rtol=1e-5)
+    assert found[2] == found[3] == np.inf
+    assert np.isnan(found[4])
+
+
+@given(st.floats(0.01, 50), st.floats(0.1, 30), st.floats(2, 50), st.floats(1.1, 5))
+def test_dimensions(flow: float, length: float, diameter: float, times: float) -> None:
+    (base,) = drain_line_delay_s(np.array([flow]), length, diameter)
+    (longer,) = drain_line_delay_s(np.array([flow]), length * times, diameter)
+    (wider,) = drain_line_delay_s(np.array([flow]), length, diameter * times)
+    (faster,) = drain_line_delay_s(np.array([flow * times]), length, diameter)
+    np.testing.assert_allclose(
+        [longer, wider, faster], base * np.array([times, times**2, 1 / times])
+    )
+
+
+def test_flow_is_averaged_so_that_a_pulse_meter_has_a_delay() -> None:
+    flow = np.tile([0.0, 0.6], 300)
+    settings = TransportDelay(mode="flow", leading=("speed",), flow_average_s=10.0, **LINE)
+    tau = delay_on_grid_s(flow, np.ones(600, np.bool_), 0.1, settings)
+    np.testing.assert_allclose(tau, drain_line_delay_s(np.array([0.3]), 2.0, 12.0)[0], rtol=0.03)
+
+
+class TestShifted:
+    @given(st.integers(0, 2**32 - 1))
+    def test_as_the_slow_definition(self, seed: int) -> None:
+        rng = np.random.default_rng(seed)
+        value, present = rng.normal(size=30), rng.random(30) < 0.8
+        steps = rng.choice([-3.0, -2.5, -0.25, 0.0, 1.75, 4.0, np.nan, np.inf], 30)
+        found, there = shifted(value, present, steps)
+        for i, step in enumerate(steps):
+            place = i + step
+            ends = {int(np.floor(place)), int(np.ceil(place))} if np.isfinite(place) else {-1}
+            good = all(0 <= end < 30 and present[end] for end in ends)
+            assert there[i] == good
+            if good:
+                expected = np.interp(place, sorted(ends), value[sorted(ends)])
+                assert found[i] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+            else:
+                assert np.isnan(found[i])
+
+    def test_leading_inputs_come_from_before_and_lagging_ones_from_after(self) -> None:
+        ramp = np.arange(50.0)
+        values = {"oil_temperature": ramp, "speed": ramp, "leakage_flow": ramp}
+        present = {name: np.ones(50, np.bool_) for name in values}
+        settings = TransportDelay(
+            mode="fixed", fixed_s=4.0, leading=("speed",), lagging=("oil_temperature",)
+        )
+        moved, there, refused, _ = delay_inputs(values, present, 2.0, settings)
+        assert (moved["speed"][10], moved["oil_temperature"][10]) == (8.0, 12.0)
+        assert moved["leakage_flow"] is ramp
+        assert np.flatnonzero(~there["speed"]).tolist() == [0, 1]
+        assert np.flatnonzero(~there["oil_temperature"]).tolist() == [48, 49]
+        assert not refused.any()
+
+    def test_above_its_limit_or_without_flow_a_sample_is_refused(self) -> None:
+        flow = np.array([1.0, 0.5, 0.1, 0.0, np.nan])
+        values = {"speed": np.arange(5.0), "leakage_flow": flow}
+        present = {"speed": np.ones(5, np.bool_), "leakage_flow": np.isfinite(flow)}
+        settings = TransportDelay(
+            mode="flow", leading=("speed",), maximum_s=30.0, flow_average_s=0.0, **LINE
+        )
+        _, there, refused, _ = delay_inputs(values, present, 60.0, settings)
+        assert refused.tolist() == [False, False, True, True, True]
+        assert not there["speed"][refused].any()
+
+
+OPERATION = operate(minutes=60.0)
+
+
+def delayed_night(folder: Path, mode: str, delay_s: int, channels: tuple[str, ...]) -> NightOutcome:
+    """A noise-free night whose drain flow follows its inputs late, or its temperature it."""
+    spec = load_motor(folder, motor_toml("M1", more=f"[override.transport_delay]\n{mode}\n"))
+    values = OPERATION.channels(OPERATION.flow(spec.motor(NIGHT, "none")))
+    for name in channels:
+        values[name] = np.concatenate([np.full(delay_s, values[name][0]), values[name][:-delay_s]])
+    return fit_night(spec, night_of(), raw(OPERATION.time_us, values), {})
+
+
+def fit_of(outcome: NightOutcome) -> dict[str, Any]:
+    assert outcome.status == OK, outcome.reason
+    (row,) = outcome.rows["fits"]
+    return row
+
+
+ALL = 'leading = ["pressure_difference", "oil_temperature", "speed"]'
+
+
+def test_a_flow_that_follows_late_fits_once_its_delay_is_stated(tmp_path: Path) -> None:
+    late = ("leakage_flow",)
+    without = fit_of(delayed_night(tmp_path / "a", 'mode = "off"', 7, late))
+    assert (without["transport_delay_s"], without["estimated_transport_delay_s"]) == (None, None)
+    assert without["training_fit_percent"] < 90
+    stated = fit_of(delayed_night(tmp_path / "b", f'mode = "fixed"\nfixed_s = 7.0\n{ALL}', 7, late))
+    assert stated["transport_delay_s"] == 7.0
+    assert stated["training_fit_percent"] > 99.9
+    assert stated["estimated_transport_delay_s"] == pytest.approx(7.0, abs=0.2)
+
+
+def test_it_is_estimated_where_none_is_configured(tmp_path: Path) -> None:
+    mode = f'mode = "fixed"\nfixed_s = 0.0\n{ALL}'
+    found = fit_of(delayed_night(tmp_path, mode, 7, ("leakage_flow",)))
+    assert found["transport_delay_s"] == 0.0
+    assert found["estimated_transport_delay_s"] == pytest.approx(7.0, abs=0.5)
+
+
+def test_a_temperature_measured_in_the_line_lags_and_pressure_does_not(tmp_path: Path) -> None:
+    lagging = 'lagging = ["oil_temperature"]'
+    late = ("oil_temperature",)
+    wrong = fit_of(
+        delayed_night(tmp_path / "a", f'mode = "fixed"\nfixed_s = 0.0\n{lagging}', 30, late)
+    )
+    assert wrong["estimated_transport_delay_s"] == pytest.approx(30.0, abs=1.0)
+    right = fit_of(
+        delayed_night(tmp_path / "b", f'mode = "fixed"\nfixed_s = 30.0\n{lagging}', 30, late)
+    )
+    assert right["training_rmse_l_per_min"] < 0.02 * wrong["training_rmse_l_per_min"]
+
+
+def test_a_delay_by_the_flow_varies_and_its_refusals_are_counted(tmp_path: Path) -> None:
+    mode = (
+        'mode = "flow"\nline_length_m = 2.0\nline_inner_diameter_mm = 12.0\nmaximum_s = 15.0\n'
+        'flow_average_s = 0.0\nlagging = ["oil_temperature"]'
+    )
+    spec = load_motor(tmp_path, motor_toml("M1", more=f"[override.transport_delay]\n{mode}\n"))
+    flow = OPERATION.flow(spec.motor(NIGHT, "none"))
+    tau = drain_line_delay_s(flow, 2.0, 12.0)
+    # Oil that leaves the motor at t passes the sensor at t + τ(t).
+    values = OPERATION.channels(flow)
+    seconds = np.arange(len(flow), dtype=np.float64)
+    values["oil_temperature"] = np.interp(
+        seconds, np.maximum.accumulate(seconds + tau), OPERATION.temperature_c
+    )
+    outcome = fit_night(spec, night_of(), raw(OPERATION.time_us, values), {})
+    row = fit_of(outcome)
+    counted = {(one["channel"], one["reason"]): one["n_refused"] for one in outcome.rows["quality"]}
+    assert counted["time_base", "transport_delay"] == int((tau > 15.0).sum()) > 0
+    assert row["transport_delay_s"] == pytest.approx(tau[tau <= 15.0].mean(), rel=0.02)
+    assert row["training_fit_percent"] > 99.5
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        'mode = "fixed"',
+        'mode = "flow"\nleading = ["speed"]\nline_length_m = 1.0',
+        'leading = ["speed"]\nlagging = ["speed"]',
+        'mode = "fixed"\nfixed_s = 61.0\nleading = ["speed"]',
+        'leading = ["leakage_flow"]',
+    ],
+)
+def test_what_does_not_go_together_is_a_fault(tmp_path: Path, keys: str) -> None:
+    with pytest.raises(ConfigError, match="transport_delay"):
+        load_motor(tmp_path, motor_toml("M1", more=f"[override.transport_delay]\n{keys}\n"))

@@ -1,0 +1,79 @@
+"""`explain`: what is said of a good night, a failed one, and one that is not there."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.errors import UsageError
+from pipeline.report.explain import explain
+from pipeline.run.fleet import RunRequest, run_fleet
+from tests.conftest import OwnFleet
+from tests.pipeline.report.conftest import change_table
+
+FIRST = dt.date(2026, 1, 2)
+
+
+def fitted(fleet_file: Path) -> Path:
+    fleet = load_fleet(fleet_file)
+    run_fleet(RunRequest(fleet))
+    return fleet.output
+
+
+def test_a_good_night_is_told_from_its_log_to_its_verdicts(own_fleet: OwnFleet) -> None:
+    told = "\n".join(explain(fitted(own_fleet("CB560-01")), "CB560-01", FIRST))
+    assert told.startswith("CB560-01, night of 2026-01-02: fitted")
+    for words in (
+        "log CB560-01/CB560-01_2026-01-02.mcap: ok",
+        "of the running motor's samples",
+        "validation",
+        "starts end at the proven minimum",
+        "reference leakage (200 bar, 50 °C, 30 rpm): 1.4",
+        "K_piston_ring: too little data",
+        "training errors: 0.0",
+        "l/min (root mean square)",
+        "training errors: not white (25 of 25 lags outside the 99 % band)",
+        "training errors: independent of ",
+        "largest systematic errors of the reference leakage: oil_temperature offset of 1 °C -",
+        "leakage_flow offset of 0.02 l/min +",
+    ):
+        assert words in told
+    assert "_per_" not in told
+
+
+def test_one_pressure_all_night_is_told_with_what_would_help(own_fleet: OwnFleet) -> None:
+    told = "\n".join(explain(fitted(own_fleet("CB1120-02")), "CB1120-02", FIRST))
+    assert "no reference leakage (200 bar" in told
+    assert "leakage at the night's own mean (180 bar" in told
+    assert "identified" not in told
+
+
+def test_a_poor_fit_is_called_one(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB560-01", fitted=True)
+    output = load_fleet(fleet).output
+    poor = pl.lit(-1295.0).alias("validation_fit_percent")
+    change_table(output, "fits", lambda rows: rows.with_columns(poor), f"{FIRST}")
+    (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("fit: ")]
+    assert "validation -1295.0 % (poor: worse than a constant flow)" in told
+    assert told.count("poor") == 1
+
+
+def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB400-02")
+    log = min((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
+    log.write_bytes(b"nonsense" * 1000)
+    told = explain(fitted(fleet), "CB400-02", FIRST)
+    assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
+    assert told[1] == f"log CB400-02/{log.name}: failed"
+    assert "\n".join(told).count("does not begin as Parquet does") == 1
+
+
+def test_a_night_that_is_not_there_says_what_to_do(own_fleet: OwnFleet) -> None:
+    output = fitted(own_fleet("CB400-02"))
+    with pytest.raises(UsageError, match="run fit-fleet") as refused:
+        explain(output, "CB400-02", dt.date(2020, 1, 1))
+    assert refused.value.code == "unknown_night"

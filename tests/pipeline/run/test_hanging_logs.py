@@ -1,0 +1,233 @@
+"""A log that blocks is named and costs its night; who hangs holds up nobody else."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+
+import pipeline.logs.files
+import pipeline.run.fleet
+from pipeline.cli import main
+from pipeline.clock import latest_us
+from pipeline.config import load_fleet
+from pipeline.errors import LockedError
+from pipeline.logs.files import find_logs
+from pipeline.logs.ledger import read_ledger
+from pipeline.logs.motor_logs import LogShelf
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.motor_task import run_motor
+from pipeline.run.tasks import MotorOutcome, MotorTask
+from pipeline.workers.process import Loss
+from tests.pipeline.mini_fleet import FIRST, mini_fleet
+from tests.pipeline.workshop import DAY, Workshop
+
+BLOCKS = FIRST + 2 * DAY
+SILENCE = Loss("log_no_answer", "it did not answer within 3 s")
+
+
+def statuses(folder: Path, motor: str) -> list[str]:
+    """Outcomes of a motor's published nights, in order of time."""
+    found = pl.read_parquet(folder / "out" / "tables" / "fits" / "**" / "*.parquet")
+    return found.filter(motor_id=motor).sort("night")["status"].to_list()
+
+
+def table(folder: Path, name: str) -> pl.DataFrame:
+    return pl.read_parquet(folder / "out" / "tables" / name / "**" / "*.parquet")
+
+
+def test_what_is_no_regular_file_is_never_opened(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Through the whole command: to open one of them would wait for ever."""
+    config = mini_fleet(tmp_path, 2, 2, 'backend = "loky"\n')
+    logs = tmp_path / "logs" / "M1"
+    os.mkfifo(logs / f"{BLOCKS}.parquet")
+    os.mkfifo(tmp_path / "pipe")
+    (logs / f"{BLOCKS + DAY}.parquet").symlink_to(tmp_path / "pipe")
+    (logs / f"{BLOCKS + 2 * DAY}.parquet").symlink_to("/dev/zero")
+    monkeypatch.setattr(sys, "argv", ["motor-leakage", "fit-fleet", str(config)])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 1
+    assert "this is no file; name files in `logs.files`" in capfd.readouterr().err
+    assert statuses(tmp_path, "M1") == ["ok", "ok", "failed", "failed", "failed"]
+    assert statuses(tmp_path, "M2") == ["ok", "ok"]
+    unread = table(tmp_path, "input_files").filter(status="failed").sort("path")
+    assert unread["error_code"].to_list() == ["log_not_readable"] * 3
+    assert unread["night"].to_list() == [BLOCKS, BLOCKS + DAY, BLOCKS + 2 * DAY]
+
+
+def opened_all_the_same(task: MotorTask) -> Any:
+    """A motor's task to which a pipe looks like a file, as one on a mount that hangs does."""
+    pipeline.logs.files.stat.S_ISREG = lambda _: True  # in the worker alone
+    return run_motor(task)
+
+
+def test_a_log_that_does_not_answer_is_named_and_costs_its_night(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = mini_fleet(tmp_path, 2, 2, 'backend = "loky"\nanswer_s = 3.0\n')
+    os.mkfifo(tmp_path / "logs" / "M1" / f"{BLOCKS}.parquet")
+    monkeypatch.setattr(pipeline.run.fleet, "run_motor", opened_all_the_same)
+    published: dict[str, list[str]] = {}
+
+    def look(outcome: MotorOutcome) -> None:
+        if outcome.motor_id == "M1":
+            published["M2"] = statuses(tmp_path, "M2")
+
+    result = run_fleet(RunRequest(load_fleet(config)), look)
+    # When it was done with, the other motor had long been published.
+    assert published == {"M2": ["ok", "ok"]}
+    m1, m2 = result.outcomes
+    assert (m1.status, m1.error_code, m2.status) == ("failed", "log_no_answer", "ok")
+    assert statuses(tmp_path, "M1") == ["ok", "ok", "failed"]
+    (row,) = table(tmp_path, "input_files").filter(status="failed").to_dicts()
+    assert (row["night"], row["error_code"]) == (BLOCKS, "log_no_answer")
+    assert row["message"] == (
+        f"{BLOCKS}.parquet: did not answer within 3 s (night told by its name)"
+    )
+
+
+# What is done of a motor of which nothing is heard
+
+
+@contextmanager
+def losing_the_first(*_: object) -> Iterator[Callable[..., Iterator[Any]]]:
+    """An engine that loses the task of M1 the first time."""
+
+    def run_tasks(
+        function: Callable[[Any], Any],
+        tasks: Sequence[Any],
+        lost: Callable[[Any, Loss], Any],
+        *,
+        first: bool = False,
+    ) -> Iterator[Any]:
+        for task in tasks:
+            if first and isinstance(task, MotorTask) and task.spec.motor_id == "M1":
+                yield lost(task, Loss("task_timeout", "not done within 60 s"))
+            else:
+                yield function(task)
+
+    yield run_tasks
+
+
+@pytest.fixture
+def config(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(pipeline.run.fleet, "open_engine", losing_the_first)
+    return mini_fleet(tmp_path, 2, 2)
+
+
+def outcomes(folder: Path) -> list[list[tuple[str, str, str | None]]]:
+    """Motors, what came of each and its code, run by run."""
+    runs = table(folder, "motor_outcomes").sort("started_at", "motor_id")
+    return [
+        list(part.select("motor_id", "status", "error_code").iter_rows())
+        for part in runs.partition_by("started_at", maintain_order=True)
+    ]
+
+
+def test_a_motor_that_hangs_is_done_by_a_run_of_its_own(config: Path, tmp_path: Path) -> None:
+    told: list[str] = []
+    result = run_fleet(RunRequest(load_fleet(config)), lambda one: told.append(one.motor_id))
+    assert told == ["M2", "M1"]
+    assert [(one.motor_id, one.status) for one in result.outcomes] == [("M1", "ok"), ("M2", "ok")]
+    assert result.n_nights == 4
+    assert statuses(tmp_path, "M1") == statuses(tmp_path, "M2") == ["ok", "ok"]
+    assert outcomes(tmp_path) == [
+        [("M1", "failed", "task_timeout"), ("M2", "ok", None)],
+        [("M1", "ok", None)],
+    ]
+    first = table(tmp_path, "motor_outcomes").filter(status="failed")["message"][0]
+    assert first == "not done within 60 s; tried again when the other motors are published"
+    assert table(tmp_path, "trends")["motor_id"].unique().sort().to_list() == ["M1", "M2"]
+
+
+def test_a_motor_alone_is_waited_for(config: Path, tmp_path: Path) -> None:
+    """There is nobody whom it holds up."""
+    result = run_fleet(RunRequest(load_fleet(config), ("M1",)))
+    assert [one.status for one in result.outcomes] == ["ok"]
+    assert len(outcomes(tmp_path)) == 1
+
+
+def test_it_is_left_to_the_next_run_where_another_has_begun(
+    config: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    run_once = pipeline.run.fleet._run_once
+
+    def locked(*given: Any, first: bool) -> RunResult:
+        if not first:
+            raise LockedError("locked", "another run writes to this output: process 1")
+        return run_once(*given, first=first)
+
+    monkeypatch.setattr(pipeline.run.fleet, "_run_once", locked)
+    told: list[str] = []
+    result = run_fleet(RunRequest(load_fleet(config)), lambda one: told.append(one.motor_id))
+    assert told == ["M2", "M1"]
+    assert [one.motor_id for one in result.failed] == ["M1"]
+    assert "process 1; the next run does what is left" in caplog.text
+
+
+# What is known of a log that does not answer
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    made = Workshop.at(tmp_path)
+    made.log(FIRST)
+    made.run()
+    return made
+
+
+def shelf(workshop: Workshop, *silent: str) -> LogShelf:
+    spec, known = workshop.task().spec, read_ledger(workshop.output, "M1").files
+    return LogShelf(spec, known, latest_us(), dict.fromkeys(silent, SILENCE))
+
+
+def test_one_that_was_read_before_is_as_it_was(workshop: Workshop) -> None:
+    name = f"M1/{FIRST}.parquet"
+    found = shelf(workshop, name)
+    assert found.files[name] == read_ledger(workshop.output, "M1").files[name]
+    assert found.news_of(name) is None
+    # Its night cannot be made anew, and the next run tries again.
+    assert found.content(name) is None
+    record = found.files[name]
+    assert (record.error_code, record.nights) == ("log_no_answer", (str(FIRST),))
+    assert found.news_of(name) == f"changed file {name}"
+
+
+def test_a_folder_that_does_not_answer_costs_nothing_that_is_published(
+    workshop: Workshop, tmp_path: Path
+) -> None:
+    task = replace(workshop.task(), silent={"M1/*.parquet": SILENCE})
+    outcome = run_motor(task)
+    assert isinstance(outcome, MotorOutcome)
+    assert (outcome.status, outcome.error_code) == ("failed", "log_no_answer")
+    assert (outcome.nights, outcome.ledger) == ((), {})
+
+
+def test_what_does_not_answer_is_not_looked_at(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (workshop.logs / "link.parquet").symlink_to(workshop.logs / "folder")
+    workshop.configure(files='"M1/*.parquet", "M1/named", "M1/old/*.parquet"')
+    spec = workshop.task().spec
+    silent = {"M1/link.parquet", "M1/named", "M1/old/*.parquet"}
+
+    is_dir = Path.is_dir
+
+    def looked(path: Path) -> bool:
+        assert path.name not in ("link.parquet", "named", "old")
+        return is_dir(path)
+
+    monkeypatch.setattr(Path, "is_dir", looked)
+    found, absent = find_logs(spec, silent)
+    assert list(found) == [f"M1/{FIRST}.parquet", "M1/link.parquet", "M1/named"]
+    assert absent == []

@@ -1,0 +1,258 @@
+"""Names made to harm, of files and in them: nothing runs, nothing is written but below the output,
+and tables, terminals, spreadsheets and pages show what they are."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+from rich.console import Console
+
+from pipeline.cli import status_lines
+from pipeline.config import Channel, ConfigError, load_fleet
+from pipeline.config.field_paths import field_path
+from pipeline.config.time_formats import require_time_format
+from pipeline.export.csv import Selection, export_csv
+from pipeline.ingest.table import is_of_file
+from pipeline.logs.files import find_logs
+from pipeline.report import ReportRequest, build_report
+from pipeline.report.status import FleetStatus, MotorState
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.setup.check import check_fleet
+from pipeline.telling.command import Command
+from pipeline.telling.delivery import Delivery, UndeliveredError
+from tests.pipeline.simulated import load_motor, motor_toml, write_configs
+
+FILE_NAMES = [
+    *("$(touch harmed).parquet", "`touch harmed`.parquet", "; touch harmed;.parquet"),
+    *("|touch harmed.parquet", "-rf.parquet", "--help.parquet", "~.parquet", "%s%n.parquet"),
+    *("=cmd|' C'!A0.parquet", "@SUM(1+1).parquet", "+1.parquet", "\t=1.parquet", '"=1.parquet'),
+    *(
+        "a\n=1.parquet",
+        "a\r\nb.parquet",
+        "\x1b[2J\x1b]0;x\x07.parquet",
+    ),
+    *("\u202egnp.parquet", "\u2066a\u2069.parquet", "a\u2028b.parquet", "\ufeffa.parquet"),
+    *("<script>window.harmed=1<", "'\"><img src=x onerror=harmed>.parquet", "{{7*7}}.parquet"),
+    *(
+        "..\\..\\x.parquet",
+        "C:\\x.parquet",
+        "CON.parquet",
+        "[red]x[blue].parquet",
+        "[@click=harmed].parquet",
+    ),
+    *("x" * 247 + ".parquet", "\udc80\udcff.parquet", "a'b\"c.parquet", "..parquet", " .parquet"),
+]
+"""What a file may be called here: all but a slash and a zero byte."""
+
+TEXT = "x\x1b[2J\n=1+1,</script><b>[/red] $(touch harmed) `touch harmed`\u202e"
+
+
+def files_below(folder: Path) -> set[Path]:
+    return {path for path in folder.rglob("*") if not path.is_dir()}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A fleet of one motor, all logs of which have such a name and are no logs, after a run."""
+    folder = tmp_path_factory.mktemp("hostile")
+    fleet_file = write_configs(folder, {"M1": motor_toml("M1", files='"M1/**/*"')})
+    logs = folder / "logs" / "M1" / "a\n b"
+    logs.mkdir(parents=True)
+    for number, name in enumerate(FILE_NAMES):
+        (logs / name).write_bytes(
+            b"PAR1" if number % 2 else b"time,=1+1\n" + name.encode("utf-8", "replace")
+        )
+    before = files_below(folder)
+    fleet = load_fleet(fleet_file)
+    execution = fleet.execution.model_copy(update={"backend": "sequential"})
+    run_fleet(RunRequest(replace(fleet, execution=execution)))
+    assert all(path.is_relative_to(folder / "out") for path in files_below(folder) - before)
+    assert before <= files_below(folder)
+    return folder
+
+
+def input_files(folder: Path) -> pl.DataFrame:
+    return pl.read_parquet(folder / "out" / "tables" / "input_files" / "**" / "*.parquet")
+
+
+def test_each_file_has_a_row_and_a_name_that_can_be_shown(made: Path) -> None:
+    rows = input_files(made)
+    assert rows.height == len(set(FILE_NAMES))
+    assert rows["path"].n_unique() == rows.height
+    for column in ("path", "message"):
+        assert all(text.isprintable() for text in rows[column].to_list())
+    assert set(rows["error_code"]) == {"log_not_parquet", "log_truncated"}
+
+
+def test_two_names_that_look_the_same_are_two_files(tmp_path: Path) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", files='"M1/*.csv"'))
+    folder = spec.log_root / "M1"
+    folder.mkdir(parents=True)
+    for name in ("a\n.csv", "a\\n.csv"):
+        (folder / name).write_text("x")
+    names, absent = find_logs(spec)
+    assert sorted(path.name for path in names.values()) == ["a\n.csv", "a\\n.csv"]
+    assert list(names) == ["M1/a\\n.csv", "M1/a\\n.csv'"]
+    assert absent == []
+
+
+def test_links_that_go_round_end(tmp_path: Path) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", files='"**/**/*.csv"'))
+    folder = spec.log_root / "a" / "b"
+    folder.mkdir(parents=True)
+    (folder / "log.csv").write_text("x")
+    (folder / "round").symlink_to(spec.log_root)
+    (folder / "self.csv").symlink_to("self.csv")
+    names, _ = find_logs(spec)
+    assert "a/b/log.csv" in names
+
+
+def test_names_in_spreadsheets_are_no_formulas(made: Path, tmp_path: Path) -> None:
+    list(export_csv(made / "out", tmp_path, Selection()))
+    with (tmp_path / "input_files.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(set(FILE_NAMES))
+    for cell in (cell for row in rows for cell in row.values()):
+        assert not cell.startswith(("=", "+", "-", "@", "\t", "\r")) or _is_number(cell)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def test_names_in_pages_are_no_markup(made: Path, tmp_path: Path) -> None:
+    build_report(ReportRequest(made / "out", tmp_path / "report", fleet=TEXT))
+    pages = files_below(tmp_path / "report")
+    assert files_below(tmp_path) == pages
+    texts = [
+        page.read_text(encoding="utf-8")
+        for page in pages
+        if page.suffix in (".html", ".js") and "assets" not in page.parts
+    ]
+    assert any("window.harmed=1" in text for text in texts)  # which is shown
+    for text in texts:
+        for harm in ("<script>window.harmed", "<img src=x", "</script><b>", "\u2028"):
+            assert harm not in text
+
+
+def test_a_look_at_the_logs_shows_what_prints(made: Path) -> None:
+    for one in check_fleet(load_fleet(made / "configs" / "fleet.toml")):
+        assert all(fault.isprintable() for fault in one.faults)
+
+
+def test_faults_of_a_config_show_what_prints(tmp_path: Path) -> None:
+    hostile = '"\\u001b[2J\\n\\u202e" = 1\nname = "\\u001b[2J\\n</script>"\n'
+    fleet = write_configs(tmp_path, {"M1": hostile + motor_toml("M1")})
+    with pytest.raises(ConfigError) as raised:
+        load_fleet(fleet)
+    assert all(line.isprintable() for line in raised.value.message.split("\n"))
+    assert len(raised.value.message.split("\n")) == 1 + len(raised.value.faults)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"x = " + b"[" * 100_000,
+        b"x = " + b"{a=" * 100_000,
+        b".".join([b"a"] * 1500) + b" = 1",
+        b"x = " + b"9" * 10_000,
+        b"motor_id = 0x" + b"f" * 10_000,
+        b"x = '\xff'",
+        b"\x00",
+    ],
+)
+@pytest.mark.parametrize("file", ["fleet.toml", "motors/M1.toml"])
+def test_a_config_of_any_depth_or_size_of_number_is_a_fault(
+    tmp_path: Path, content: bytes, file: str
+) -> None:
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    path = fleet.parent / file
+    path.write_bytes(content + b"\n" + path.read_bytes())
+    with pytest.raises(ConfigError, match=r"not TOML|not UTF-8"):
+        load_fleet(fleet)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("a\\" * 100_000, "\\" * 200_001, "a[1]" * 50_000 + "[", "a." * 100_000),
+        *("a[123456789" * 20_000, "[" * 100_000, "a" * 200_000 + "["),
+    ],
+    ids=lambda text: text[:4],
+)
+def test_a_path_of_a_field_is_judged_at_once(text: str) -> None:
+    with pytest.raises(ValueError, match="is no path"):
+        field_path(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["%Y" * 50_000, "%" * 100_001, "%d.%m.%Y" * 10_000, "%:" * 10_000, "%.f" * 20_000, "x" * 10**6],
+    ids=lambda text: text[:4],
+)
+def test_a_format_of_times_is_judged_at_once(text: str) -> None:
+    with pytest.raises(ValueError, match="time format"):
+        require_time_format(text)
+
+
+def test_a_pattern_of_a_file_s_name_is_judged_at_once() -> None:
+    channel = Channel(source="*?" * 100 + "b", unit="rpm")
+    assert not is_of_file(channel, Path("a" * 255))
+
+
+def test_a_state_is_shown_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = Console(force_terminal=True, width=400, record=True, no_color=True)
+    monkeypatch.setattr(status_lines, "Console", lambda: shown)
+    motor = MotorState(
+        motor_id="M1",
+        state="alarm",
+        indicator="K_total",
+        leakage_l_per_min=None,
+        deviation_percent=None,
+        last_night=None,
+        last_good_night=None,
+        sensor_health=None,
+        reason=TEXT,
+        acknowledged="",
+    )
+    found = FleetStatus((motor,), None, 0, 0)
+    status_lines.print_status(TEXT, found, too_old=False, as_json=False)
+    text = shown.export_text()
+    assert "[/red] $(touch harmed)" in text
+    assert r"x\x1b[2J\n=1+1" in text
+
+
+# Those who are told
+
+
+ROW = json.dumps({"motor_id": TEXT, "reason": TEXT, "to_state": "alarm"}).encode()
+
+
+def test_a_command_gets_names_on_its_standard_input_and_no_shell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    keep = "import sys; open('got', 'wb').write(sys.stdin.buffer.read()); print(sys.argv[1:])"
+    argument = "; touch harmed; $(touch harmed)"
+    Command((sys.executable, "-c", keep, argument)).take(Delivery("msg_1", ROW))
+    assert [path.name for path in tmp_path.iterdir()] == ["got"]
+    assert (tmp_path / "got").read_bytes() == ROW
+
+
+def test_what_a_command_says_is_one_line_that_prints() -> None:
+    say = f"import sys; sys.stderr.write({TEXT!r} * 100); sys.exit(3)"
+    with pytest.raises(UndeliveredError) as caught:
+        Command((sys.executable, "-c", say)).take(Delivery("msg_1", ROW))
+    assert caught.value.why.startswith("ended with 3: ")
+    assert caught.value.why.isprintable()
+    assert len(caught.value.why) < 1000

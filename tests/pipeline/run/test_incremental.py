@@ -1,0 +1,304 @@
+"""What a run does again, and what it leaves: read from the logs, fitted, judged, or trends alone.
+
+Each test states by design.md section 4 which nights a change touches. What was read is seen by
+overwriting all logs with zeros of the same size and time first: whoever looks into one fails.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+import pipeline.config.hashes
+import pipeline.run.motor_task
+from pipeline.config import load_fleet
+from pipeline.run.fleet import RunRequest, plan_fleet, plan_trends, run_fleet
+from pipeline.run.tasks import MotorOutcome, Work
+from tests.pipeline.simulated import motor_toml, write_configs
+from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop
+
+FIRST = dt.date(2026, 3, 2)
+States = Mapping[str, tuple[int, int]]
+NIGHTS = tuple(FIRST + number * DAY for number in range(4))
+# A setting of each kind, and what must be made anew for it: all nights, or none.
+SETTINGS = {
+    "[cleaning]\nhampel_threshold = 6.0\n": ("cleaning.hampel_threshold", Work.READ),
+    "[windows]\ntraining_share = 0.7\n": ("windows.training_share", Work.READ),
+    "[smoothing]\nwindow_s = 10.0\n": ("smoothing.window_s", Work.READ),
+    "[reference]\npressure_bar = 210.0\n": ("reference.pressure_bar", Work.REFIT),
+    "[trend]\nbaseline_nights = 40\n": ("trend.baseline_nights", None),
+    "[alarms]\nwarning_percent = 12.0\n": ("alarms.warning_percent", None),
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    workshop = Workshop.at(tmp_path_factory.mktemp("made"))
+    for number, night in enumerate(NIGHTS):
+        workshop.log(night, seed=number + 1)
+    workshop.run()
+    assert set(workshop.statuses().values()) == {"ok"}
+    return workshop
+
+
+@pytest.fixture
+def workshop(made: Workshop, tmp_path: Path) -> Workshop:
+    """Four nights that are fitted."""
+    shutil.copytree(made.folder, tmp_path / "copy")
+    return Workshop(tmp_path / "copy")
+
+
+def blank(workshop: Workshop, *but: dt.date) -> None:
+    """Make the logs of all nights but some unreadable, and unchanged to the eye."""
+    for path in workshop.logs.iterdir():
+        if path.stem not in map(str, but):
+            state = path.stat()
+            with path.open("r+b") as stream:
+                stream.write(bytes(state.st_size))
+            os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def planned(workshop: Workshop) -> Mapping[dt.date, tuple[Work, str]]:
+    ((_, plan),) = plan_fleet(RunRequest(load_fleet(workshop.fleet)))
+    return {night: (step.work, step.reason) for night, step in plan.items()}
+
+
+def trends_planned(workshop: Workshop) -> dict[str, str]:
+    return dict(plan_trends(RunRequest(load_fleet(workshop.fleet))))
+
+
+def files(workshop: Workshop, *tables: str) -> States:
+    """Published files by path, with what changes when one is written anew."""
+    root = workshop.output / "tables"
+    paths = (path for table in tables for path in (root / table).rglob("*.parquet"))
+    states = ((path, path.stat()) for path in paths)
+    return {
+        path.relative_to(root).as_posix(): (state.st_ino, state.st_mtime_ns)
+        for path, state in states
+    }
+
+
+def written(
+    before: Mapping[str, tuple[int, int]], after: Mapping[str, tuple[int, int]]
+) -> set[str]:
+    return {Path(name).stem for name in after if after[name] != before.get(name)}
+
+
+# New, late and corrected files
+
+
+def test_a_new_night_reads_its_own_log_and_no_other(workshop: Workshop) -> None:
+    blank(workshop)
+    new = NIGHTS[-1] + DAY
+    workshop.log(new, seed=9)
+    before = files(workshop, "fits", "block_statistics", "quality", "trends")
+    outcome = workshop.run()
+    assert (outcome.status, outcome.nights) == ("ok", (new,))
+    assert outcome.files["read"] == 1
+    after = files(workshop, "fits", "block_statistics", "quality", "trends")
+    assert written(before, after) == {str(new)}
+
+
+def test_a_corrected_night_is_read_and_the_night_after_is_judged(workshop: Workshop) -> None:
+    """Design.md section 4: also the previous-model figures of the next night, and the trends."""
+    touched, after, last = NIGHTS[1], NIGHTS[2], NIGHTS[3]
+    path = workshop.log(touched, seed=9)
+    blank(workshop, touched)
+    assert planned(workshop) == {touched: (Work.READ, f"changed file M1/{path.name}")}
+    tables = ("block_statistics", "predictions", "quality")
+    before, fits = files(workshop, *tables), files(workshop, "fits")
+    trends = files(workshop, "trends")
+    outcome = workshop.run()
+    assert outcome.nights == (touched, after)
+    assert outcome.reasons == {f"changed file M1/{path.name}": 1, "another model before it": 1}
+    assert written(before, files(workshop, *tables)) == {str(touched)}
+    assert written(fits, files(workshop, "fits")) == {str(touched), str(after)}
+    assert written(trends, files(workshop, "trends")) == {str(touched), str(after), str(last)}
+    assert set(workshop.statuses().values()) == {"ok"}
+
+
+def test_a_late_night_in_front_of_all_others(workshop: Workshop) -> None:
+    blank(workshop)
+    late = FIRST - DAY
+    workshop.log(late, seed=9)
+    outcome = workshop.run()
+    assert outcome.nights == (late, FIRST)
+    assert outcome.files["read"] == 1
+
+
+def test_content_counts_and_not_the_time_of_a_file(workshop: Workshop) -> None:
+    for path in workshop.logs.iterdir():
+        os.utime(path, (1, 1))
+    assert planned(workshop) == {}
+    # Other content of the same size, and with the old time: seen by the number of the file.
+    path = workshop.logs / f"{NIGHTS[0]}.parquet"
+    copy = path.with_suffix(".copy")
+    shutil.copy2(path, copy)
+    copy.replace(path)
+    assert planned(workshop) == {}
+
+
+def test_strangers_among_the_tables_spoil_no_run(workshop: Workshop) -> None:
+    """Copies that somebody made, under names that are no night's."""
+    for table in (workshop.output / "tables").iterdir():
+        for month in list(table.glob("month=2*")):
+            (month / f"{NIGHTS[0]} (1).parquet").write_bytes(b"junk")
+            (table / "month=copy").mkdir(exist_ok=True)
+            (table / "month=copy" / f"{NIGHTS[0]}.parquet").write_bytes(b"junk")
+    workshop.log(NIGHTS[-1] + DAY)
+    assert workshop.run().status == "ok"
+
+
+# Settings
+
+
+@pytest.mark.parametrize("setting", SETTINGS)
+def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, setting: str) -> None:
+    name, work = SETTINGS[setting]
+    if work is not Work.READ:
+        blank(workshop)
+    workshop.configure(fleet=QUICK + setting)
+    why = f"changed setting {name}"
+    expected = {} if work is None else dict.fromkeys(NIGHTS, (work, why))
+    assert planned(workshop) == expected
+    assert trends_planned(workshop) == {"M1": f"M1: {why}"}
+    statistics = files(workshop, "block_statistics", "quality", "operation", "predictions")
+    figures, trends = files(workshop, "fits", "parameters"), files(workshop, "trends")
+    outcome = workshop.run()
+    everything = set(map(str, NIGHTS))
+    again = files(workshop, "block_statistics", "quality", "operation", "predictions")
+    assert written(statistics, again) == (everything if work is Work.READ else set())
+    assert written(figures, files(workshop, "fits", "parameters")) == (
+        everything if work else set()
+    )
+    assert written(trends, files(workshop, "trends")) == everything
+    assert outcome.n_refitted == (len(NIGHTS) if work is Work.REFIT else 0)
+    assert (planned(workshop), trends_planned(workshop)) == ({}, {})
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("[execution]\n", "[execution]\nworkers = 1\n"),
+        ("[execution]\n", "[execution]\nminimum_free_mib = 0\n"),
+        ("[execution]\n", "[retention]\npredictions = 9\n[execution]\n"),
+        ("[execution]\n", '[alarms]\nwebhook_url = "https://example.org/x"\n[execution]\n'),
+        ("[execution]\n", '[alarms]\nwebhook_headers = { X = "1" }\n[execution]\n'),
+        ("[execution]\n", '[alarms]\nwebhook_secret = "${X}"\n[execution]\n'),
+        ('name = "Tests"', 'name = "Others"'),
+    ],
+)
+def test_what_shapes_no_figure_redoes_nothing(workshop: Workshop, change: tuple[str, str]) -> None:
+    blank(workshop)
+    assert change[0] in QUICK
+    workshop.configure(fleet=QUICK.replace(*change))
+    assert (planned(workshop), trends_planned(workshop)) == ({}, {})
+    tables = ("fits", "trends", "block_statistics")
+    before = files(workshop, *tables)
+    assert workshop.run().nights == ()
+    assert files(workshop, *tables) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("FIGURES_VERSION", "figures"), ("READING_VERSION", "reading")],
+)
+def test_a_new_version_of_the_program_is_named(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch, name: str, said: str
+) -> None:
+    old = getattr(pipeline.config.hashes, name)
+    monkeypatch.setattr(pipeline.config.hashes, name, old + 1)
+    plan = planned(workshop)
+    assert list(plan) == list(NIGHTS)
+    reasons = {reason for _, reason in plan.values()}
+    if said == "figures":
+        assert reasons == {f"another version of the program (figures {old} to {old + 1})"}
+        assert {work for work, _ in plan.values()} == {Work.REFIT}
+    else:
+        assert {work for work, _ in plan.values()} == {Work.READ}
+    words = f"M1: another version of the program ({said} {old} to {old + 1})"
+    assert trends_planned(workshop) == {"M1": words}
+
+
+def test_both_kinds_of_settings_name_only_their_own(workshop: Workshop) -> None:
+    more = "[reference]\npressure_bar = 210.0\n[trend]\nbaseline_nights = 40\n"
+    workshop.configure(fleet=QUICK + more)
+    assert {reason for _, reason in planned(workshop).values()} == {
+        "changed setting reference.pressure_bar"
+    }
+    assert trends_planned(workshop) == {
+        "M1": "M1: changed setting reference.pressure_bar, trend.baseline_nights"
+    }
+
+
+# What is asked for
+
+
+def outcome_of(request: RunRequest, motor_id: str = "M1") -> MotorOutcome:
+    found = {one.motor_id: one for one in run_fleet(request).outcomes}
+    return found[motor_id]
+
+
+def test_since_and_until_leave_the_rest_to_a_later_run(workshop: Workshop) -> None:
+    later = tuple(NIGHTS[-1] + (number + 1) * DAY for number in range(3))
+    for number, night in enumerate(later):
+        workshop.log(night, seed=number + 5)
+    fleet = load_fleet(workshop.fleet)
+    one = outcome_of(RunRequest(fleet, since=later[1], until=later[1]))
+    assert (one.nights, one.files["left"]) == ((later[1],), 2)
+    rest = outcome_of(RunRequest(fleet))
+    # The middle one is judged anew: there is a nearer model before it.
+    assert rest.nights == later
+    assert rest.reasons["another model before it"] == 1
+
+
+def test_a_changed_setting_within_a_range_leaves_the_rest_outdated(workshop: Workshop) -> None:
+    workshop.configure(fleet=QUICK + "[reference]\npressure_bar = 210.0\n")
+    fleet = load_fleet(workshop.fleet)
+    assert outcome_of(RunRequest(fleet, until=NIGHTS[1])).nights == NIGHTS[:2]
+    pressures = dict(workshop.rows("fits").select("night", "reference_pressure_bar").iter_rows())
+    assert pressures == {**dict.fromkeys(NIGHTS[:2], 210.0), **dict.fromkeys(NIGHTS[2:], 200.0)}
+    assert list(planned(workshop)) == list(NIGHTS[2:])
+    assert outcome_of(RunRequest(fleet)).nights == NIGHTS[2:]
+
+
+def test_force_makes_asked_for_nights_anew_and_the_same(workshop: Workshop) -> None:
+    before = workshop.rows("fits")
+    request = RunRequest(load_fleet(workshop.fleet), since=NIGHTS[2], force=True)
+    assert outcome_of(request).nights == NIGHTS[2:]
+    assert workshop.rows("fits").equals(before)
+
+
+def test_only_the_motors_asked_for_are_done(tmp_path: Path) -> None:
+    workshop = Workshop.at(tmp_path)
+    for night in NIGHTS[:2]:
+        workshop.log(night)
+    shutil.copytree(workshop.logs, tmp_path / "logs" / "M2")
+    motors = {name: motor_toml(name, "MINI") for name in ("M1", "M2")}
+    write_configs(tmp_path, motors, {"MINI": MINI}, QUICK)
+    fleet = load_fleet(workshop.fleet)
+    first = run_fleet(RunRequest(fleet, ("M2",)))
+    assert [one.motor_id for one in first.outcomes] == ["M2"]
+    assert set(workshop.rows("fits")["motor_id"]) == {"M2"}
+    both = run_fleet(RunRequest(fleet))
+    assert {one.motor_id: one.nights for one in both.outcomes} == {"M1": NIGHTS[:2], "M2": ()}
+    assert workshop.rows("fits").height == 4
+
+
+def test_retry_does_what_failed_and_what_is_new_and_no_more(workshop: Workshop) -> None:
+    bad, new = NIGHTS[-1] + DAY, NIGHTS[-1] + 2 * DAY
+    (workshop.logs / f"{bad}.parquet").write_bytes(b"no Parquet")
+    assert workshop.run().status == "failed"
+    blank(workshop, bad)
+    workshop.log(new, seed=9)
+    fleet = load_fleet(workshop.fleet)
+    plan = dict(plan_fleet(RunRequest(fleet, retry=True)))["M1"]
+    assert list(plan) == [bad, new]
+    outcome = outcome_of(RunRequest(fleet, retry=True))
+    assert outcome.nights == (bad, new)
+    assert outcome.counts == {"failed": 1, "ok": 1}

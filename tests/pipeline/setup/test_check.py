@@ -1,0 +1,253 @@
+"""`check`: what is wrong with config and logs, before a night depends on them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.setup.channel_check import ChannelCheck
+from pipeline.setup.check import MotorCheck, check_fleet
+from tests.conftest import OwnFleet
+from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs, write_log
+
+MOTORS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-02"]
+
+
+def checks_of(fleet_file: Path) -> dict[str, MotorCheck]:
+    return {one.motor_id: one for one in check_fleet(load_fleet(fleet_file))}
+
+
+def test_a_sound_fleet(demo_folder: Path) -> None:
+    checks = checks_of(demo_folder / "configs" / "fleet.toml")
+    assert list(checks) == MOTORS
+    for motor, one in checks.items():
+        assert motor.startswith(one.motor_type)
+        assert (one.n_files, one.n_nights) == (3, 3)
+        assert (one.first, one.last) == ("2026-01-02", "2026-01-04")
+        assert one.faults == ()
+        assert one.placeholders
+    assert [checks[motor].log_format for motor in MOTORS] == [
+        *("parquet", "mcap", "csv", "parquet", "mcap", "csv")
+    ]
+
+
+def test_nothing_is_written_and_nothing_remembered(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB400-02")
+    before = sorted(fleet.parent.parent.rglob("*"))
+    check_fleet(load_fleet(fleet))
+    assert sorted(fleet.parent.parent.rglob("*")) == before
+
+
+def test_a_check_does_not_read_logs_to_their_end(
+    demo_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A year of logs is looked at in seconds: neither hashed nor read."""
+
+    def forbidden(*_: object) -> object:
+        raise AssertionError
+
+    monkeypatch.setattr("pipeline.logs.files.content_hash", forbidden)
+    monkeypatch.setattr("pipeline.logs.files.read_log", forbidden)
+    assert all(not one.faults for one in checks_of(demo_folder / "configs" / "fleet.toml").values())
+
+
+@pytest.mark.parametrize("motor", ["CB400-01", "CB400-02", "CB560-01"])
+@pytest.mark.parametrize(
+    "content", [b"", b"\x00" * 4096, b"nonsense\n" * 1000], ids=["empty", "zeros", "text"]
+)
+def test_a_broken_log_is_a_fault_with_its_name(
+    own_fleet: OwnFleet, motor: str, content: bytes
+) -> None:
+    fleet = own_fleet(motor)
+    path = sorted((fleet.parent.parent / "demo" / "logs" / motor).iterdir())[1]
+    path.write_bytes(content)
+    one = checks_of(fleet)[motor]
+    assert (one.n_files, one.n_nights) == (3, 2)
+    (fault,) = one.faults
+    assert fault.startswith("log_")
+    assert path.name in fault
+
+
+def test_names_that_are_absent_and_channels_that_are_not_there(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"M1/a.parquet", "M1/b.parquet", "M1/c*.parquet"')
+    fleet = write_configs(tmp_path, {"M1": text})
+    operation = operate()
+    values = operation.channels(operation.pressure_bar)
+    del values["speed"]
+    write_log(tmp_path / "logs" / "M1" / "a.parquet", operation.time_us, values)
+    one = checks_of(fleet)["M1"]
+    assert one.n_files == 1
+    assert any("log_missing" in fault and "M1/b.parquet" in fault for fault in one.faults)
+    assert not any("c*" in fault for fault in one.faults)
+
+
+def test_no_logs_at_all(tmp_path: Path) -> None:
+    one = checks_of(write_configs(tmp_path, {"M1": motor_toml("M1")}))["M1"]
+    assert (one.n_files, one.n_nights, one.first, one.last) == (0, 0, None, None)
+    assert (one.faults, one.channels) == ((), ())
+    (note,) = one.notes
+    assert note.startswith("no file matches M1/*.parquet below ")
+
+
+def test_a_pattern_without_a_match_beside_one_with_a_match(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"M1/*.parquet", "M1/*/late-*.parquet"')
+    fleet = write_configs(tmp_path, {"M1": text})
+    operation = operate()
+    values = operation.channels(operation.pressure_bar)
+    write_log(tmp_path / "logs" / "M1" / "a[1].parquet", operation.time_us, values)
+    one = checks_of(fleet)["M1"]
+    assert one.n_files == 1
+    (note,) = one.notes
+    assert note.startswith("no file matches M1/*/late-*.parquet below ")
+
+
+def test_a_newest_log_that_cannot_be_read_is_a_fault(own_fleet: OwnFleet) -> None:
+    """A column that is not there shows only where a log is read."""
+    fleet = own_fleet("CB400-02")
+    motor = fleet.parent / "motors" / "CB400-02.toml"
+    text = motor.read_text("utf-8").replace('source = "speed"', 'source = "velocity"')
+    motor.write_text(text, "utf-8")
+    one = checks_of(fleet)["CB400-02"]
+    assert any(fault.startswith("log_column_missing") for fault in one.faults)
+
+
+def test_constants_from_a_drawing_are_no_placeholders(tmp_path: Path) -> None:
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    path = tmp_path / "configs" / "motor_types" / "CB560.toml"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace('"placeholder"', '"drawing 4711"', 3), encoding="utf-8")
+    assert checks_of(fleet)["M1"].placeholders
+    path.write_text(text.replace('"placeholder"', '"drawing 4711"'), encoding="utf-8")
+    assert checks_of(fleet)["M1"].placeholders == ("ISO VG 68 hydraulic oil",)
+    oil = tmp_path / "configs" / "oils" / "vg68.toml"
+    oil.write_text(oil.read_text("utf-8").replace('"placeholder"', '"data sheet"'), "utf-8")
+    assert not checks_of(fleet)["M1"].placeholders
+
+
+def test_a_whole_night_counts_once_however_many_files(tmp_path: Path) -> None:
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    operation = operate()
+    for number, rows in enumerate((slice(0, 900), slice(900, None))):
+        values = operation.channels(operation.pressure_bar)
+        write_log(
+            tmp_path / "logs" / "M1" / f"{number}.parquet",
+            operation.time_us[rows],
+            {name: value[rows] for name, value in values.items()},
+        )
+    one = checks_of(fleet)["M1"]
+    assert (one.n_files, one.n_nights, one.first) == (2, 1, NIGHT.isoformat())
+
+
+def channels_of(fleet: Path, motor: str) -> dict[str, ChannelCheck]:
+    return {one.channel: one for one in checks_of(fleet)[motor].channels}
+
+
+def test_each_channel_of_the_newest_log_is_described(own_fleet: OwnFleet) -> None:
+    channels = channels_of(own_fleet("CB400-01"), "CB400-01")
+    assert set(channels) == {"pressure_difference", "oil_temperature", "speed", "leakage_flow"}
+    for name, one in channels.items():
+        assert (one.configured, one.looks, one.remarks) == ("periodic", "periodic", ())
+        assert one.rate_hz == pytest.approx(1.0 if name == "oil_temperature" else 5.0, rel=0.01)
+        assert 0 <= one.share_missing <= one.share_refused < 0.2
+    assert 30 < (channels["oil_temperature"].median or 0) < 70
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "channel"),
+    [
+        ("kPa", "bar", "pressure_difference"),
+        ("K", "degC", "oil_temperature"),
+        ("m3/h", "l/min", "leakage_flow"),
+    ],
+)
+def test_a_wrong_unit_is_suspected_and_the_right_one_named(
+    own_fleet: OwnFleet, right: str, wrong: str, channel: str
+) -> None:
+    fleet = own_fleet("CB1120-01")
+    assert channels_of(fleet, "CB1120-01")[channel].remarks == ()
+    change(fleet, "CB1120-01", (f'"{right}"', f'"{wrong}"'))
+    channels = channels_of(fleet, "CB1120-01")
+    (remark,) = channels[channel].remarks
+    assert right in remark
+    # The others are as they were: a wrong unit of theirs is not theirs.
+    assert [name for name, one in channels.items() if one.remarks] == [channel]
+
+
+UNITS = {"kPa": "bar", "K": "degC", "1/s": "rad/s", "m3/h": "l/min"}
+
+
+@pytest.mark.parametrize("wrong", [("kPa", "K"), ("kPa", "K", "m3/h"), ("K", "m3/h")])
+def test_each_of_several_wrong_units_is_suspected_and_no_other(
+    own_fleet: OwnFleet, wrong: tuple[str, ...]
+) -> None:
+    """The flow is judged by what the others would be in a unit that makes them usual."""
+    fleet = own_fleet("CB1120-01")
+    change(fleet, "CB1120-01", *((f'"{right}"', f'"{UNITS[right]}"') for right in wrong))
+    remarks = {
+        one.channel: remark
+        for one in channels_of(fleet, "CB1120-01").values()
+        for remark in one.remarks
+    }
+    of_unit = {"kPa": "pressure_difference", "K": "oil_temperature", "m3/h": "leakage_flow"}
+    assert set(remarks) == {of_unit[right] for right in wrong}
+    for right in wrong:
+        assert right in remarks[of_unit[right]]
+
+
+def test_wrong_units_of_a_usual_size_are_named_beside_the_flow(own_fleet: OwnFleet) -> None:
+    """20 MPa taken for 20 bar and 50 °C for 50 °F are usual; only the flow does not fit them."""
+    fleet = own_fleet("CB400-01")
+    wrong = ('unit = "bar"', 'unit = "bar"\nscale = 0.1'), ('unit = "degC"', 'unit = "degF"')
+    change(fleet, "CB400-01", *wrong)
+    channels = channels_of(fleet, "CB400-01")
+    assert [name for name, one in channels.items() if one.remarks] == ["leakage_flow"]
+    (remark,) = channels["leakage_flow"].remarks
+    assert "l/min, which is unusual where the model has 0.0" in remark
+    assert "or that of oil_temperature degC" in remark
+
+
+def test_counts_and_channels_that_say_nothing_of_the_load_have_no_usual_size(
+    own_fleet: OwnFleet,
+) -> None:
+    fleet = own_fleet("CB560-02")
+    change(fleet, "CB560-02", ('source = "p_low"\nunit = "bar"', 'source = "p_low"\nunit = "Pa"'))
+    assert channels_of(fleet, "CB560-02")["low_port_pressure"].remarks == ()
+
+
+def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: OwnFleet) -> None:
+    """What stands on change, in a log whose other channels are periodic."""
+    fleet = own_fleet("CB400-02")
+    log = max((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
+    table = pl.read_parquet(log)
+    filled = pl.col("oil_temperature").forward_fill()
+    sent = pl.when(filled.ne_missing(filled.shift())).then(filled).alias("oil_temperature")
+    pq.write_table(table.with_columns(sent).to_arrow(), log)
+    channels = channels_of(fleet, "CB400-02")
+    (remark,) = channels["oil_temperature"].remarks
+    assert channels["oil_temperature"].looks == "sent on change, compressed, or lost in part"
+    assert remark.startswith("configured as periodic, looks sent on change, compressed, or lost in")
+    assert 'then sampling = "on_change"' in remark
+    assert [name for name, one in channels.items() if one.remarks] == ["oil_temperature"]
+    stated = 'source = "oil_temperature"\nsampling = "on_change"\nlongest_silence_s = 60.0'
+    change(fleet, "CB400-02", ('source = "oil_temperature"', stated))
+    assert channels_of(fleet, "CB400-02")["oil_temperature"].remarks == ()
+
+
+def change(fleet: Path, motor: str, *changes: tuple[str, str]) -> None:
+    path = fleet.parent / "motors" / f"{motor}.toml"
+    text = path.read_text("utf-8")
+    for before, after in changes:
+        assert before in text
+        text = text.replace(before, after)
+    path.write_text(text, "utf-8")
+
+
+def test_a_motor_without_a_readable_log_has_no_channels(own_fleet: OwnFleet) -> None:
+    fleet = own_fleet("CB400-02")
+    for path in (fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir():
+        path.write_bytes(b"nonsense")
+    assert checks_of(fleet)["CB400-02"].channels == ()

@@ -1,0 +1,371 @@
+"""`check --suggest` of MCAP: what it lists, and that what it prints reads the log."""
+
+from __future__ import annotations
+
+import io
+import json
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.timestamp_pb2 import Timestamp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+from mcap_ros2._dynamic import serialize_dynamic
+
+from pipeline.ingest import read_log
+from pipeline.setup.suggest import suggest
+from tests.pipeline.ingest.writers import T0_US
+from tests.pipeline.simulated import load_motor
+
+HEAD = 'motor_id = "M1"\nmotor_type = "CB560"\noil = "vg68"\n'
+COUNT = 40
+VALUES = {
+    "pressure_difference": 180.0 + np.arange(COUNT),
+    "oil_temperature": 50.0 + 0.25 * np.arange(COUNT),
+    "speed": 20.0 + 0.5 * np.arange(COUNT),
+    "leakage_flow": 1.0 + 0.125 * np.arange(COUNT),
+}
+TIMES_US = T0_US + 200_000 * np.arange(COUNT)
+RECORDED_LATER_NS = 3_000_000
+
+Schema = tuple[str, str, bytes]
+Message = tuple[str, int, bytes]
+
+
+def write(
+    folder: Path,
+    messages: Sequence[Message],
+    schemas: Mapping[str, Schema],
+    encoding: str,
+    late_ns: int = 0,
+    **options: Any,
+) -> Path:
+    """A log of (topic, publish time [µs], payload), recorded so much later."""
+    buffer = io.BytesIO()
+    writer = Writer(buffer, **{"chunk_size": 2000} | options)
+    writer.start()
+    ids = {
+        topic: writer.register_channel(topic, encoding, writer.register_schema(*schema))
+        for topic, schema in schemas.items()
+    }
+    for topic, time_us, payload in messages:
+        writer.add_message(ids[topic], 1000 * time_us + late_ns, payload, 1000 * time_us)
+    writer.finish()
+    path = folder / "logs" / "M1" / "log.mcap"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(buffer.getvalue())
+    return path
+
+
+def json_log(folder: Path, topics: Mapping[str, Callable[[int], Any]], **options: Any) -> Path:
+    """A log of JSON messages, made by topic of a sample's number."""
+    messages = [
+        (topic, int(time_us), json.dumps(make(i)).encode())
+        for i, time_us in enumerate(TIMES_US.tolist())
+        for topic, make in topics.items()
+    ]
+    return write(
+        folder, messages, dict.fromkeys(topics, ("Value", "jsonschema", b"{}")), "json", **options
+    )
+
+
+def require_it_reads(folder: Path, path: Path, late_us: int = 0) -> str:
+    toml = suggest(path)
+    motor = load_motor(folder, HEAD + toml).file
+    log = read_log(path, motor.logs, motor.channels)
+    assert set(log.channels) == set(VALUES)
+    for channel, values in VALUES.items():
+        np.testing.assert_array_equal(log.channels[channel].time_us, TIMES_US + late_us)
+        np.testing.assert_allclose(log.channels[channel].value, values, rtol=1e-6)
+    return toml
+
+
+def comments(toml: str) -> list[str]:
+    return [line[2:] for line in toml.splitlines() if line.startswith("# ")]
+
+
+# JSON
+
+
+def test_a_topic_a_channel(tmp_path: Path) -> None:
+    names = {
+        "pressure_difference": "/mill/m1/pressure_difference",
+        "oil_temperature": "/mill/m1/oil_temperature",
+        "speed": "/mill/m1/speed",
+        "leakage_flow": "/mill/m1/drain_flow",
+    }
+    path = json_log(
+        tmp_path,
+        {
+            topic: lambda i, channel=channel: {"value": VALUES[channel][i], "quality": 192}
+            for channel, topic in names.items()
+        }
+        | {"/mill/m1/operator": lambda i: {"name": "me", "shift": i % 3}},
+    )
+    toml = require_it_reads(tmp_path, path)
+    assert comments(toml)[:3] == [
+        "topics:",
+        "  /mill/m1/drain_flow: json Value, 40 messages",
+        "    value: 1; 1.125; 1.25",
+    ]
+    found = tomllib.loads(toml)
+    assert {name: one["source"] for name, one in found["channels"].items()} == names
+    assert '#   "/mill/m1/operator shift"   0; 1; 2' in toml
+    assert found["logs"]["time"] == "log_time"
+
+
+def test_one_topic_with_fields_within_fields_units_and_a_stamp(tmp_path: Path) -> None:
+    def message(i: int) -> dict[str, Any]:
+        return {
+            "stamp": {"sec": int(TIMES_US[i]) // 10**6, "nanosec": int(TIMES_US[i]) % 10**6 * 1000},
+            "hydraulics": {
+                "pressure": {"a": VALUES["pressure_difference"][i] * 100 + 1500, "b": 1500.0},
+                "pressure.diff": {"value": VALUES["pressure_difference"][i] * 100, "unit": "kPa"},
+            },
+            "readings": [{"drain_flow_lpm": VALUES["leakage_flow"][i], "ok": True}],
+            "shaft": {"rpm": VALUES["speed"][i]},
+            "temps": {"oil_degC": VALUES["oil_temperature"][i], "ambient_degC": 20.0},
+        }
+
+    path = json_log(tmp_path, {"/drive": message}, late_ns=RECORDED_LATER_NS)
+    toml = require_it_reads(tmp_path, path)
+    found = tomllib.loads(toml)
+    assert found["logs"]["stamp"] == "stamp"
+    channels = found["channels"]
+    assert channels["pressure_difference"]["field"] == r"hydraulics.pressure\.diff.value"
+    assert channels["pressure_difference"]["unit"] == "kPa"
+    assert channels["leakage_flow"]["field"] == "readings[0].drain_flow_lpm"
+    # A motor has the difference of its ports' pressures, or both: not all three.
+    assert {"high_port_pressure", "low_port_pressure"}.isdisjoint(channels)
+    assert '"/drive hydraulics.pressure.a"' in toml
+    assert '"/drive temps.ambient_degC"' in toml
+
+
+@pytest.mark.parametrize(
+    ("stamp", "form"),
+    [
+        (lambda us: us // 1000, "epoch_ms"),
+        (lambda us: us / 1e6, "epoch_s"),
+        (lambda us: f"{np.datetime64(us, 'us')}Z", "iso8601"),
+    ],
+)
+def test_stamps_that_are_a_number_or_text(
+    tmp_path: Path, stamp: Callable[[int], Any], form: str
+) -> None:
+    path = json_log(
+        tmp_path,
+        {
+            f"/{channel}": lambda i, values=values: {"t": stamp(int(TIMES_US[i])), "v": values[i]}
+            for channel, values in VALUES.items()
+        },
+        late_ns=RECORDED_LATER_NS,
+    )
+    found = tomllib.loads(require_it_reads(tmp_path, path))
+    assert found["logs"]["stamp"] == "t"
+    assert found["logs"].get("time_format", "iso8601") == form
+
+
+def test_the_time_of_publishing_is_told_where_it_is_another(tmp_path: Path) -> None:
+    path = json_log(
+        tmp_path,
+        {f"/{c}": lambda i, v=v: {"value": v[i]} for c, v in VALUES.items()},
+        late_ns=RECORDED_LATER_NS,
+    )
+    toml = require_it_reads(tmp_path, path, late_us=RECORDED_LATER_NS // 1000)
+    assert "publish_time is 3 ms before it: which is when it was measured?" in toml
+    chosen = toml.replace('time = "log_time"', 'time = "publish_time"')
+    motor = load_motor(tmp_path, HEAD + chosen).file
+    log = read_log(path, motor.logs, motor.channels)
+    assert log.first_us == T0_US
+
+
+# ROS 2 and Protobuf
+
+STAMPED = """
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+STANDARD = {
+    "sensor_msgs/msg/FluidPressure": "std_msgs/Header header\nfloat64 fluid_pressure\n"
+    "float64 variance\n",
+    "sensor_msgs/msg/Temperature": "std_msgs/Header header\nfloat64 temperature\n"
+    "float64 variance\n",
+    "motor_msgs/msg/Shaft": "std_msgs/Header header\nfloat32[2] speeds\n",
+    "motor_msgs/msg/Drain": "std_msgs/Header header\nfloat64 flow_m3_h\nstring note\n",
+}
+
+
+def test_ros_2_with_the_units_of_its_standard_messages(tmp_path: Path) -> None:
+    encode = {
+        name: serialize_dynamic(name, text + STAMPED)[name] for name, text in STANDARD.items()
+    }
+    topics = {
+        "/dp": ("sensor_msgs/msg/FluidPressure", "pressure_difference", "fluid_pressure", 1e5),
+        "/oil": ("sensor_msgs/msg/Temperature", "oil_temperature", "temperature", 1.0),
+        "/shaft": ("motor_msgs/msg/Shaft", "speed", "speeds", 1.0),
+        "/drain": ("motor_msgs/msg/Drain", "leakage_flow", "flow_m3_h", 0.06),
+    }
+    messages: list[Message] = []
+    for i, time_us in enumerate(TIMES_US.tolist()):
+        stamp = {"sec": time_us // 10**6, "nanosec": time_us % 10**6 * 1000}
+        for topic, (name, channel, field, factor) in topics.items():
+            value: Any = VALUES[channel][i] * factor
+            content = {"header": {"stamp": stamp, "frame_id": "x"}, "note": "", "variance": 0.5}
+            content[field] = [value, -1.0] if field == "speeds" else value
+            messages.append((topic, time_us + 7, encode[name](content)))
+    schemas = {
+        topic: (name, "ros2msg", (STANDARD[name] + STAMPED).encode())
+        for topic, (name, *_) in topics.items()
+    }
+    toml = require_it_reads(tmp_path, write(tmp_path, messages, schemas, "cdr"))
+    found = tomllib.loads(toml)
+    assert found["logs"]["stamp"] == "header.stamp"
+    units = {name: one["unit"] for name, one in found["channels"].items()}
+    assert (units["pressure_difference"], units["oil_temperature"]) == ("Pa", "degC")
+    assert "  /dp: cdr sensor_msgs/msg/FluidPressure, 40 messages" in comments(toml)
+
+
+def motor_class() -> tuple[Any, bytes]:
+    """A Protobuf message with a stamp, numbers, a message of its own within, and a map."""
+    kinds = descriptor_pb2.FieldDescriptorProto
+    stamps = descriptor_pb2.FileDescriptorProto()
+    Timestamp.DESCRIPTOR.file.CopyToProto(stamps)
+    file = descriptor_pb2.FileDescriptorProto(
+        name="motor.proto", package="plant", syntax="proto3", dependency=[stamps.name]
+    )
+    motor = file.message_type.add(name="Motor")
+    inner = motor.nested_type.add(name="Hydraulics")
+    for number, name in enumerate(("dp_bar", "drain_flow_lpm"), 1):
+        inner.field.add(name=name, number=number, type=kinds.TYPE_DOUBLE, label=1)
+    for number, (name, kind, of) in enumerate(
+        (
+            ("at", kinds.TYPE_MESSAGE, ".google.protobuf.Timestamp"),
+            ("hydraulics", kinds.TYPE_MESSAGE, ".plant.Motor.Hydraulics"),
+            ("speed_rpm", kinds.TYPE_FLOAT, ""),
+            ("oil_temp_degC", kinds.TYPE_FLOAT, ""),
+            ("running", kinds.TYPE_BOOL, ""),
+        ),
+        1,
+    ):
+        motor.field.add(name=name, number=number, type=kind, type_name=of or None, label=1)
+    entry = motor.nested_type.add(name="OilEntry")
+    entry.options.map_entry = True
+    entry.field.add(name="key", number=1, type=kinds.TYPE_STRING, label=1)
+    entry.field.add(name="value", number=2, type=kinds.TYPE_DOUBLE, label=1)
+    map_of = {"type": kinds.TYPE_MESSAGE, "type_name": ".plant.Motor.OilEntry", "label": 3}
+    motor.field.add(name="oil", number=6, **map_of)
+    pool = descriptor_pool.DescriptorPool()
+    for one in (stamps, file):
+        pool.Add(one)
+    made = message_factory.GetMessageClass(pool.FindMessageTypeByName("plant.Motor"))
+    return made, descriptor_pb2.FileDescriptorSet(file=[file, stamps]).SerializeToString()
+
+
+def test_protobuf_with_its_timestamp(tmp_path: Path) -> None:
+    made, descriptors = motor_class()
+    messages: list[Message] = []
+    for i, time_us in enumerate(TIMES_US.tolist()):
+        one = made(speed_rpm=VALUES["speed"][i], oil_temp_degC=VALUES["oil_temperature"][i])
+        one.at.seconds, one.at.nanos = time_us // 10**6, time_us % 10**6 * 1000
+        one.hydraulics.dp_bar = VALUES["pressure_difference"][i]
+        one.hydraulics.drain_flow_lpm = VALUES["leakage_flow"][i]
+        one.oil["temp"] = 1.0
+        messages.append(("/motor", time_us + 5, one.SerializeToString()))
+    schema = ("plant.Motor", "protobuf", descriptors)
+    toml = require_it_reads(tmp_path, write(tmp_path, messages, {"/motor": schema}, "protobuf"))
+    found = tomllib.loads(toml)
+    assert found["logs"]["stamp"] == "at"
+    assert found["channels"]["leakage_flow"]["field"] == "hydraulics.drain_flow_lpm"
+    # The keys of a map are not in the schema.
+    assert found["channels"]["oil_temperature"]["field"] == "oil_temp_degC"
+    assert "which is it?" not in toml
+
+
+# What is there and cannot be used
+
+
+def test_messages_that_are_not_read_are_listed_with_the_reason(tmp_path: Path) -> None:
+    schema = ("Thing", "flatbuffer", b"?")
+    path = write(tmp_path, [("/x", T0_US, b"abc")], {"/x": schema}, "flatbuffer")
+    toml = suggest(path)
+    assert comments(toml)[1:3] == [
+        "  /x: flatbuffer Thing, 1 messages",
+        "    not read: messages in 'flatbuffer'",
+    ]
+    assert "not found, give source and unit: pressure_difference, oil_temperature" in toml
+    assert tomllib.loads(toml)["logs"]["format"] == "mcap"
+
+
+def test_fields_that_are_no_readings_are_no_channels(tmp_path: Path) -> None:
+    path = json_log(
+        tmp_path, {"/drain_flow": lambda i: {"seq": i, "variance": 0.5, "sensor_id": 7, "x": 1.0}}
+    )
+    found = tomllib.loads(suggest(path))
+    assert "channels" not in found
+
+
+def test_recordings_of_others(foreign_files: Path) -> None:
+    for path in sorted((foreign_files / "mcap").iterdir()):
+        toml = suggest(path)
+        assert tomllib.loads(toml)["logs"]["format"] == "mcap"
+        assert comments(toml)[0] == "topics:"
+    told = comments(suggest(foreign_files / "mcap" / "cdr_test_0.mcap"))
+    assert "  /test_topic: cdr test_msgs/msg/BasicTypes, 7 messages" in told or any(
+        "/test_topic: cdr" in line for line in told
+    )
+    assert any(line.strip().startswith("float64_value: ") for line in told)
+
+
+# Any layout
+
+
+@settings(max_examples=25)
+@given(st.data())
+def test_any_layout_reads_back_what_was_written(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    """Channels spread over topics at will, under names at will, in any container."""
+    draw = data.draw
+    words = {
+        "pressure_difference": ["dp_bar", "pressure_difference.bar", "delta_p (bar)"],
+        "oil_temperature": ["oil_temp_degC", "t_oil_degC", "temperature [°C]"],
+        "speed": ["speed_rpm", "rpm", "motor.speed_rpm"],
+        "leakage_flow": ["drain_flow_lpm", "leakage [l/min]", "q_lpm"],
+    }
+    names = {channel: draw(st.sampled_from(known)) for channel, known in words.items()}
+    topics = {channel: draw(st.sampled_from(["/a", "/b/c", "d"])) for channel in names}
+    nested = draw(st.booleans())
+    stamped = draw(st.sampled_from(["", "time", "header"]))
+
+    def message(topic: str, i: int) -> dict[str, Any]:
+        inner = {
+            names[channel]: VALUES[channel][i] for channel in names if topics[channel] == topic
+        }
+        content: dict[str, Any] = {"data": {"all": [inner]}} if nested else dict(inner)
+        us = int(TIMES_US[i])
+        pair = {"sec": us // 10**6, "nsec": us % 10**6 * 1000}
+        stamps = {"time": us / 1e6, "header": {"seq": i, "stamp": pair}}
+        return content | ({stamped: stamps[stamped]} if stamped else {})
+
+    path = json_log(
+        tmp_path_factory.mktemp("any"),
+        {topic: lambda i, topic=topic: message(topic, i) for topic in sorted(set(topics.values()))},
+        late_ns=RECORDED_LATER_NS if stamped else 0,
+        compression=draw(st.sampled_from(list(CompressionType))),
+        use_chunking=draw(st.booleans()),
+        use_statistics=draw(st.booleans()),
+        repeat_channels=draw(st.booleans()),
+    )
+    require_it_reads(path.parents[2], path)

@@ -1,0 +1,170 @@
+"""The heartbeat: what a run says of itself while it is under way, and what it leaves behind."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import os
+import threading
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli.status_lines import print_status
+from pipeline.config import load_fleet
+from pipeline.errors import StoreError
+from pipeline.report.status import FleetStatus, fleet_status
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.store.heartbeat import Beat, Heartbeat, heartbeat_file, read_heartbeat
+from tests.pipeline.workshop import DAY, Workshop
+
+NIGHT = dt.date(2026, 3, 2)
+
+
+@pytest.fixture
+def workshop(tmp_path: Path) -> Workshop:
+    made = Workshop.at(tmp_path)
+    made.log(NIGHT)
+    return made
+
+
+def beat_of(output: Path) -> Beat:
+    beat = read_heartbeat(output)
+    assert beat is not None
+    return beat
+
+
+def test_a_run_beats_at_every_stage_and_leaves_what_it_was(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Beat] = []
+    real = Heartbeat.say
+
+    def say(self: Heartbeat, **changes: str | int | dt.datetime | None) -> None:
+        real(self, **changes)
+        seen.append(beat_of(workshop.output))
+
+    monkeypatch.setattr(Heartbeat, "say", say)
+    before = dt.datetime.now(dt.UTC)
+    result = run_fleet(RunRequest(load_fleet(workshop.fleet)))
+    states = [(one.state, one.stage, one.n_motors_done) for one in seen]
+    assert states == [
+        ("running", "motors", 0),
+        ("running", "motors", 1),
+        ("running", "publishing", 1),
+        ("running", "trends", 1),
+        ("running", "recording", 1),
+        ("finished", "recording", 1),
+    ]
+    last = seen[-1]
+    assert (last.pid, last.n_motors, last.run_id) == (os.getpid(), 1, result.run_id)
+    assert last.last_good_run is not None
+    assert before <= last.started_at <= last.beaten_at <= dt.datetime.now(dt.UTC)
+    assert seen[0].last_good_run is None
+    # The next run knows it, too: from the table.
+    run_fleet(RunRequest(load_fleet(workshop.fleet)))
+    (known,) = {one.last_good_run for one in seen[6:-1]}
+    (ended,) = workshop.rows("runs").sort("started_at")["finished_at"].head(1)
+    assert known == ended
+
+
+def test_it_beats_between_changes(tmp_path: Path) -> None:
+    written = threading.Semaphore(0)
+
+    class Counted(Heartbeat):
+        def say(self, **changes: str | int | dt.datetime | None) -> None:
+            super().say(**changes)
+            written.release()
+
+    with Counted(tmp_path, 3, None, interval_s=0.01):
+        assert all(written.acquire(timeout=10) for _ in range(4))
+        assert beat_of(tmp_path).state == "running"
+
+
+@pytest.mark.parametrize(
+    ("error", "state", "code"),
+    [
+        (StoreError("store_write", "no room"), "failed", "store_write"),
+        (KeyboardInterrupt(), "interrupted", None),
+        (ZeroDivisionError(), "failed", None),
+    ],
+)
+def test_a_run_that_ends_early_says_how(
+    tmp_path: Path, error: BaseException, state: str, code: str | None
+) -> None:
+    good = dt.datetime(2026, 3, 1, 7, tzinfo=dt.UTC)
+    with pytest.raises(type(error)), Heartbeat(tmp_path, 3, good):
+        raise error
+    left = beat_of(tmp_path)
+    assert (left.state, left.error_code, left.last_good_run) == (state, code, good)
+
+
+def test_a_beat_that_cannot_be_written_ends_nothing(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "heartbeat.json").mkdir()
+    with Heartbeat(tmp_path, 1, None) as heartbeat:
+        heartbeat.motor_done()
+        heartbeat.motor_done()
+        heartbeat.finished("abc", good=True)
+    assert [one.message[:13] for one in caplog.records] == ["no heartbeat:"]
+    assert [one.name for one in tmp_path.iterdir()] == ["heartbeat.json"]
+
+
+def test_a_beat_is_missing_when_several_are(tmp_path: Path) -> None:
+    with Heartbeat(tmp_path, 1, None) as heartbeat:
+        beat = beat_of(tmp_path)
+        late = beat.beaten_at + dt.timedelta(seconds=61)
+        assert not beat.is_missing(beat.beaten_at + dt.timedelta(seconds=59))
+        assert beat.is_missing(late)
+        heartbeat.finished("abc", good=True)
+    assert not beat_of(tmp_path).is_missing(late + DAY)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", "3", '{"state": "running"}', "\x00", '{"started_at": 3}']
+)
+def test_what_is_no_beat_is_none(tmp_path: Path, text: str) -> None:
+    heartbeat_file(tmp_path).write_text(text, "utf-8")
+    assert read_heartbeat(tmp_path) is None
+
+
+def test_a_time_without_a_zone_is_no_beat(tmp_path: Path) -> None:
+    with Heartbeat(tmp_path, 1, None):
+        document = json.loads(heartbeat_file(tmp_path).read_text("utf-8"))
+    document["beaten_at"] = "2026-03-01T07:00:00"
+    heartbeat_file(tmp_path).write_text(json.dumps(document), "utf-8")
+    assert read_heartbeat(tmp_path) is None
+
+
+def test_status_tells_of_the_run_that_is_under_way(workshop: Workshop) -> None:
+    assert fleet_status(workshop.output, ["M1"]).beat is None
+    with Heartbeat(workshop.output, 4, None) as heartbeat:
+        heartbeat.motor_done()
+        beat = fleet_status(workshop.output, ["M1"]).beat
+        assert beat is not None
+        assert (beat.stage, beat.n_motors_done, beat.n_motors) == ("motors", 1, 4)
+
+
+@pytest.mark.parametrize(
+    ("state", "age_s", "words"),
+    [
+        ("running", 1, "a run is under way since "),
+        ("running", 61, "died or hangs: its last sign of life is of "),
+        ("failed", 999, "failed (store_write), 2 of 3 motors done"),
+        ("finished", 999, None),
+    ],
+)
+def test_what_status_says_of_a_run(
+    state: str, age_s: int, words: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    at = dt.datetime.now(dt.UTC) - dt.timedelta(seconds=age_s)
+    code = "store_write" if state == "failed" else None
+    beat = Beat(state, "trends", at, at, 12, "host", 3, 2, error_code=code)
+    found = FleetStatus((), None, 0, 0, beat)
+    print_status("Tests", found, too_old=False, as_json=False)
+    first, *more = capsys.readouterr().out.splitlines()
+    assert first == "last good run: never"
+    assert [words in line for line in more] == [True] if words else more == []
+    print_status("Tests", found, too_old=False, as_json=True)
+    assert json.loads(capsys.readouterr().out)["run"]["state"] == state

@@ -1,0 +1,74 @@
+"""A first signal waits for the end of what is held, a second one does not."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Iterator
+
+import pytest
+
+from pipeline.store.interrupts import INTERRUPTS, interrupts_held
+
+
+@pytest.fixture
+def told() -> Iterator[list[int]]:
+    """Signals that the program's own handler was told of; it ends what is under way."""
+    numbers: list[int] = []
+
+    def stop(number: int, _: object) -> None:
+        numbers.append(number)
+        raise KeyboardInterrupt
+
+    before = {number: signal.signal(number, stop) for number in INTERRUPTS}
+    yield numbers
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", INTERRUPTS)
+def test_a_first_signal_waits(told: list[int], number: signal.Signals) -> None:
+    with interrupts_held() as came:
+        os.kill(os.getpid(), number)
+        assert (came, told) == ([number], [])
+    assert (came, told) == ([number], [number])
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), number)
+
+
+def test_a_second_signal_does_not(told: list[int]) -> None:
+    reached = []
+
+    def twice() -> None:
+        with interrupts_held():
+            os.kill(os.getpid(), signal.SIGINT)
+            reached.append(1)
+            os.kill(os.getpid(), signal.SIGTERM)
+            reached.append(2)
+
+    with pytest.raises(KeyboardInterrupt):
+        twice()
+    assert reached == [1]
+    assert told == [signal.SIGTERM]
+
+
+def test_without_a_signal_nothing_changes(told: list[int]) -> None:
+    handlers = [signal.getsignal(number) for number in INTERRUPTS]
+    with interrupts_held() as came:
+        pass
+    assert (came, told) == ([], [])
+    assert [signal.getsignal(number) for number in INTERRUPTS] == handlers
+
+
+def test_another_thread_has_no_signals_to_hold() -> None:
+    seen: list[list[int]] = []
+
+    def work() -> None:
+        with interrupts_held() as came:
+            seen.append(came)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert seen == [[]]

@@ -1,0 +1,154 @@
+"""The client of an object store, against a server on loopback."""
+
+from __future__ import annotations
+
+import io
+import sys
+from collections.abc import Iterator
+
+import pytest
+
+import pipeline.store.object_store
+from pipeline.errors import StoreError
+from pipeline.store.object_store import ObjectChangedError, ObjectStore
+from tests.pipeline.s3_server import Server, s3_server
+
+BUCKET = "test-object-store"
+URL = f"s3://{BUCKET}/folder"
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
+    with s3_server(monkeypatch, BUCKET) as found:
+        yield found
+
+
+def code_of(error: pytest.ExceptionInfo[StoreError]) -> str:
+    return error.value.code
+
+
+def test_an_object_is_created_once_and_never_changed(server: Server) -> None:
+    store = ObjectStore.at(URL)
+    store.create("a/b.txt", b"first")
+    store.create("a/b.txt", b"second")
+    found = store.get("a/b.txt")
+    assert found is not None
+    assert found[0] == b"first"
+    assert store.get("a/c.txt") is None
+
+
+def test_a_replacement_asks_for_the_tag_that_it_replaces(server: Server) -> None:
+    store = ObjectStore.at(URL)
+    first = store.replace("current", b"one", None)
+    second = store.replace("current", b"two", first)
+    for stale in (None, first):
+        with pytest.raises(StoreError) as error:
+            store.replace("current", b"three", stale)
+        assert code_of(error) == "object_store_conflict"
+    assert store.get("current") == (b"two", second)
+
+
+def test_a_replacement_that_landed_unheard_is_no_conflict(server: Server) -> None:
+    store = ObjectStore.at(URL)
+    first = store.replace("current", b"one", None)
+    landed = store.replace("current", b"two", first)
+    assert store.replace("current", b"two", first) == landed
+
+
+def test_a_listing_stays_in_its_folder(server: Server) -> None:
+    store = ObjectStore.at(URL)
+    for key in ("logs/M1/a.csv", "logs/M1/b.csv", "logs/M10/a.csv"):
+        store.create(key, key.encode())
+    listed = {one.key: one.size for one in store.list("logs/M1")}
+    assert listed == {"logs/M1/a.csv": 13, "logs/M1/b.csv": 13}
+
+
+def test_an_object_that_was_replaced_since_it_was_listed_is_not_read(server: Server) -> None:
+    store = ObjectStore.at(URL)
+    store.replace("log.csv", b"as listed", None)
+    (listed,) = store.list()
+    stream = io.BytesIO()
+    store.fetch(listed, stream)
+    assert stream.getvalue() == b"as listed"
+    store.replace("log.csv", b"another", listed.tag)
+    with pytest.raises(ObjectChangedError):
+        store.fetch(listed, io.BytesIO())
+    store.remove(["log.csv", "never.there"])
+    with pytest.raises(ObjectChangedError):
+        store.fetch(listed, io.BytesIO())
+    assert store.tag_of("log.csv") is None
+
+
+def test_a_request_that_fails_once_is_sent_again(server: Server) -> None:
+    store, failures = ObjectStore.at(URL), [True]
+    server.fails = lambda asked: asked.method == "PUT" and bool(failures) and failures.pop()
+    store.create("a", b"content")
+    assert store.get("a") is not None
+    assert len(server.asked("PUT")) == 3  # the bucket's, the one that failed, the one that did not
+
+
+@pytest.mark.parametrize(("method", "code"), [("PUT", "store_write"), ("GET", "store_read")])
+def test_a_request_that_always_fails_is_an_error(server: Server, method: str, code: str) -> None:
+    store = ObjectStore.at(URL)
+    server.fails = lambda asked: asked.method == method
+    with pytest.raises(StoreError, match="503") as error:
+        store.create("a", b"content") if method == "PUT" else store.get("a")
+    assert code_of(error) == code
+
+
+def test_a_bucket_that_is_missing_is_named(server: Server) -> None:
+    store = ObjectStore.at("s3://nowhere/folder")
+    for request in (
+        lambda: store.get("a"),
+        lambda: store.create("a", b""),
+        lambda: store.replace("a", b"", None),
+        lambda: list(store.list()),
+    ):
+        with pytest.raises(StoreError, match="s3://nowhere/folder") as error:
+            request()
+        assert code_of(error) == "object_store_bucket"
+
+
+@pytest.mark.parametrize("url", ["s3://b/x", "az://b/x", "gs://b/x"])
+def test_without_credentials_in_the_environment_nothing_is_asked(
+    monkeypatch: pytest.MonkeyPatch, url: str
+) -> None:
+    for names in pipeline.store.object_store.CREDENTIALS.values():
+        for name in names:
+            monkeypatch.delenv(name, raising=False)
+    with pytest.raises(StoreError, match=r"expected one of [A-Z_]+, ") as error:
+        ObjectStore.at(url)
+    assert code_of(error) == "object_store_credentials"
+
+
+@pytest.mark.parametrize(
+    ("url", "name", "value"),
+    [("az://b/x", "AZURE_STORAGE_ACCOUNT_KEY", "a2V5"), ("gs://b/x", "GOOGLE_SKIP_SIGNATURE", "1")],
+)
+def test_azure_and_google_have_the_same_client(
+    monkeypatch: pytest.MonkeyPatch, url: str, name: str, value: str
+) -> None:
+    monkeypatch.setenv(name, value)
+    monkeypatch.setenv("AZURE_STORAGE_ACCOUNT_NAME", "account")
+    assert ObjectStore.at(url).url == url
+
+
+def test_without_the_extra_the_message_says_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "obstore.store", None)
+    with pytest.raises(StoreError, match=r"motor-leakage\[s3\]") as error:
+        ObjectStore.at(URL)
+    assert code_of(error) == "object_store_missing"
+
+
+def test_a_server_without_encryption_has_to_be_meant(
+    server: Server, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("AWS_ALLOW_HTTP")
+    with pytest.raises(StoreError, match=r"AWS_ENDPOINT_URL is http://127\.0\.0\.1:") as error:
+        ObjectStore.at(URL)
+    assert code_of(error) == "object_store_http"
+    monkeypatch.setenv("AWS_ALLOW_HTTP", "true")
+    assert ObjectStore.at(URL).get("nothing") is None

@@ -1,0 +1,213 @@
+"""Pruning: what is told, what goes, and that nothing else notices."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from pipeline.config import Retention, load_fleet
+from pipeline.errors import LockedError, UsageError
+from pipeline.run.fleet import RunRequest, locked, plan_fleet
+from pipeline.run.verification import verify_tables
+from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
+from pipeline.store.retention import LOSSES, NEEDED, nights_kept, old_files, prune
+from pipeline.trends.record import read_record
+from tests.pipeline.workshop import DAY, QUICK, Workshop
+
+# The nights lie on both sides of a month's end.
+FIRST = dt.date(2026, 2, 26)
+NIGHTS = tuple(FIRST + number * DAY for number in range(6))
+SEARCHED = QUICK.replace("starting_points = 0", "starting_points = 2")
+HEAVY = ("predictions", "starts")
+KEPT = dict.fromkeys(HEAVY, 2)
+Command = Callable[..., tuple[object, str, str]]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    workshop = Workshop.at(tmp_path_factory.mktemp("made"))
+    workshop.configure(fleet=SEARCHED)
+    for seed, night in enumerate(NIGHTS):
+        workshop.log(night, seed=seed + 1)
+    workshop.run()
+    return workshop
+
+
+@pytest.fixture
+def workshop(made: Workshop, tmp_path: Path) -> Workshop:
+    shutil.copytree(made.folder, tmp_path / "copy")
+    return Workshop(tmp_path / "copy")
+
+
+def nights_of(workshop: Workshop, table: str) -> list[dt.date]:
+    return sorted(set(workshop.rows(table)["night"]))
+
+
+def contents(workshop: Workshop) -> dict[str, bytes]:
+    return {
+        path.relative_to(workshop.output).as_posix(): path.read_bytes()
+        for path in workshop.output.rglob("*")
+        if path.is_file()
+    }
+
+
+def test_old_nights_go_and_the_rest_is_byte_for_byte_as_it_was(workshop: Workshop) -> None:
+    before = contents(workshop)
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
+    after = contents(workshop)
+    gone = {
+        f"tables/{table}/month={night:%Y-%m}/{night}.parquet"
+        for table in HEAVY
+        for night in NIGHTS[:-2]
+    }
+    manifests = {f"manifest/month={night:%Y-%m}/{night}.json" for night in NIGHTS[:-2]}
+    assert before.keys() - after.keys() == gone
+    assert {name for name in after if after[name] != before[name]} == manifests
+    for table in HEAVY:
+        assert nights_of(workshop, table) == list(NIGHTS[-2:])
+        assert not (workshop.output / "tables" / table / "month=2026-02").exists()
+    assert list(verify_tables(workshop.output)) == []
+
+
+def test_a_pruned_night_is_not_made_anew(workshop: Workshop) -> None:
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
+    request = RunRequest(load_fleet(workshop.fleet))
+    assert dict(plan_fleet(request)) == {"M1": {}}
+    assert workshop.run().nights == ()
+
+
+def test_a_late_log_makes_a_pruned_night_whole_again(workshop: Workshop) -> None:
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
+    workshop.log(NIGHTS[0], seed=3)
+    assert workshop.run().nights == NIGHTS[:2]
+    assert nights_of(workshop, "predictions") == [NIGHTS[0], *NIGHTS[-2:]]
+    assert list(verify_tables(workshop.output)) == []
+
+
+def test_a_refit_works_without_what_is_pruned(workshop: Workshop) -> None:
+    prune(workshop.output, old_files(workshop.output, dict.fromkeys(HEAVY, 1), NIGHTS[-1]))
+    for log in workshop.logs.iterdir():
+        log.unlink()
+    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n", fleet=SEARCHED)
+    assert workshop.run().n_refitted == len(NIGHTS)
+    assert set(workshop.rows("fits")["reference_speed_rpm"]) == {31.0}
+    assert nights_of(workshop, "predictions") == [NIGHTS[-1]]
+
+
+def test_without_statistics_a_refit_reads_the_logs_where_they_are(workshop: Workshop) -> None:
+    prune(workshop.output, old_files(workshop.output, {"block_statistics": 3}, NIGHTS[-1]))
+    (workshop.logs / f"{NIGHTS[0]}.parquet").unlink()
+    workshop.configure(more="[override.reference]\nspeed_rpm = 31.0\n", fleet=SEARCHED)
+    assert workshop.run().n_refitted == 3
+    speeds = dict(workshop.rows("fits").select("night", "reference_speed_rpm").iter_rows())
+    assert speeds == {NIGHTS[0]: 30.0, **dict.fromkeys(NIGHTS[1:], 31.0)}
+
+
+def test_a_crash_between_manifest_and_file_is_mended_by_pruning_again(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crash(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("pipeline.store.retention.remove", crash)
+        with pytest.raises(KeyboardInterrupt):
+            prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
+    assert list(verify_tables(workshop.output)) == []
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
+    assert list(verify_tables(workshop.output)) == []
+    assert nights_of(workshop, "starts") == list(NIGHTS[-2:])
+
+
+def test_what_is_told_is_what_goes(workshop: Workshop) -> None:
+    (old,) = old_files(workshop.output, {"predictions": 4}, NIGHTS[-1])
+    assert old.nights == NIGHTS[:2]
+    folder = workshop.output / "tables" / "predictions" / "month=2026-02"
+    assert old.size_bytes == sum(
+        (folder / f"{night}.parquet").stat().st_size for night in NIGHTS[:2]
+    )
+
+
+def test_nothing_is_old_in_an_empty_output(tmp_path: Path) -> None:
+    assert old_files(tmp_path, KEPT, None) == ()
+
+
+def test_figures_trends_and_decisions_cannot_be_pruned() -> None:
+    made_from = {table.name for table in (*NIGHT_TABLES, *TREND_TABLES)} - LOSSES.keys()
+    assert {"fits", "parameters", "operation", "quality", "input_files", "trends"} <= made_from
+    for name in sorted(made_from):
+        with pytest.raises(UsageError, match=f"{name} cannot be pruned"):
+            nights_kept(Retention(), [name], 5)
+    # What refits and trends need is never said in the config, only asked for by name.
+    assert set(Retention.model_fields) == LOSSES.keys() - set(NEEDED)
+
+
+def test_the_config_says_how_many_nights_or_the_caller_does() -> None:
+    retention = Retention(predictions=90)
+    assert nights_kept(retention, [], None) == {"predictions": 90}
+    assert nights_kept(retention, ["predictions"], None) == {"predictions": 90}
+    assert nights_kept(retention, ["predictions", "starts"], 5) == {"predictions": 5, "starts": 5}
+    with pytest.raises(UsageError, match="starts are to be kept"):
+        nights_kept(retention, ["starts"], None)
+    with pytest.raises(UsageError, match="--keep needs --tables"):
+        nights_kept(retention, [], 5)
+
+
+# The command
+
+
+@pytest.fixture
+def command(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> Command:
+    from pipeline.cli import main
+
+    def run(*arguments: str) -> tuple[object, str, str]:
+        monkeypatch.setattr("sys.argv", ["motor-leakage", *arguments])
+        with pytest.raises(SystemExit) as ended:
+            main()
+        out, err = capfd.readouterr()
+        return ended.value.code, out, err
+
+    return run
+
+
+def test_nothing_is_removed_without_yes(workshop: Workshop, command: Command) -> None:
+    workshop.configure(fleet=SEARCHED + "[retention]\npredictions = 2\n")
+    before = contents(workshop)
+    code, out, err = command("prune", str(workshop.fleet))
+    assert (code, err) == (0, "")
+    assert out.startswith("predictions: 4 nights, 2026-02-26 to 2026-03-01, 0.")
+    assert LOSSES["predictions"] in out
+    assert "say --yes" in out
+    assert contents(workshop) == before
+    code, out, _ = command("prune", str(workshop.fleet), "--yes", "--json")
+    line = json.loads(out)
+    assert (line["event"], line["n_files"], line["removed"]) == ("prune", 4, True)
+    assert nights_of(workshop, "predictions") == list(NIGHTS[-2:])
+    assert command("prune", str(workshop.fleet), "--yes")[1] == "0.0 MiB removed\n"
+
+
+def test_pruning_waits_for_no_run(workshop: Workshop, command: Command) -> None:
+    before = contents(workshop)
+    with locked(workshop.output):
+        arguments = ("--tables", "starts", "--keep", "1", "--yes")
+        code, _, err = command("prune", str(workshop.fleet), *arguments)
+    assert code == 3
+    assert "motor-leakage: locked: " in err
+    after = contents(workshop)
+    assert after.pop("lock") != before.pop("lock")
+    assert after == before
+    assert issubclass(LockedError, Exception)
+    assert nights_of(workshop, FITS.name) == list(NIGHTS)
+
+
+def test_trends_do_not_notice(workshop: Workshop) -> None:
+    before, record = workshop.rows("trends"), read_record(workshop.output, "M1")
+    prune(workshop.output, old_files(workshop.output, KEPT, NIGHTS[-1]))
+    workshop.run()
+    assert workshop.rows("trends").equals(before)
+    assert read_record(workshop.output, "M1") == record

@@ -1,0 +1,564 @@
+"""The tables on disk: whole or not at all, damage is told, others' rows stay."""
+
+from __future__ import annotations
+
+import datetime as dt
+import errno
+import itertools
+import os
+import struct
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import duckdb
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from polars.testing import assert_frame_equal
+
+from pipeline.errors import StoreError
+from pipeline.schema import (
+    BLOCK_STATISTICS,
+    NIGHT_TABLES,
+    QUALITY,
+    RUNS,
+    SCHEMA_VERSION,
+    TABLES,
+    Table,
+    frame,
+)
+from pipeline.store import tables as store
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
+from pipeline.store.tables import (
+    NightFile,
+    StagedRows,
+    last_night,
+    month_stamps,
+    night_file,
+    night_paths,
+    night_stamps,
+    prepare_night,
+    read_rows,
+    read_table,
+    run_file,
+    stage,
+    table_folder,
+    write_table,
+)
+
+NIGHT = dt.date(2026, 1, 2)
+LATER = dt.date(2026, 2, 1)
+Row = dict[str, Any]
+
+
+def row(motor: str, reason: str = "gap", refused: int = 1, night: dt.date = NIGHT) -> Row:
+    return {
+        "motor_id": motor,
+        "night": night,
+        "channel": "speed",
+        "reason": reason,
+        "n_samples": 864_000,
+        "n_refused": refused,
+    }
+
+
+def rows(*some: Row, run_id: str = "first") -> pl.DataFrame:
+    return frame(QUALITY, [{**one, "run_id": run_id} for one in some])
+
+
+def new(*some: Row) -> pl.DataFrame:
+    """Rows as a motor's task leaves them."""
+    return frame(QUALITY, some, without="run_id")
+
+
+def publish_night(output: Path, *arguments: Any) -> NightFile:
+    """Prepare a night's file, and put it there."""
+    file = prepare_night(output, *arguments)
+    file.land()
+    return file
+
+
+def published(output: Path, night: dt.date = NIGHT) -> list[tuple[str, str, int, str]]:
+    found = read_table(night_file(output, QUALITY, night), QUALITY)
+    return [tuple(one) for one in found.select("motor_id", "reason", "n_refused", "run_id").rows()]
+
+
+def all_files(folder: Path) -> list[str]:
+    return sorted(path.name for path in folder.rglob("*") if path.is_file())
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = night_file(tmp_path, QUALITY, NIGHT)
+    write_table(path, rows(*(row(f"M{number:03}", refused=number) for number in range(200))))
+    return path
+
+
+class TestLayout:
+    def test_one_file_a_night_and_table(self, tmp_path: Path) -> None:
+        path = night_file(tmp_path, QUALITY, NIGHT)
+        assert path == tmp_path / "tables" / "quality" / "month=2026-01" / "2026-01-02.parquet"
+
+    def test_written_as_the_design_says(self, file: Path) -> None:
+        parts = pq.ParquetFile(file)
+        group = parts.metadata.row_group(0)
+        codecs = {group.column(place).compression for place in range(group.num_columns)}
+        assert codecs == {"ZSTD"}
+        stated = parts.metadata.metadata[b"motor_leakage_schema_version"]
+        assert int(stated) == SCHEMA_VERSION
+        assert file.stat().st_mode & 0o777 == 0o644
+
+    def test_an_analyst_s_plain_read_sees_each_row(self, tmp_path: Path) -> None:
+        for night in (NIGHT, LATER):
+            publish_night(tmp_path, QUALITY, night, {"A": new(row("A", night=night))}, "run")
+        pattern = (table_folder(tmp_path, QUALITY) / "**" / "*.parquet").as_posix()
+        with duckdb.connect() as analyst:
+            found = analyst.read_parquet(pattern).order("night").project("night").fetchall()
+        assert found == [(NIGHT,), (LATER,)]
+        assert pl.read_parquet(pattern).height == 2
+
+    def test_a_file_that_is_no_night_s_holds_no_rows(self, file: Path, tmp_path: Path) -> None:
+        later = night_file(tmp_path, QUALITY, LATER)
+        write_table(later, rows(row("M000", night=LATER)))
+        for stranger in (
+            "stray.parquet",
+            "month=2026-01/2026-01-02 (1).parquet",
+            "month=2026-01/20260103.parquet",
+            "month=2026-01/2026-13-01.parquet",
+            "month=2026-01/2026-03-01.parquet",
+            "month=copy/2026-03-01.parquet",
+            "month=2026-99/x.parquet",
+        ):
+            path = table_folder(tmp_path, QUALITY) / stranger
+            path.parent.mkdir(exist_ok=True)
+            path.write_bytes(file.read_bytes())
+        assert night_paths(tmp_path, QUALITY) == {NIGHT: file, LATER: later}
+        assert last_night(tmp_path, QUALITY) == LATER
+        assert read_rows(tmp_path, QUALITY, ["M000"])["night"].to_list() == [NIGHT, LATER]
+        assert month_stamps(tmp_path, QUALITY).keys() == {"2026-01", "2026-02"}
+        assert night_stamps(tmp_path, QUALITY, "2026-01").keys() == {str(NIGHT)}
+
+
+class TestWhole:
+    """A failed write leaves the old file whole and nothing else."""
+
+    @pytest.mark.parametrize(
+        "fault",
+        [
+            OSError(errno.ENOSPC, "No space left on device"),
+            ValueError("a fault"),
+            KeyboardInterrupt(),
+            MemoryError(),
+        ],
+        ids=repr,
+    )
+    def test_write_that_fails(self, file: Path, fault: BaseException) -> None:
+        before = file.read_bytes()
+
+        def write(stream: BinaryIO) -> None:
+            stream.write(b"PAR1 half of a table")
+            stream.flush()
+            raise fault
+
+        told = isinstance(fault, OSError)
+        with pytest.raises(StoreError if told else type(fault)) as caught:
+            put(file, write)
+        assert file.read_bytes() == before
+        assert all_files(file.parent) == [file.name]
+        if told:
+            error = caught.value
+            assert isinstance(error, StoreError)
+            assert error.code == "store_write"
+            assert file.name in error.message
+            assert "No space left on device" in error.message
+
+    @pytest.mark.parametrize("step", ["open", "fchmod", "write", "fsync", "pread", "replace"])
+    def test_any_later_step_that_fails(
+        self, file: Path, monkeypatch: pytest.MonkeyPatch, step: str
+    ) -> None:
+        before = file.read_bytes()
+
+        def fail(*_: object, **__: object) -> None:
+            raise OSError(errno.EIO, "Input/output error")
+
+        some = rows(row("X"))
+        monkeypatch.setattr(os, step, fail)
+        with pytest.raises(StoreError):
+            write_table(file, some)
+        monkeypatch.undo()
+        assert file.read_bytes() == before
+        assert all_files(file.parent) == [file.name]
+
+    def test_folder_that_cannot_be_made(self, tmp_path: Path) -> None:
+        (tmp_path / "tables").write_text("in the way")
+        with pytest.raises(StoreError):
+            write_table(night_file(tmp_path, QUALITY, NIGHT), rows(row("X")))
+
+    def test_what_is_being_written_is_no_table_yet(self, file: Path) -> None:
+        """A reader's glob must not see it, and a reader sees the old rows till the end."""
+        content, seen = file.read_bytes(), []
+        file.write_bytes(b"before")
+
+        def write(stream: BinaryIO) -> None:
+            stream.write(content)
+            stream.flush()
+            # A rename is whole only within a file system.
+            (temporary,) = set(file.parent.iterdir()) - {file}
+            assert temporary.read_bytes() == content
+            seen.append((list(file.parent.glob("*.parquet")), file.read_bytes()))
+
+        put(file, write)
+        assert seen == [([file], b"before")]
+        assert file.read_bytes() == content
+
+    def test_leftovers_of_a_killed_run(self, file: Path, tmp_path: Path) -> None:
+        (file.parent / f"{TEMPORARY_PREFIX}abc").write_bytes(b"half")
+        remove_leftovers([tmp_path / "tables", tmp_path / "nowhere"])
+        assert all_files(tmp_path) == [file.name]
+
+
+def footer_begin(data: bytes) -> int:
+    (length,) = struct.unpack("<I", data[-8:-4])
+    return len(data) - 8 - int(length)
+
+
+class TestDamage:
+    @pytest.fixture
+    def data(self, file: Path) -> bytes:
+        return file.read_bytes()
+
+    def test_every_flipped_bit_of_the_pages_is_told(self, file: Path, data: bytes) -> None:
+        """Or lies where it means nothing: never other rows."""
+        expected = read_table(file, QUALITY)
+        told = 0
+        places = range(0, 8 * footer_begin(data), 7)
+        for place in places:
+            flipped = bytearray(data)
+            flipped[place // 8] ^= 1 << place % 8
+            file.write_bytes(flipped)
+            try:
+                assert_frame_equal(read_table(file, QUALITY), expected)
+            except StoreError:
+                told += 1
+        assert told > 0.75 * len(places)
+
+    @pytest.mark.parametrize("column", [column.name for column in QUALITY.columns])
+    def test_a_damaged_name_is_no_column_of_nulls(
+        self, file: Path, data: bytes, column: str
+    ) -> None:
+        """Checksums do not cover the footer."""
+        begin = data.index(column.encode(), footer_begin(data))
+        for place, bit in itertools.product(range(begin, begin + len(column)), (0, 7)):
+            flipped = bytearray(data)
+            flipped[place] ^= 1 << bit
+            file.write_bytes(flipped)
+            with pytest.raises(StoreError):
+                read_table(file, QUALITY)
+
+    @pytest.mark.parametrize("length", [0, 3, 4, 100, -1, -4, -8, -100])
+    def test_truncated(self, file: Path, data: bytes, length: int) -> None:
+        file.write_bytes(data[:length])
+        with pytest.raises(StoreError, match=r"2026-01-02\.parquet of quality") as caught:
+            read_table(file, QUALITY)
+        assert caught.value.code == "store_read"
+
+    @pytest.mark.parametrize("content", [b"", b"motor_id,night\n", b"PAR1" * 100, bytes(500)])
+    def test_something_else(self, file: Path, content: bytes) -> None:
+        file.write_bytes(content)
+        with pytest.raises(StoreError):
+            read_table(file, QUALITY)
+
+    @pytest.mark.parametrize("content", ["junk", "other types"])
+    def test_one_of_many_is_told_by_name(self, file: Path, content: str) -> None:
+        output = file.parents[3]
+        path = night_file(output, QUALITY, LATER)
+        path.parent.mkdir()
+        if content == "junk":
+            path.write_bytes(b"junk")
+        else:
+            pl.DataFrame({"motor_id": ["M001"], "night": ["today"]}).write_parquet(path)
+        with pytest.raises(StoreError, match=r"2026-02-01\.parquet of quality is") as raised:
+            read_rows(output, QUALITY, ["M001"])
+        assert raised.value.code == "store_read"
+
+    def test_absent(self, tmp_path: Path) -> None:
+        with pytest.raises(StoreError):
+            read_table(tmp_path / "2026-01-02.parquet", QUALITY)
+
+    def test_publishing_over_a_damaged_file_puts_it_aside_to_be_looked_at(
+        self, tmp_path: Path, file: Path, data: bytes
+    ) -> None:
+        damaged = data[:500] + b"\0" * 20 + data[520:]
+        file.write_bytes(damaged)
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
+        assert read_table(file, QUALITY)["motor_id"].to_list() == ["A"]
+        aside = file.with_suffix(".damaged")
+        assert aside.read_bytes() == damaged
+        assert sorted(all_files(tmp_path)) == sorted([file.name, aside.name])
+
+    def test_a_file_of_a_newer_version_is_refused_and_stays(
+        self, tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        before = file.read_bytes()
+        monkeypatch.setattr(store, "SCHEMA_VERSION", 0)
+        with pytest.raises(StoreError) as refused:
+            publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
+        assert refused.value.code == "store_newer"
+        assert file.read_bytes() == before
+
+
+class TestSchema:
+    def test_order_and_types(self, file: Path) -> None:
+        found = read_table(file, QUALITY)
+        assert dict(found.schema) == {
+            name: kind if isinstance(kind, pl.DataType) else kind()
+            for name, kind in QUALITY.schema.items()
+        }
+        assert found.columns == [column.name for column in QUALITY.columns]
+
+    def test_column_that_an_older_file_has_not(self, tmp_path: Path) -> None:
+        """Columns are only ever added: at its end, or between those there were."""
+        older = rows(row("A"), row("B")).drop("n_samples", "run_id")
+        path = tmp_path / "old.parquet"
+        write_table(path, older)
+        found = read_table(path, QUALITY)
+        assert found.columns == list(QUALITY.schema)
+        assert found["n_samples"].dtype == pl.Int64
+        assert found["n_samples"].null_count() == found["run_id"].null_count() == 2
+        assert_frame_equal(found.select(older.columns), older)
+
+    def test_older_file_takes_new_rows(self, tmp_path: Path) -> None:
+        path = night_file(tmp_path, QUALITY, NIGHT)
+        write_table(path, rows(row("A"), row("B")).drop("n_samples"))
+        publish_night(tmp_path, QUALITY, NIGHT, {"B": new(row("B", refused=7))}, "later")
+        found = read_table(path, QUALITY)
+        assert found["n_samples"].to_list() == [None, 864_000]
+
+    @pytest.mark.parametrize("name", QUALITY.key)
+    def test_file_without_a_key_column_is_none_of_ours(self, tmp_path: Path, name: str) -> None:
+        path = tmp_path / "no_key.parquet"
+        write_table(path, rows(row("A")).drop(name))
+        with pytest.raises(StoreError, match=name):
+            read_table(path, QUALITY)
+
+    def test_column_of_a_newer_version_is_not_dropped_silently(self, tmp_path: Path) -> None:
+        path = tmp_path / "newer.parquet"
+        write_table(path, rows(row("A")).with_columns(later=1))
+        with pytest.raises(StoreError, match="later"):
+            read_table(path, QUALITY)
+
+    @pytest.mark.parametrize("table", TABLES, ids=[table.name for table in TABLES])
+    def test_every_table_survives_the_disk(self, tmp_path: Path, table: Table) -> None:
+        whole = frame(table, [example(table), dict.fromkeys(table.key, None)])
+        write_table(tmp_path / "t.parquet", whole)
+        assert_frame_equal(read_table(tmp_path / "t.parquet", table), whole)
+
+
+def example(table: Table) -> Row:
+    """A value of each column's type."""
+    values: dict[str, Any] = {
+        "String": "mm²/s, µm",
+        "Date": NIGHT,
+        "Int64": 2**53 + 1,
+        "Float64": 0.1,
+        "Boolean": True,
+        "List(Float64)": [1.5, -0.0, 1e-300],
+        "List(Int64)": [1, 2**40],
+        "List(String)": ["K_o", ""],
+    }
+    moment = dt.datetime(2026, 1, 2, 3, 4, 5, 678_901, tzinfo=dt.UTC)
+    return {
+        name: values.get(str(kind if isinstance(kind, pl.DataType) else kind()), moment)
+        for name, kind in table.schema.items()
+    }
+
+
+class TestPublish:
+    def test_rows_of_other_motors_stay(self, tmp_path: Path) -> None:
+        publish_night(tmp_path, QUALITY, NIGHT, {m: new(row(m)) for m in "ABC"}, "one")
+        publish_night(tmp_path, QUALITY, NIGHT, {"B": new(row("B", refused=9))}, "two")
+        assert published(tmp_path) == [
+            ("A", "gap", 1, "one"),
+            ("B", "gap", 9, "two"),
+            ("C", "gap", 1, "one"),
+        ]
+
+    def test_all_rows_of_a_redone_motor_are_replaced(self, tmp_path: Path) -> None:
+        before = new(row("A", "gap"), row("A", "spike"), row("A", "any"))
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": before, "B": new(row("B"))}, "one")
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A", "frozen"))}, "two")
+        assert published(tmp_path) == [("A", "frozen", 1, "two"), ("B", "gap", 1, "one")]
+
+    def test_motor_without_rows_loses_those_it_had(self, tmp_path: Path) -> None:
+        publish_night(tmp_path, QUALITY, NIGHT, {m: new(row(m)) for m in "AB"}, "one")
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new()}, "two")
+        assert published(tmp_path) == [("B", "gap", 1, "one")]
+
+    def test_file_keeps_its_place_without_rows(self, tmp_path: Path) -> None:
+        """A reader who has just listed it must not find it gone."""
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new()}, "one")
+        assert all_files(tmp_path) == []
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "two")
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new()}, "three")
+        assert all_files(tmp_path) == [f"{NIGHT}.parquet"]
+        assert published(tmp_path) == []
+        pattern = (table_folder(tmp_path, QUALITY) / "**" / "*.parquet").as_posix()
+        with duckdb.connect() as analyst:
+            assert analyst.read_parquet(pattern).fetchall() == []
+
+    def test_nothing_staged_changes_nothing(self, tmp_path: Path) -> None:
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "one")
+        publish_night(tmp_path, QUALITY, NIGHT, {}, "two")
+        assert published(tmp_path) == [("A", "gap", 1, "one")]
+
+    def test_motor_whose_name_begins_another_s(self, tmp_path: Path) -> None:
+        both = {"CB560-1": new(row("CB560-1")), "CB560-10": new(row("CB560-10"))}
+        publish_night(tmp_path, QUALITY, NIGHT, both, "one")
+        publish_night(tmp_path, QUALITY, NIGHT, {"CB560-1": new()}, "two")
+        assert [one[0] for one in published(tmp_path)] == ["CB560-10"]
+
+    @given(
+        st.lists(
+            st.dictionaries(st.sampled_from("ABCD"), st.sets(st.sampled_from("xyz")), max_size=4),
+            max_size=5,
+        )
+    )
+    def test_any_history_leaves_each_motor_s_last_rows(
+        self, tmp_path_factory: pytest.TempPathFactory, history: list[dict[str, set[str]]]
+    ) -> None:
+        output = tmp_path_factory.mktemp("history")
+        last: dict[str, tuple[int, set[str]]] = {}
+        for number, change in enumerate(history):
+            staged = {m: new(*(row(m, one) for one in some)) for m, some in change.items()}
+            publish_night(output, QUALITY, NIGHT, staged, str(number))
+            last |= {motor: (number, some) for motor, some in change.items()}
+        expected = sorted(
+            (motor, reason, 1, str(number))
+            for motor, (number, some) in last.items()
+            for reason in some
+        )
+        exists = night_file(output, QUALITY, NIGHT).exists()
+        assert exists == any(some for change in history for some in change.values())
+        assert (published(output) if exists else []) == expected
+
+    @settings(max_examples=30)
+    @given(st.permutations([row(m, r) for m in "ABC" for r in ("gap", "spike", "any")]))
+    def test_same_rows_same_bytes(
+        self, tmp_path_factory: pytest.TempPathFactory, some: list[Row]
+    ) -> None:
+        """Whatever the order in which motors and rows came."""
+        output = tmp_path_factory.mktemp("bytes")
+        staged: dict[str, list[Row]] = {}
+        for one in some:
+            staged.setdefault(one["motor_id"], []).append(one)
+        publish_night(output, QUALITY, NIGHT, {m: new(*r) for m, r in staged.items()}, "run")
+        other = output / "other"
+        for motor in "CAB":
+            mine = sorted((one for one in some if one["motor_id"] == motor), key=str)
+            publish_night(other, QUALITY, NIGHT, {motor: new(*mine)}, "run")
+        written = [night_file(folder, QUALITY, NIGHT).read_bytes() for folder in (output, other)]
+        assert written[0] == written[1]
+
+    def test_rewriting_a_file_keeps_its_bytes(self, tmp_path: Path) -> None:
+        publish_night(tmp_path, QUALITY, NIGHT, {m: new(row(m)) for m in "AB"}, "run")
+        before = night_file(tmp_path, QUALITY, NIGHT).read_bytes()
+        publish_night(tmp_path, QUALITY, NIGHT, {"A": new(row("A"))}, "run")
+        assert night_file(tmp_path, QUALITY, NIGHT).read_bytes() == before
+
+    def test_tables_of_a_run(self, tmp_path: Path) -> None:
+        """Each run has a file of its own, however fast they follow each other."""
+        start = dt.datetime(2026, 1, 31, 23, 59, 59, 5, tzinfo=dt.UTC)
+        for started in (start, start + dt.timedelta(microseconds=1)):
+            one = frame(RUNS, [{"run_id": "r", "started_at": started}])
+            write_table(run_file(tmp_path, RUNS, started), one)
+        files = sorted((table_folder(tmp_path, RUNS) / "month=2026-01").iterdir())
+        assert [read_table(path, RUNS)["run_id"].to_list() for path in files] == [["r"], ["r"]]
+
+
+class TestStaged:
+    def staged(
+        self, tmp_path: Path, nights: Mapping[dt.date, list[Row]], table: Table = QUALITY
+    ) -> StagedRows:
+        path = tmp_path / "staging" / table.name / "A.arrow"
+        path.parent.parent.mkdir()
+        stage(path, table, nights)
+        return StagedRows(path)
+
+    @given(
+        st.dictionaries(
+            st.dates(dt.date(2026, 1, 1), dt.date(2026, 3, 1)),
+            st.integers(0, 3),
+            min_size=1,
+            max_size=8,
+        )
+    )
+    def test_nights_without_rows_keep_their_place(
+        self, tmp_path_factory: pytest.TempPathFactory, sizes: dict[dt.date, int]
+    ) -> None:
+        nights = {
+            night: [row("A", str(one), night.toordinal(), night) for one in range(size)]
+            for night, size in sizes.items()
+        }
+        staged = self.staged(tmp_path_factory.mktemp("staged"), nights)
+        assert staged.nights == sorted(sizes)
+        for night, expected in nights.items():
+            found = staged.rows(night)
+            assert found is not None
+            assert_frame_equal(found, frame(QUALITY, expected, without="run_id"))
+
+    def test_a_worker_that_outlives_its_run_leaves_nothing(self, tmp_path: Path) -> None:
+        """The run's folder is gone: the worker must not make it anew."""
+        with pytest.raises(StoreError, match="cannot be staged"):
+            stage(tmp_path / "gone" / "quality" / "A.arrow", QUALITY, {NIGHT: []})
+        assert list(tmp_path.iterdir()) == []
+
+    def test_more_motors_than_a_process_may_open_files(self, tmp_path: Path) -> None:
+        staged = self.staged(tmp_path, {NIGHT: [row("A")]})
+        before = len(list(Path("/proc/self/fd").iterdir()))
+        kept = [StagedRows(tmp_path / "staging" / "quality" / "A.arrow") for _ in range(5)]
+        found = [one.rows(NIGHT) for one in kept]
+        assert len(list(Path("/proc/self/fd").iterdir())) == before
+        for one in found:
+            assert one is not None
+            assert_frame_equal(one, staged.rows(NIGHT))
+
+    def test_night_that_was_not_done(self, tmp_path: Path) -> None:
+        assert self.staged(tmp_path, {NIGHT: []}).rows(LATER) is None
+
+    @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
+    def test_every_type_survives_to_the_table(self, tmp_path: Path, table: Table) -> None:
+        one = {name: value for name, value in example(table).items() if name != "run_id"}
+        staged = self.staged(tmp_path, {NIGHT: [one], LATER: []}, table)
+        found, empty = staged.rows(NIGHT), staged.rows(LATER)
+        assert found is not None
+        assert empty is not None
+        publish_night(tmp_path, table, NIGHT, {"A": found, "B": empty}, "run")
+        expected = frame(table, [{**one, "run_id": "run"}])
+        assert_frame_equal(read_table(night_file(tmp_path, table, NIGHT), table), expected)
+
+    def test_rows_outlive_the_staging_folder(self, tmp_path: Path) -> None:
+        """They are read lazily from a map of the file, which the run removes at its end."""
+        staged = self.staged(tmp_path, {NIGHT: [row("A"), row("A", "spike")]})
+        found = staged.rows(NIGHT)
+        (tmp_path / "staging" / "quality" / "A.arrow").unlink()
+        assert found is not None
+        assert found["reason"].to_list() == ["gap", "spike"]
+
+    def test_long_statistics(self, tmp_path: Path) -> None:
+        """A night of 96 blocks with their factors."""
+        begin = dt.datetime(2026, 1, 1, 6, tzinfo=dt.UTC)
+        blocks = [
+            {
+                "motor_id": "A",
+                "night": NIGHT,
+                "block_start": begin + dt.timedelta(minutes=15 * number),
+                "statistics": [number + place / 7 for place in range(21)],
+            }
+            for number in range(96)
+        ]
+        found = self.staged(tmp_path, {NIGHT: blocks}, BLOCK_STATISTICS).rows(NIGHT)
+        assert found is not None
+        assert found["statistics"].to_list() == [block["statistics"] for block in blocks]

@@ -1,0 +1,389 @@
+"""A fleet's run whose logs and tables lie in an object store: as a run in a folder, byte for byte.
+
+Whatever fails on the way, what is published is the run before or the run after, and nothing else.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import duckdb
+import polars as pl
+import pytest
+
+import pipeline.store.object_store
+import pipeline.store.working_copy
+from pipeline.cli.arguments import load
+from pipeline.config import load_fleet
+from pipeline.errors import StoreError
+from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
+from pipeline.store.object_store import ObjectStore
+from pipeline.store.working_copy import ROOT, Snapshot, pull, push, read_snapshot
+from pipeline.telling.outbox import OUTBOX_FILES, is_waiting
+from pipeline.trends.decisions import Decision, read_decisions, record_decision
+from tests.conftest import OwnFleet
+from tests.pipeline.run.test_fleet import CSV, PARQUET, output_of, status_of, table_files
+from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
+from tests.pipeline.telling.fleet import keep, told_fleet, write_config
+from tests.pipeline.workshop import DAY, Workshop
+
+BUCKET = "test-working-copy"
+URL = f"s3://{BUCKET}/fleet"
+FIRST = dt.date(2026, 1, 2)
+
+
+@pytest.fixture
+def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
+    monkeypatch.setattr(pipeline.store.object_store, "RETRIES", 1)
+    with s3_server(monkeypatch, BUCKET) as found:
+        yield found
+
+
+def run(fleet_file: Path, output: Path, **changed: Any) -> RunResult:
+    fleet = load_fleet(fleet_file)
+    how = fleet.execution.model_copy(update={"backend": "sequential"})
+    changed = {"object_store": URL} | changed
+    return run_fleet(RunRequest(replace(fleet, output=output, execution=how, **changed)))
+
+
+def logs_at(fleet_file: Path, url: str) -> None:
+    """Let a fleet's logs lie at a URL."""
+    text = fleet_file.read_text("utf-8")
+    assert 'logs = "../logs"' in text
+    fleet_file.write_text(text.replace("../logs", url), "utf-8")
+
+
+def published(url: str = URL) -> dict[str, bytes]:
+    """Every table file that is published, by its path, but for those of the run itself."""
+    store = ObjectStore.at(url)
+    found = {}
+    for path, entry in read_snapshot(store).files.items():
+        content = store.get(entry.key)
+        assert content is not None
+        assert hashlib.sha256(content[0]).hexdigest() == entry.sha256
+        if path.startswith("tables/") and path.split("/")[1] not in ("runs", "motor_outcomes"):
+            found[path.removeprefix("tables/")] = content[0]
+    return found
+
+
+def test_logs_and_tables_in_a_bucket_give_the_bytes_of_a_folder(
+    server: Server, own_fleet: OwnFleet, tmp_path: Path
+) -> None:
+    fleet = own_fleet(CSV, PARQUET)
+    run(fleet, tmp_path / "folder", object_store="")
+    upload(tmp_path / "logs", f"s3://{BUCKET}/logs")
+    shutil.rmtree(tmp_path / "logs")
+    logs_at(fleet, f"s3://{BUCKET}/logs")
+    result = run(fleet, tmp_path / "work")
+    assert status_of(result) == {CSV: "ok", PARQUET: "ok"}
+    assert published() == table_files(tmp_path / "folder") == table_files(tmp_path / "work")
+    # A second run opens no log, and reads and writes only what tells of the run itself.
+    server.forget()
+    again = run(fleet, tmp_path / "work")
+    assert (again.n_nights, dict(again.files)) == (0, {"unchanged": 6})
+    assert not [path for path in server.asked("GET") if "/logs/" in path]
+    assert not [path for path in server.asked("GET") if "/files/" in path]
+    new = {path.split("/")[-1].split(".")[0] for path in server.asked("PUT")}
+    assert not [name for name in new if name.startswith(f"{FIRST}")]
+    assert published() == table_files(tmp_path / "folder")
+    # On another machine, with an empty folder: nothing is made anew.
+    elsewhere = run(fleet, tmp_path / "elsewhere")
+    assert elsewhere.n_nights == 0
+    assert table_files(tmp_path / "elsewhere") == table_files(tmp_path / "folder")
+
+
+def test_queries_by_the_list_of_files_see_each_row_once(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    for number in range(2):
+        shop.log(FIRST + number * DAY, seed=number)
+    run(shop.fleet, shop.output)
+    shop.log(FIRST, seed=7)  # corrected: the night, and the judgement of the next
+    run(shop.fleet, shop.output)
+    document = json.loads((ObjectStore.at(URL).get(ROOT) or (b"", ""))[0])
+    keys = document["tables"]["fits"]
+    assert len(keys) == 2
+    page = (Path(__file__).parents[3] / "docs" / "scale.md").read_text("utf-8")
+    (example,) = (
+        block.partition("```")[0]
+        for block in page.split("```python\n")[1:]
+        if "scan_parquet" in block.partition("```")[0]
+    )
+    names: dict[str, Any] = {}
+    exec(example.replace("s3://bucket/fleet", URL), names)  # noqa: S102 - our own page
+    found: pl.DataFrame = names["fits"]
+    assert sorted(found["night"].to_list()) == [FIRST, FIRST + DAY]
+    # A glob sees what was replaced as well, for a while: that is why the list is there.
+    every = [one.key for one in ObjectStore.at(URL).list("files/tables/fits")]
+    assert len(every) == 4
+    assert {key for key, _ in document["superseded"]} >= set(every) - set(keys)
+
+
+def test_a_query_engine_reads_the_list_itself(server: Server, tmp_path: Path) -> None:
+    """The words of `scale.md`, on a copy of the bucket on the disk."""
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    copy, store = tmp_path / "bucket", ObjectStore.at(URL)
+    for one in store.list():
+        (copy / one.key).parent.mkdir(parents=True, exist_ok=True)
+        (copy / one.key).write_bytes((store.get(one.key) or (b"", ""))[0])
+    page = (Path(__file__).parents[3] / "docs" / "scale.md").read_text("utf-8")
+    query = (
+        page.partition("```sql\n")[2].partition("```")[0].replace("s3://bucket/fleet", str(copy))
+    )
+    connection = duckdb.connect()
+    for statement in query.split(";"):
+        if statement.strip():
+            found = connection.execute(statement).fetchall()
+    assert found == [("M1", FIRST, "ok")]
+
+
+def test_puts_that_fail_leave_what_was_published(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    before, tables = ObjectStore.at(URL).get(ROOT), published()
+    shop.log(FIRST + DAY)
+    for failing in ("files/", "lists/", ROOT):
+        server.fails = lambda asked, key=failing: asked.method == "PUT" and key in asked.path
+        with pytest.raises(StoreError) as error:
+            run(shop.fleet, shop.output)
+        assert error.value.code == "store_write"
+        server.fails = never
+        assert ObjectStore.at(URL).get(ROOT) == before
+        assert published() == tables
+    # The next run, here or elsewhere, does it as if nothing had been.
+    assert run(shop.fleet, shop.output).n_nights == 1
+    run(shop.fleet, tmp_path / "folder", object_store="")
+    assert [path for path in published() if "fits" in path] == [
+        path for path in table_files(tmp_path / "folder") if "fits" in path
+    ]
+    assert table_files(shop.output) == published()
+
+
+def test_every_fourth_put_that_fails_costs_nothing(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    count = iter(range(1_000_000))
+    server.fails = lambda asked: asked.method == "PUT" and next(count) % 4 == 0
+    pipeline.store.object_store.RETRIES = 5
+    run(shop.fleet, shop.output)
+    assert published() == table_files(shop.output)
+
+
+def test_pull_makes_a_copy_to_read_from(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    fleet = replace(load_fleet(shop.fleet), output=tmp_path / "copy", object_store=URL)
+    assert refresh(fleet) == len(read_snapshot(ObjectStore.at(URL)).files)
+    assert table_files(tmp_path / "copy") == table_files(shop.output)
+
+
+def test_of_two_runs_at_a_time_one_is_published(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    shop.log(FIRST + DAY)
+    raced: list[RunResult] = []
+
+    def race(asked: Request) -> None:
+        if asked.method == "PUT" and asked.path.endswith(ROOT) and not raced:
+            raced.append(RunResult("", (), 0, interrupted=False, seconds=0.0))
+            raced[0] = run(shop.fleet, tmp_path / "other")
+
+    server.before = race
+    with pytest.raises(StoreError) as error:
+        run(shop.fleet, shop.output)
+    assert error.value.code == "object_store_conflict"
+    assert raced[0].n_nights == 1
+    assert published() == table_files(tmp_path / "other")
+    assert run(shop.fleet, shop.output).n_nights == 0
+    assert table_files(shop.output) == published()
+
+
+def test_an_interrupted_run_s_folder_is_brought_back(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    tables = table_files(shop.output)
+    (fits,) = (shop.output / "tables" / "fits").rglob("*.parquet")
+    store = ObjectStore.at(URL)
+
+    def stopped() -> None:
+        with pipeline.store.working_copy.working_copy(URL, shop.output):
+            fits.write_bytes(b"half a run")
+            (fits.parent / f"{FIRST + DAY}.parquet").write_bytes(b"and a file too many")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped()
+    pull(store, shop.output)
+    assert table_files(shop.output) == tables
+
+
+@pytest.mark.parametrize("name", ["tables/predictions", "tables/trends", "manifest"])
+def test_what_is_gone_from_a_copy_is_brought_back_and_not_from_the_store(
+    server: Server, tmp_path: Path, name: str
+) -> None:
+    """A run took what its folder lacked for removed, and published that."""
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    (path,) = (shop.output / name / "month=2026-01").glob(f"{FIRST}.*")
+    tables, content = published(), path.read_bytes()
+    path.unlink()
+    result = run(shop.fleet, shop.output)
+    code = "manifest_missing" if name == "manifest" else "table_missing"
+    assert [fault.code for fault in result.damage] == [code]
+    assert (result.damage_left, result.n_nights) == ((), 0)
+    assert path.read_bytes() == content
+    assert published().items() >= {one: tables[one] for one in tables if "runs" not in one}.items()
+
+
+def test_what_people_said_on_two_machines_is_kept(server: Server, tmp_path: Path) -> None:
+    store = ObjectStore.at(URL)
+    here, there = tmp_path / "here", tmp_path / "there"
+    said = [
+        Decision("M1", "", dt.datetime(2026, 1, day, tzinfo=dt.UTC), "baseline_reset", FIRST, None)
+        for day in (1, 2, 3)
+    ]
+    record_decision(here, said[0])
+    push(store, here, Snapshot())
+    snapshot = pull(store, there)
+    record_decision(there, said[1])
+    push(store, there, snapshot)
+    record_decision(here, said[2])
+    push(store, here, pull(store, here))
+    pull(store, there)
+    assert read_decisions(here) == read_decisions(there) == tuple(said)
+
+
+def test_objects_that_nobody_needs_are_removed_after_a_week(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    store, path = ObjectStore.at(URL), tmp_path / "tables" / "fits" / "a.parquet"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(b"old")
+    snapshot = push(store, tmp_path, Snapshot())
+    path.write_bytes(b"new")
+    snapshot = push(store, tmp_path, snapshot)
+    assert len(list(store.list("files"))) == 2
+    monkeypatch.setattr(pipeline.store.working_copy, "KEEP", dt.timedelta(days=-1))
+    push(store, tmp_path, snapshot)
+    (left,) = store.list("files")
+    assert store.get(left.key) is not None
+    assert (store.get(left.key) or (b"", ""))[0] == b"new"
+
+
+def test_a_folder_with_tables_of_its_own_is_no_copy(server: Server, tmp_path: Path) -> None:
+    store = ObjectStore.at(URL)
+    for name, content in (("one", b"1"), ("two", b"2")):
+        file = tmp_path / name / "tables" / "fits" / "a.parquet"
+        file.parent.mkdir(parents=True)
+        file.write_bytes(content)
+    push(store, tmp_path / "one", Snapshot())
+    with pytest.raises(StoreError, match=r"tables/fits/a\.parquet") as error:
+        pull(store, tmp_path / "two")
+    assert error.value.code == "store_copy"
+    assert (tmp_path / "two" / "tables" / "fits" / "a.parquet").read_bytes() == b"2"
+    with pytest.raises(StoreError, match="working copy of s3://") as error:
+        pull(ObjectStore.at(f"s3://{BUCKET}/other"), tmp_path / "one")
+    assert error.value.code == "store_copy"
+
+
+def test_a_damaged_object_is_not_believed(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    store = ObjectStore.at(URL)
+    entry = read_snapshot(store).files[f"tables/fits/month=2026-01/{FIRST}.parquet"]
+    found = store.get(entry.key)
+    assert found is not None
+    store.replace(entry.key, b"rot", found[1])
+    with pytest.raises(StoreError, match="is not what was published") as error:
+        run(shop.fleet, tmp_path / "elsewhere")
+    assert error.value.code == "store_read"
+
+
+def test_nothing_is_published_without_credentials(
+    server: Server, own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet(PARQUET)
+    monkeypatch.delenv("AWS_ACCESS_KEY_ID")
+    with pytest.raises(StoreError) as error:
+        run(fleet, output_of(fleet))
+    assert error.value.code == "object_store_credentials"
+    assert not list(output_of(fleet).rglob("*.parquet"))
+
+
+# A run that is not published
+
+
+def test_a_run_into_another_output_is_private(server: Server, tmp_path: Path) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    shop.log(FIRST + DAY)
+    url = f'[folders]\nobject_store = "{URL}"\n'
+    shop.fleet.write_text(shop.fleet.read_text("utf-8").replace("[folders]\n", url), "utf-8")
+    server.forget()
+    private = load(shop.fleet, tmp_path / "private", None)
+    assert run_fleet(RunRequest(private)).n_nights == 2
+    assert not server.requests
+    # The config's own output by its name is the working copy, as ever.
+    assert load(shop.fleet, shop.output, None).object_store == URL
+    assert run_fleet(RunRequest(load(shop.fleet, shop.output, None))).n_nights == 1
+    assert published().keys() == table_files(tmp_path / "private").keys()
+
+
+def test_a_working_copy_is_not_written_to_without_being_published(
+    server: Server, tmp_path: Path
+) -> None:
+    shop = Workshop.at(tmp_path)
+    shop.log(FIRST)
+    run(shop.fleet, shop.output)
+    tables = table_files(shop.output)
+    shop.log(FIRST + DAY)
+    with pytest.raises(StoreError, match="is the working copy of an object store") as error:
+        run(shop.fleet, shop.output, object_store="")
+    assert error.value.code == "store_copy"
+    assert table_files(shop.output) == tables
+    assert run(shop.fleet, shop.output).n_nights == 1
+
+
+# Those who are told of alarms
+
+
+def test_what_was_told_is_known_on_every_machine(server: Server, tmp_path: Path) -> None:
+    fleet = told_fleet(tmp_path, keep(tmp_path / "none" / "told"))
+    run(fleet, tmp_path / "out")
+    write_config(tmp_path, keep(tmp_path / "told"))
+    for machine in ("second", "third", "out"):
+        run(fleet, tmp_path / machine)
+        assert len((tmp_path / "told").read_text().splitlines()) == 1
+        assert not is_waiting(tmp_path / machine)
+    assert set(OUTBOX_FILES) < read_snapshot(ObjectStore.at(URL)).files.keys()
+
+
+def test_nothing_is_told_that_is_not_published(
+    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def denied(*_: object) -> Snapshot:
+        raise StoreError("object_store_denied", "cannot be written")
+
+    fleet = told_fleet(tmp_path, keep(tmp_path / "told"))
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.store.working_copy, "push", denied)
+        with pytest.raises(StoreError):
+            run(fleet, tmp_path / "out")
+    assert not (tmp_path / "told").exists()
+    run(fleet, tmp_path / "out")
+    assert len((tmp_path / "told").read_text().splitlines()) == 1

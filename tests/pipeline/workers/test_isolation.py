@@ -1,0 +1,454 @@
+"""What a task does to its worker costs itself alone: processes that raise, hang, eat and die."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pytest
+from polars.testing import assert_frame_equal
+
+import pipeline.run.fleet
+from pipeline.config import Execution, load_fleet
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.motor_task import run_motor
+from pipeline.run.tasks import MotorOutcome, MotorTask
+from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
+from pipeline.workers.local import Crew, run_tasks
+from pipeline.workers.process import ITEMS_A_SIGN, Loss
+from tests.conftest import OwnFleet
+from tests.pipeline.misbehaviour import (
+    MISBEHAVIOUR,
+    count_beside_or_die,
+    die_once,
+    do,
+    hang_at_a_log,
+    own_pid,
+    own_pid_slowly,
+    slow_by_items,
+    slow_by_parts,
+    workers_of,
+)
+
+GOOD, BAD, OTHER = "CB400-01", "CB400-02", "CB560-01"
+# Enough for the libraries, and little to eat.
+MEMORY_MIB = 700
+TIMEOUT_S = 5.0
+
+
+def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
+    return Execution(workers=workers, timeout_s=timeout_s, memory_limit_mib=MEMORY_MIB)
+
+
+def results(tasks: Sequence[str], how: Execution) -> tuple[set[str], dict[str, Loss]]:
+    """What was done, and the losses by task."""
+    losses: dict[str, Loss] = {}
+
+    def lost(task: str, loss: Loss) -> None:
+        losses[task] = loss
+
+    done = list(run_tasks(do, tasks, lost, how))
+    return {one for one in done if one is not None}, losses
+
+
+# By what a task does: the code of its loss, and words that say what it was.
+EXPECTED = {
+    "raise_error": ("internal", "ZeroDivisionError: not foreseen"),
+    "panic": ("internal", "PanicException: not foreseen"),
+    "hang_in_python": (
+        "task_timeout",
+        "not done within 5 s, at the third night, in hang_in_python",
+    ),
+    "hang_in_c": ("task_timeout", "not done within 5 s, in hang_in_c (misbehaviour.py, line"),
+    "hang_in_a_pattern": ("task_timeout", "not done within 5 s, in fullmatch"),
+    "stop": ("task_timeout", "not done within 5 s"),
+    "eat_with_numpy": ("task_memory", "MemoryError: Unable to allocate 512. MiB"),
+    "eat_with_python": ("task_memory", "MemoryError"),
+    "eat_with_polars": ("task_memory", "SIGABRT: memory allocation of 536870912 bytes failed"),
+    "eat_with_arrow": ("task_memory", "ArrowMemoryError: malloc of size 536870912 failed"),
+    "eat_at_once": ("task_memory", "memory allocation of 8796093022208 bytes failed"),
+    "kill": ("worker_died", "SIGKILL, as the system does for want of memory"),
+    "segfault": ("worker_died", "SIGSEGV, in string_at"),
+    "abort": ("worker_died", "SIGABRT, in abort"),
+    "leave": ("worker_died", "exit code 0"),
+}
+# One of each kind; the others in the full run.
+QUICK = {"panic", "hang_in_python", "hang_in_c", "eat_with_numpy", "eat_with_polars", "segfault"}
+
+
+def check(names: Sequence[str], how: Execution) -> None:
+    tasks = [f"good {k}" for k in range(len(names))]
+    mixed = [one for pair in zip(names, tasks, strict=True) for one in pair]
+    done, losses = results(mixed, how)
+    assert done == {f"{task} done" for task in tasks}
+    assert set(losses) == set(names)
+    for name, loss in losses.items():
+        code, words = EXPECTED[name]
+        assert loss.code == code, name
+        assert words in loss.how, name
+
+
+def test_what_a_task_does_to_its_worker_costs_itself_alone() -> None:
+    check(sorted(QUICK), execution())
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("workers", [1, 3])
+def test_all_that_a_task_may_do_costs_itself_alone(workers: int) -> None:
+    assert set(EXPECTED) == set(MISBEHAVIOUR)
+    check(list(EXPECTED), execution(workers))
+
+
+def test_a_single_task_and_a_single_worker_are_isolated_too() -> None:
+    done, losses = results(["kill"], execution(workers=1))
+    assert (done, {task: loss.code for task, loss in losses.items()}) == (
+        set(),
+        {"kill": "worker_died"},
+    )
+
+
+def test_each_part_has_the_whole_time() -> None:
+    def lost(_: int, loss: Loss) -> int:
+        raise AssertionError(loss)
+
+    assert list(run_tasks(slow_by_parts, [2], lost, execution())) == [2]
+
+
+@pytest.mark.parametrize(
+    ("asked", "how"),
+    [
+        (True, "a.csv did not answer within 0.5 s"),
+        (False, "a.csv did not come to its end within 1"),
+    ],
+)
+def test_a_log_that_a_task_waits_for_is_named(asked: bool, how: str) -> None:
+    """And not asked a second time."""
+    found: list[Loss] = []
+    limits = execution(timeout_s=1.0).model_copy(update={"answer_s": 0.5})
+    list(run_tasks(hang_at_a_log, [asked], lambda _, loss: found.append(loss), limits))
+    assert found == [Loss("log_no_answer", found[0].how, "a night", "a.csv")]
+    assert found[0].how.startswith(how)
+
+
+def test_the_first_time_nobody_is_waited_for() -> None:
+    losses: list[Loss] = []
+    limits = execution(timeout_s=60.0).model_copy(update={"answer_s": 0.5})
+    with Crew() as crew:
+        tasks = ["hang_in_python", "kill", "good"]
+        done = crew.run_tasks(do, tasks, lambda _, loss: losses.append(loss), limits, first=True)
+        assert [one for one in done if one is not None] == ["good done"]
+    assert sorted(loss.code for loss in losses) == ["task_timeout", "worker_died"]
+    assert (
+        "not done within 0.5 s, at the third night"
+        in {loss.code: loss.how for loss in losses}["task_timeout"]
+    )
+
+
+def test_many_files_take_as_long_as_they_take() -> None:
+    """Each answers; together they take longer than one task may be silent."""
+
+    def lost(_: int, loss: Loss) -> int:
+        raise AssertionError(loss)
+
+    limits = execution().model_copy(update={"answer_s": 2.0})
+    with Crew() as crew:
+        done = crew.run_tasks(slow_by_items, [3 * ITEMS_A_SIGN], lost, limits, first=True)
+        assert list(done) == [3 * ITEMS_A_SIGN]
+
+
+def test_a_task_that_is_lost_once_is_done_the_second_time(tmp_path: Path) -> None:
+    def lost(_: str, loss: Loss) -> str:
+        raise AssertionError(loss)
+
+    assert list(run_tasks(die_once, [str(tmp_path / "died")], lost, execution())) == ["done"]
+    assert (tmp_path / "died").exists()
+
+
+def test_workers_stay_for_the_tasks_that_follow() -> None:
+    def lost(_: int, loss: Loss) -> int:
+        raise AssertionError(loss)
+
+    with Crew(2, ["json"]) as crew:
+        first = set(crew.run_tasks(own_pid, range(6), lost, execution()))
+        assert set(crew.run_tasks(own_pid, range(6), lost, execution())) <= first
+        assert len(first) <= 2
+        # One that nobody waits for any more is ended, and there is another for what follows.
+        slow = crew.run_tasks(own_pid_slowly, [0.0, 60.0], lost, execution())
+        next(slow)
+        slow.close()  # type: ignore[attr-defined]
+        assert len(list(crew.run_tasks(own_pid, range(6), lost, execution()))) == 6
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="counts processes in /proc")
+def test_the_second_time_it_is_alone(tmp_path: Path) -> None:
+    markers = [str(tmp_path / name) for name in "ab"]
+
+    def lost(_: str, loss: Loss) -> int:
+        raise AssertionError(loss)
+
+    # Other tests may have left idle workers to this process.
+    idle = workers_of(os.getpid())
+    beside = list(run_tasks(count_beside_or_die, markers, lost, execution()))
+    assert len(beside) == 2
+    assert max(beside) <= idle
+
+
+def test_what_a_worker_says_reaches_stderr(capfd: pytest.CaptureFixture[str]) -> None:
+    results(["raise_error"], execution(workers=1))
+    err = capfd.readouterr().err
+    assert err.count("ZeroDivisionError: not foreseen") >= 2
+    assert "in raise_error" in err
+
+
+def test_sequential_has_the_same_outcomes_for_what_is_raised() -> None:
+    how = Execution(backend="sequential")
+    done, losses = results(["good", "raise_error", "panic"], how)
+    assert done == {"good done"}
+    assert {task: loss.code for task, loss in losses.items()} == {
+        "raise_error": "internal",
+        "panic": "internal",
+    }
+
+
+# Workers end with the run, however that ends
+
+
+PARENT = """
+import sys
+from pipeline.config import Execution
+from pipeline.workers.local import run_tasks
+from tests.pipeline.misbehaviour import pid_and_hang
+
+print("begun", flush=True)
+list(run_tasks(pid_and_hang, [sys.argv[1]] * 2, print, Execution(workers=2)))
+"""
+
+
+def is_running(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except (ProcessLookupError, FileNotFoundError):
+        return False
+    return state != "Z"
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it has not come to that"
+        time.sleep(0.02)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the kernel's help is Linux's")
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
+def test_no_worker_outlives_the_run(tmp_path: Path, number: signal.Signals) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-c", PARENT, str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        cwd=Path(__file__).parents[3],
+    )
+    try:
+        wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
+        workers = [int(path.name) for path in tmp_path.iterdir()]
+        assert all(map(is_running, workers))
+        os.kill(process.pid, number)
+        process.wait(timeout=60)
+        wait_until(lambda: not any(map(is_running, workers)))
+    finally:
+        process.kill()
+        process.communicate()
+
+
+# A motor of a fleet
+
+
+def fit(
+    fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str | None, **how: Any
+) -> RunResult:
+    """Run a fleet in which one motor misbehaves, in all its work or in one night of it."""
+
+    def run_or_misbehave(task: MotorTask) -> MotorOutcome:
+        if task.spec.motor_id == BAD:
+            misbehave_at(night, what)
+        return run_motor(task)
+
+    fleet = load_fleet(fleet_file)
+    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500} | how)
+    with monkeypatch.context() as patched:
+        patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
+        return run_fleet(RunRequest(replace(fleet, execution=limits)))
+
+
+def misbehave_at(night: str | None, what: str) -> None:
+    """In a worker: have the fit of a night misbehave; at once if no night is named."""
+    import pipeline.run.motor_task as module
+
+    if night is None:
+        MISBEHAVIOUR[what]()
+    fit_night = module.fit_night
+
+    def fit_or_misbehave(spec: Any, here: Any, *arguments: Any) -> Any:
+        if str(here.date) == night and spec.motor_id == BAD:
+            MISBEHAVIOUR[what]()
+        return fit_night(spec, here, *arguments)
+
+    module.fit_night = fit_or_misbehave
+
+
+def fits(output: Path, motor: str) -> pl.DataFrame:
+    found = pl.read_parquet(output / "tables/fits/**/*.parquet", hive_partitioning=False)
+    return found.filter(pl.col("is_primary"), motor_id=motor).sort("night").drop("run_id")
+
+
+def outcome_rows(output: Path) -> dict[str, dict[str, Any]]:
+    found = pl.read_parquet(output / "tables/motor_outcomes/**/*.parquet", hive_partitioning=False)
+    last = found.filter(pl.col("started_at") == pl.col("started_at").max())
+    return {row["motor_id"]: row for row in last.iter_rows(named=True)}
+
+
+def output_of(fleet_file: Path) -> Path:
+    return fleet_file.parent.parent / "out"
+
+
+def test_a_motor_that_takes_its_worker_along_costs_no_other_anything(
+    own_fleet: OwnFleet, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet(GOOD, BAD, OTHER)
+    result = fit(fleet, monkeypatch, "segfault", None)
+    assert {one.motor_id: one.status for one in result.outcomes} == {
+        GOOD: "ok",
+        BAD: "failed",
+        OTHER: "ok",
+    }
+    for motor in (GOOD, OTHER):
+        assert_frame_equal(fits(output_of(fleet), motor), fits(fitted_output, motor))
+    row = outcome_rows(output_of(fleet))[BAD]
+    assert (row["status"], row["error_code"]) == ("failed", "worker_died")
+    assert "SIGSEGV, in string_at" in row["message"]
+    assert fits(output_of(fleet), BAD).is_empty()
+
+
+@pytest.mark.parametrize(
+    ("what", "code"),
+    [
+        ("kill", "worker_died"),
+        pytest.param("hang_in_c", "task_timeout", marks=pytest.mark.full),
+        pytest.param("eat_with_polars", "task_memory", marks=pytest.mark.full),
+        pytest.param("eat_with_numpy", "task_memory", marks=pytest.mark.full),
+        pytest.param("panic", "internal", marks=pytest.mark.full),
+        pytest.param("raise_error", "internal", marks=pytest.mark.full),
+    ],
+)
+def test_a_night_that_takes_its_worker_along_costs_no_other_night(
+    own_fleet: OwnFleet,
+    fitted_output: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    what: str,
+    code: str,
+) -> None:
+    fleet = own_fleet(BAD)
+    (outcome,) = fit(fleet, monkeypatch, what, "2026-01-03").outcomes
+    assert (outcome.status, outcome.error_code) == ("failed", code)
+    assert dict(outcome.counts) == {"ok": 2, "failed": 1}
+    found, before = fits(output_of(fleet), BAD), fits(fitted_output, BAD)
+    assert found["error_code"].to_list() == [None, code, None]
+    assert found["reason"][1]
+    assert_frame_equal(found[:1], before[:1])
+    row = outcome_rows(output_of(fleet))[BAD]
+    assert row["message"].startswith("night 2026-01-03: ")
+    # Nothing is tried again by itself; asked for, it is done.
+    again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
+    assert run_fleet(RunRequest(again)).n_nights == 0
+    assert run_fleet(RunRequest(again, retry=True)).failed == ()
+    assert_frame_equal(fits(output_of(fleet), BAD), before)
+
+
+def test_trends_that_take_their_worker_along_cost_their_motor_alone(
+    own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet = own_fleet(GOOD, BAD, OTHER)
+
+    def run_or_die(task: TrendTask) -> TrendOutcome:
+        import pipeline.trends.stage as module
+
+        indicators = module.indicators_of
+
+        def die(history: Any, *arguments: Any) -> Any:
+            if history.spec.motor_id == BAD:
+                MISBEHAVIOUR["segfault"]()
+            return indicators(history, *arguments)
+
+        module.indicators_of = die
+        return run_trends(task)
+
+    monkeypatch.setattr(pipeline.run.fleet, "run_trends", run_or_die)
+    limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
+    result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
+    assert [one.motor_id for one in result.failed] == [BAD]
+    row = outcome_rows(output_of(fleet))[BAD]
+    assert (row["status"], row["error_code"]) == ("failed", "worker_died")
+    assert re.match(rf"trends: its worker process ended with SIGSEGV, at {BAD}", row["message"])
+    # Its fits are there, and the trends of the others.
+    assert fits(output_of(fleet), BAD)["status"].to_list() == ["ok"] * 3
+    trends = pl.read_parquet(output_of(fleet) / "tables/trends/**/*.parquet")
+    assert set(trends["motor_id"]) == {GOOD, OTHER}
+
+
+# Signals while trends are made; those during fits and publishing are in the tests of fleet and cli
+
+TRENDS_THAT_WAIT = """
+import signal, sys
+from pathlib import Path
+import pipeline.run.fleet
+from pipeline.cli import main
+
+marker = sys.argv.pop()
+
+def wait(task):
+    Path(marker).touch()
+    while True:
+        signal.pause()
+
+pipeline.run.fleet.run_trends = wait
+main()
+"""
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_while_trends_are_made_keeps_the_fits(
+    own_fleet: OwnFleet, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    fleet, marker = own_fleet(GOOD, fitted=True), tmp_path / "waits"
+    process = subprocess.Popen(
+        [sys.executable, "-c", TRENDS_THAT_WAIT, "fit-fleet", str(fleet), str(marker)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        wait_until(marker.exists)
+        os.killpg(process.pid, number)
+        out, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+        process.communicate()
+    assert process.returncode == code
+    assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
+    assert len(err.splitlines()) == 1
+    assert "interrupted; 0 nights of 1 motors" in out
+    runs = pl.read_parquet(output_of(fleet) / "tables/runs/**/*.parquet").sort("started_at")
+    assert runs["status"][-1] == "interrupted"
+    again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
+    assert run_fleet(RunRequest(again)).failed == ()
