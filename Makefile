@@ -47,10 +47,11 @@ demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fle
 $(DEMO)/truth.json: | $(READY)
 	$(BIN)/motor-leakage demo .
 
-lint: $(READY)   ## style, types, and that the generated docs are up to date
+lint: $(READY)   ## style, types, law of imports, and that the generated docs are up to date
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/lint-imports
 	$(BIN)/python -m pipeline.cli.reference --check docs
 
 format: $(READY)

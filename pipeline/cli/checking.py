@@ -22,9 +22,9 @@ from pipeline.errors import UsageError
 from pipeline.messages import error_line
 
 if TYPE_CHECKING:
-    from pipeline.run.verification import TableFault
     from pipeline.setup.channel_check import ChannelCheck
     from pipeline.setup.check import MotorCheck
+    from pipeline.store.verification import TableFault
 
 
 def check(

@@ -1,7 +1,7 @@
-"""The reference pages `docs/config.md` and `docs/tables.md`, made from the code they describe.
+"""Reference pages `docs/config.md` and `docs/tables.md`, made from the code.
 
-``python -m pipeline.cli.reference docs`` writes them. With ``--check`` nothing is written: pages that
-are out of date are named on stderr, and the exit code is 1.
+``python -m pipeline.cli.reference docs`` writes them. With ``--check`` nothing is written:
+pages that are out of date are named on stderr, and the exit code is 1.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pipeline.units import CHANNELS, QUANTITIES, UNITS, canonical_unit
 
 Schema = Mapping[str, Any]
 
-EXAMPLE: Final = Path(__file__).resolve().parents[1] / "docs" / "example"
+EXAMPLE: Final = Path(__file__).resolve().parents[2] / "docs" / "example"
 NOTE: Final = "<!-- Made by `make docs` from the code; edit that, not this page. -->"
 FILES: Final[Mapping[str, type[Section]]] = {
     "fleet.toml": FleetFile,

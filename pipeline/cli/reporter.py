@@ -23,8 +23,8 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     from collections import Counter
 
     from pipeline.run.fleet import plan_fleet, plan_trends
-    from pipeline.run.verification import look_at_published
     from pipeline.store.manifest import manifest_keys
+    from pipeline.store.verification import look_at_published
 
     total = 0
     for motor_id, plan in plan_fleet(request):

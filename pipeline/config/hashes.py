@@ -8,16 +8,40 @@ log.
 from __future__ import annotations
 
 import datetime as dt
+import hashlib
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.config import MotorSpec
+from leakage import Motor
+from pipeline.config.loading import MotorSpec
 from pipeline.config.nights import night as night_labelled
-from pipeline.night.statistics import STATISTICS_VERSION, hash_of, model_hash
-from pipeline.night.windows import HandSet
+from pipeline.config.periods import ChosenPeriods
 
+# Raise it when the code makes other statistics of the same samples: old blocks then never merge
+# with new ones.
+STATISTICS_VERSION = 2
+
+# Keys that leave the columns of a free path as they are: they scale its coefficient, or only say
+# how well something is known.
+SCALE_ONLY = {
+    "annular_gap": {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"},
+    "speed_curve": {"scale"},
+    "laminar": {"count", "coefficient_m3"},
+}
+WORDS_AND_TOLERANCES = {
+    "name",
+    "source",
+    "deformation_tolerance_percent",
+    "curve_tolerance_percent",
+    "pressure_viscosity_tolerance_percent",
+    "density_tolerance_percent",
+    "offset_tolerance",
+    "gain_tolerance_percent",
+}
+# Where a channel stands in its log, which says nothing of its values.
+WHERE_IT_STANDS = {"field"}
 # Raise it when the code makes other figures of the same statistics: every night is then refitted.
 FIGURES_VERSION = 2
 # Raise it when a reader makes other samples of the same file.
@@ -145,7 +169,7 @@ class SettingsHashes:
     def statistics(self, night: dt.date) -> str:
         """Hash of all that shapes a night's statistics, from its samples on."""
         spec = self.spec
-        by_hand = HandSet.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+        by_hand = ChosenPeriods.of(spec.file.periods, night_labelled(night, spec.settings.nights))
         key = (spec.file.oil_on(night), by_hand)
         if key not in self._statistics:
             motor = spec.motor(night, spec.file.flushing.mode)
@@ -184,3 +208,64 @@ class SettingsHashes:
                 }
             )
         return self._figures[oil]
+
+
+def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
+    """Hash of all that shapes the statistics of a night; blocks of different hash never merge.
+
+    Counts, radii, lengths and bounds of free gaps are left out: they scale loss factors into gap
+    heights and leave the columns as they are. So are tolerances and words.
+    """
+    free = {path.name for path in motor.column_paths}
+    paths = [
+        {"name": declared.name}
+        | declared.model_dump(
+            exclude=WORDS_AND_TOLERANCES
+            | (SCALE_ONLY[declared.law] if declared.name in free else set())
+        )
+        for declared in spec.motor_type.path
+    ]
+    settings = spec.settings.model_dump(
+        include={
+            "nights",
+            "time_base",
+            "cleaning",
+            "transport_delay",
+            "smoothing",
+            "windows",
+            "model",
+            "estimation",
+        },
+        exclude={
+            "windows": {
+                "minimum_kept_share",
+                "minimum_training_minutes",
+                "minimum_pressure_spread_bar",
+                "minimum_speed_spread_rpm",
+                "minimum_temperature_spread_c",
+            },
+            "model": {"film_pressure_share_tolerance", "charge_pressure_tolerance_bar"},
+            "estimation": set(type(spec.settings.estimation).model_fields) - {"loss"},
+        },
+    )
+    document: dict[str, Any] = {
+        "version": STATISTICS_VERSION,
+        "columns": motor.columns,
+        "paths": paths,
+        "oil": spec.oil_on(night).model_dump(exclude=WORDS_AND_TOLERANCES),
+        "settings": settings,
+        "channels": {
+            name: channel.model_dump(exclude=WORDS_AND_TOLERANCES | WHERE_IT_STANDS)
+            for name, channel in spec.file.channels.items()
+        },
+    }
+    by_hand = ChosenPeriods.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+    if by_hand:
+        document["periods"] = [by_hand.training, by_hand.validation]
+    return hash_of(document)
+
+
+def hash_of(document: Mapping[str, Any]) -> str:
+    """Short hash of a JSON document, the same on every machine."""
+    text = json.dumps(document, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

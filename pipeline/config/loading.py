@@ -19,9 +19,11 @@ from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
-from pipeline.store.object_store import is_url
 
 Model = TypeVar("Model", bound=BaseModel)
+# Object stores that logs and tables may lie in.
+URL_SCHEMES = ("s3", "az", "gs")
+
 Document = Mapping[str, Any]
 
 # Folders of the output that a run writes or empties.
@@ -397,3 +399,14 @@ def _validate(
     except ValidationError as error:
         faults += faults_of(error, file, prefix, document)
     return None
+
+
+def is_url(text: str) -> bool:
+    """Tell the URL of an object store from a folder.
+
+    Examples
+    --------
+    >>> is_url("s3://bucket/logs"), is_url("../logs")
+    (True, False)
+    """
+    return text.partition("://")[0] in URL_SCHEMES and "://" in text

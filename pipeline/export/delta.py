@@ -13,9 +13,10 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
+from pipeline.config.loading import is_url
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import TABLES, Table
-from pipeline.store.object_store import ObjectStore, is_url
+from pipeline.store.object_store import ObjectStore
 from pipeline.store.tables import existing_tables, read_table, table_folder
 
 

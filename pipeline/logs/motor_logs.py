@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import Night, night_of, nights_between
@@ -27,7 +28,6 @@ from pipeline.logs.files import (
 )
 from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import logs_of
-from pipeline.night.rows import utc
 from pipeline.workers.process import Loss, reading, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.

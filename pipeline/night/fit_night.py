@@ -18,6 +18,7 @@ import numpy as np
 from leakage import EstimationError, LeakageError
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
+from pipeline.config.periods import ChosenPeriods
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
@@ -35,7 +36,7 @@ from pipeline.night.sampling import means_too_long
 from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
-from pipeline.night.windows import TRAINING, HandSet, left_out, too_uniform
+from pipeline.night.windows import TRAINING, left_out, too_uniform
 from pipeline.units import RUNNING_HOURS
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
@@ -269,7 +270,7 @@ def _choose_parts(
         samples.period_us,
         night.start_us,
         spec.settings.windows,
-        HandSet.of(spec.file.periods, night),
+        ChosenPeriods.of(spec.file.periods, night),
     )
     counted = tuple(
         Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()

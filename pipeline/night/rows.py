@@ -18,6 +18,7 @@ from leakage.validation import (
     effective_sample_count,
     lag_one_autocorrelation,
 )
+from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit
 from pipeline.night.fit import PA_PER_BAR, FittedMode, own_conditions, transport_delays_s
@@ -36,11 +37,6 @@ Rows = dict[str, list[Row]]
 
 # Points a night in the table of predictions: enough for a plot, not for an analysis.
 PREDICTION_POINTS = 720
-
-
-def utc(microseconds: int) -> dt.datetime:
-    """A time stamp as the tables hold it."""
-    return dt.datetime(1970, 1, 1, tzinfo=dt.UTC) + dt.timedelta(microseconds=int(microseconds))
 
 
 def unfitted_row(

@@ -2,12 +2,7 @@
 
 from __future__ import annotations
 
-import datetime as dt
-import hashlib
-import json
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,37 +11,14 @@ from leakage import Motor, OperatingConditions, Parametrisation, regressors
 from leakage.block_statistics import factors, merge
 from leakage.robust import huber_weights, weight_inflation
 from pipeline.config import MotorSpec
+from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
-from pipeline.config.nights import night as night_labelled
+from pipeline.config.periods import ChosenPeriods
 from pipeline.night.smoothing import smooth
 from pipeline.night.time_base import Samples
-from pipeline.night.windows import TRAINING, Block, HandSet, merge_neighbours, split_into_blocks
+from pipeline.night.windows import TRAINING, Block, merge_neighbours, split_into_blocks
 
 Array = NDArray[np.float64]
-
-# Raise it when the code makes other statistics of the same samples: old blocks then never merge
-# with new ones.
-STATISTICS_VERSION = 2
-
-# Keys that leave the columns of a free path as they are: they scale its coefficient, or only say
-# how well something is known.
-SCALE_ONLY = {
-    "annular_gap": {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"},
-    "speed_curve": {"scale"},
-    "laminar": {"count", "coefficient_m3"},
-}
-WORDS_AND_TOLERANCES = {
-    "name",
-    "source",
-    "deformation_tolerance_percent",
-    "curve_tolerance_percent",
-    "pressure_viscosity_tolerance_percent",
-    "density_tolerance_percent",
-    "offset_tolerance",
-    "gain_tolerance_percent",
-}
-# Where a channel stands in its log, which says nothing of its values.
-WHERE_IT_STANDS = {"field"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +119,7 @@ def night_statistics(
     unsmoothed = np.empty((len(samples.index), len(motor.columns)))
     regressors(motor, conditions, out=unsmoothed[:, :-1])
     unsmoothed[:, -1] = samples.leakage_l_per_min
-    by_hand = HandSet.of(spec.file.periods, night)
+    by_hand = ChosenPeriods.of(spec.file.periods, night)
     short = split_into_blocks(samples.time_us, night.start_us, settings.windows, by_hand)
     number = np.repeat(np.arange(len(short)), [block.n for block in short])
     z = smooth(unsmoothed, samples.index, number, samples.period_us, settings.smoothing)
@@ -206,64 +178,3 @@ def _charge_over_case_bar(spec: MotorSpec, samples: Samples) -> Array:
     case = logged.get("case_pressure", np.full(len(samples.index), model.case_pressure_bar))
     difference: Array = np.maximum(charge - case, 0.0)
     return difference
-
-
-def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
-    """Hash of all that shapes the statistics of a night; blocks of different hash never merge.
-
-    Counts, radii, lengths and bounds of free gaps are left out: they scale loss factors into gap
-    heights and leave the columns as they are. So are tolerances and words.
-    """
-    free = {path.name for path in motor.column_paths}
-    paths = [
-        {"name": declared.name}
-        | declared.model_dump(
-            exclude=WORDS_AND_TOLERANCES
-            | (SCALE_ONLY[declared.law] if declared.name in free else set())
-        )
-        for declared in spec.motor_type.path
-    ]
-    settings = spec.settings.model_dump(
-        include={
-            "nights",
-            "time_base",
-            "cleaning",
-            "transport_delay",
-            "smoothing",
-            "windows",
-            "model",
-            "estimation",
-        },
-        exclude={
-            "windows": {
-                "minimum_kept_share",
-                "minimum_training_minutes",
-                "minimum_pressure_spread_bar",
-                "minimum_speed_spread_rpm",
-                "minimum_temperature_spread_c",
-            },
-            "model": {"film_pressure_share_tolerance", "charge_pressure_tolerance_bar"},
-            "estimation": set(type(spec.settings.estimation).model_fields) - {"loss"},
-        },
-    )
-    document: dict[str, Any] = {
-        "version": STATISTICS_VERSION,
-        "columns": motor.columns,
-        "paths": paths,
-        "oil": spec.oil_on(night).model_dump(exclude=WORDS_AND_TOLERANCES),
-        "settings": settings,
-        "channels": {
-            name: channel.model_dump(exclude=WORDS_AND_TOLERANCES | WHERE_IT_STANDS)
-            for name, channel in spec.file.channels.items()
-        },
-    }
-    by_hand = HandSet.of(spec.file.periods, night_labelled(night, spec.settings.nights))
-    if by_hand:
-        document["periods"] = [by_hand.training, by_hand.validation]
-    return hash_of(document)
-
-
-def hash_of(document: Mapping[str, Any]) -> str:
-    """Short hash of a JSON document, the same on every machine."""
-    text = json.dumps(document, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]

@@ -8,8 +8,7 @@ crosses a block's border, so blocks do not depend on the split.
 
 from __future__ import annotations
 
-import datetime as dt
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,12 +16,9 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, Times
 from pipeline.config import Windows
-from pipeline.config.motors import Periods
-from pipeline.config.nights import Night
+from pipeline.config.periods import NONE_CHOSEN, ChosenPeriods, Stretch
 
 Mask = NDArray[np.bool_]
-
-Stretch = tuple[int, int]
 TRAINING, VALIDATION, GUARD = "training", "validation", "guard"
 # Interleaved: this many blocks train and validate in turn (seven to three).
 INTERLEAVED = (7, 3)
@@ -56,49 +52,12 @@ class Block:
         return self.end_row - self.first_row
 
 
-@dataclass(frozen=True, slots=True)
-class HandSet:
-    """Periods set by hand as far as they touch a night; UTC microseconds, half open."""
-
-    training: tuple[tuple[int, int], ...] = ()
-    validation: tuple[tuple[int, int], ...] = ()
-
-    @classmethod
-    def of(cls, periods: Periods, night: Night) -> HandSet:
-        """Those of a motor's periods that touch a night."""
-
-        def touching(chosen: Iterable[tuple[dt.datetime, dt.datetime]]) -> tuple[Stretch, ...]:
-            stretches = ((_microseconds(begin), _microseconds(end)) for begin, end in chosen)
-            return tuple(
-                sorted(
-                    (begin, end)
-                    for begin, end in stretches
-                    if begin < night.end_us and end > night.start_us
-                )
-            )
-
-        return cls(touching(periods.training), touching(periods.validation))
-
-    def __bool__(self) -> bool:
-        return bool(self.training or self.validation)
-
-    def within(self, time_us: Times, part: str) -> Mask:
-        """Which samples lie in a period of a part, shape (n,)."""
-        mask = np.zeros(len(time_us), dtype=np.bool_)
-        for begin, end in self.training if part == TRAINING else self.validation:
-            mask |= (time_us >= begin) & (time_us < end)
-        return mask
-
-
-NONE_SET = HandSet()
-
-
-def _microseconds(time: dt.datetime) -> int:
-    return (time - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
-
-
 def left_out(
-    time_us: Times, period_us: int, night_start_us: int, settings: Windows, by_hand: HandSet
+    time_us: Times,
+    period_us: int,
+    night_start_us: int,
+    settings: Windows,
+    chosen_periods: ChosenPeriods,
 ) -> dict[str, Mask]:
     """Kept samples that are in no part of the night good enough to fit, by rule.
 
@@ -112,8 +71,8 @@ def left_out(
         Start of the night; blocks count from it.
     settings
         Share a block must keep, longest gap, shortest stretch.
-    by_hand
-        Periods set by hand; where there are some, they alone decide.
+    chosen_periods
+        Periods chosen by an engineer; where there are some, they alone decide.
 
     Returns
     -------
@@ -121,8 +80,8 @@ def left_out(
         Shape (n,) each: `outside_periods`, or `thin_block` and `short_stretch`. Stretches are
         those of the samples that are not in a thin block.
     """
-    if by_hand:
-        inside = by_hand.within(time_us, TRAINING) | by_hand.within(time_us, VALIDATION)
+    if chosen_periods:
+        inside = _within(time_us, chosen_periods.training + chosen_periods.validation)
         return {"outside_periods": ~inside}
     length = round(settings.block_s * SECOND_US)
     number = (time_us - night_start_us) // length
@@ -164,7 +123,10 @@ def too_uniform(values: Mapping[str, NDArray[np.float64]], settings: Windows) ->
 
 
 def split_into_blocks(
-    time_us: Times, night_start_us: int, settings: Windows, by_hand: HandSet = NONE_SET
+    time_us: Times,
+    night_start_us: int,
+    settings: Windows,
+    chosen_periods: ChosenPeriods = NONE_CHOSEN,
 ) -> tuple[Block, ...]:
     """Short blocks of the kept samples, counted from the night's start, with their parts.
 
@@ -176,8 +138,9 @@ def split_into_blocks(
         Start of the night.
     settings
         Length of a block, kind of split, shares.
-    by_hand
-        Periods set by hand, which then decide the parts; a block that both touch is guard.
+    chosen_periods
+        Periods chosen by an engineer, which then decide the parts; a block that both touch is
+        guard.
 
     Returns
     -------
@@ -192,8 +155,8 @@ def split_into_blocks(
     ends = np.append(starts[1:], len(time_us))
     numbers, sizes = number[starts], ends - starts
     parts = _parts(numbers, sizes, settings)
-    if by_hand:
-        parts = _parts_by_hand(time_us, starts, by_hand)
+    if chosen_periods:
+        parts = _parts_as_chosen(time_us, starts, chosen_periods)
     return tuple(
         Block(
             int(first),
@@ -216,13 +179,24 @@ def _parts(numbers: NDArray[np.int64], sizes: NDArray[np.int64], settings: Windo
     return [TRAINING] * n_training + late
 
 
-def _parts_by_hand(time_us: Times, starts: NDArray[np.intp], by_hand: HandSet) -> list[str]:
+def _parts_as_chosen(
+    time_us: Times, starts: NDArray[np.intp], chosen_periods: ChosenPeriods
+) -> list[str]:
+    periods = {TRAINING: chosen_periods.training, VALIDATION: chosen_periods.validation}
     whole = {
-        part: np.logical_and.reduceat(by_hand.within(time_us, part), starts)
-        for part in (TRAINING, VALIDATION)
+        part: np.logical_and.reduceat(_within(time_us, stretches), starts)
+        for part, stretches in periods.items()
     }
     found = np.select(list(whole.values()), list(whole), GUARD)
     return [str(part) for part in found]
+
+
+def _within(time_us: Times, stretches: Sequence[Stretch]) -> Mask:
+    """Samples that lie in one of some stretches, shape (n,)."""
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    for begin, end in stretches:
+        mask |= (time_us >= begin) & (time_us < end)
+    return mask
 
 
 def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:

@@ -12,11 +12,11 @@ import polars as pl
 from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.report.explain import FITS_OF_A_NIGHT, fit_words
-from pipeline.run.verification import TableFault, look_at_published
-from pipeline.schema import ALARMS, FITS, RUNS, TRENDS
-from pipeline.store.heartbeat import Beat, read_heartbeat
+from pipeline.schema import ALARMS, FITS, TRENDS
+from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.manifest import manifest_keys
-from pipeline.store.tables import read_rows, read_table, table_folder
+from pipeline.store.tables import read_rows
+from pipeline.store.verification import TableFault, look_at_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
@@ -27,7 +27,6 @@ ORDER = (*CHANGED, "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage")
 SENSORS = ("pressure_zero", "flow_zero")
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
-GOOD_RUNS = ("ok", "motors_failed")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
 TOLD = (*RAISED, "stale")
@@ -269,18 +268,6 @@ def _acknowledged(
         and (before is None or one.night > before)
     ]
     return said[-1].note or said[-1].kind if said else ""
-
-
-def last_good_run(output: Path) -> dt.datetime | None:
-    """When the last run ended that went through all motors; None where none did."""
-    for month in sorted(table_folder(output, RUNS).glob("month=*"), reverse=True):
-        for path in sorted(month.glob("*.parquet"), reverse=True):
-            rows = read_table(path, RUNS).filter(pl.col("status").is_in(GOOD_RUNS))
-            if not rows.is_empty():
-                ended = rows["finished_at"].max()
-                assert isinstance(ended, dt.datetime)
-                return ended
-    return None
 
 
 def last_alarm(

@@ -25,21 +25,18 @@ from typing import Any
 from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash as hash_of_config
-from pipeline.config.hashes import settings_of, why_anew
+from pipeline.config.hashes import hash_of, settings_of, why_anew
 from pipeline.config.nights import night_of
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.files import legible
 from pipeline.logs.ledger import Ledger, forget_nights, read_settings, write_months, write_settings
 from pipeline.logs.motor_logs import FATES
 from pipeline.night.fit_night import FAILED
-from pipeline.night.statistics import hash_of
-from pipeline.report.status import last_good_run
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motor_task import plan_motor, run_motor
 from pipeline.run.parts import run_motors
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
-from pipeline.run.verification import TableFault
 from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
@@ -59,11 +56,12 @@ from pipeline.store.atomic_files import (
     remove_all,
     remove_leftovers,
 )
-from pipeline.store.heartbeat import Heartbeat
+from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.manifest import Key, manifest_keys
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
+from pipeline.store.verification import TableFault
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver

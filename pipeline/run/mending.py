@@ -18,17 +18,7 @@ from pathlib import Path
 
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import forget_nights
-from pipeline.run.verification import (
-    OF_MOTORS,
-    OF_TRENDS,
-    TABLE_OF,
-    TableFault,
-    fault_of,
-    look_at_published,
-    proofs_of,
-    unlisted_files,
-    verify_tables,
-)
+from pipeline.run.verification import verify_tables
 from pipeline.schema import DECISIONS, RUNS
 from pipeline.store.atomic_files import move, remove
 from pipeline.store.manifest import (
@@ -42,6 +32,16 @@ from pipeline.store.manifest import (
     update_manifest,
 )
 from pipeline.store.tables import ENDING, PUT_ASIDE, Proof, day_of_run, read_table, table_folder
+from pipeline.store.verification import (
+    OF_MOTORS,
+    OF_TRENDS,
+    TABLE_OF,
+    TableFault,
+    fault_of,
+    look_at_published,
+    proofs_of,
+    unlisted_files,
+)
 from pipeline.trends.decisions import Decision, journal_file, put_back, take_out_damaged_lines
 from pipeline.trends.record import note_touched
 

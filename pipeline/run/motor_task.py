@@ -23,7 +23,7 @@ import polars as pl
 from polars.exceptions import PanicException
 from threadpoolctl import threadpool_limits
 
-from pipeline.config.hashes import SettingsHashes, settings_of, why_anew
+from pipeline.config.hashes import SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import night, nights_between
 from pipeline.errors import StoreError
 from pipeline.logs.files import is_guess, labels_of, legible, reaches_us, slice_night
@@ -50,7 +50,6 @@ from pipeline.night.fit_night import (
 )
 from pipeline.night.refit import StoredNights, is_refit, judged
 from pipeline.night.rows import Row
-from pipeline.night.statistics import hash_of
 from pipeline.run.tasks import (
     MadeNight,
     MotorOutcome,

@@ -1,79 +1,23 @@
-"""Comparison of an output with what runs have left there: `check --tables` all, a run a share.
-
-A run looks whether every published file is there, and reads those that are due, and those that
-somebody has written to since they were published.
-"""
+"""`check --tables`: all files of an output, a run's own beside the published ones."""
 
 from __future__ import annotations
 
-import hashlib
-import os
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.schema import NIGHT_TABLES, TABLES, TREND_TABLES
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, read
 from pipeline.store.manifest import (
-    WHOLE,
-    Key,
-    Manifest,
-    key_of,
-    manifest_file,
     manifest_keys,
-    read_manifest,
 )
 from pipeline.store.sealed import unseal, unseal_bytes
-from pipeline.store.tables import ENDING, PUT_ASIDE, Proof, prove
+from pipeline.store.verification import TableFault, look_at_published, verify_unlisted
 from pipeline.telling.outbox import OUTBOX_FILES, parsed
 from pipeline.trends.decisions import damaged_lines, journal_file
 from pipeline.trends.kept_nights import kept_folder
 
-AGAIN = "a run makes it anew"
-TABLE_OF = {table.name: table for table in TABLES}
-OF_MOTORS = {table.name for table in NIGHT_TABLES}
-OF_TRENDS = {table.name for table in TREND_TABLES}
 ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run makes it anew"
-
-
-@dataclass(frozen=True, slots=True)
-class TableFault:
-    """A file that is not as it was left.
-
-    Attributes
-    ----------
-    path
-        Relative to the folder of the tables; of another file, to the output folder.
-    code
-        ``table_altered``, ``table_missing``, ``table_unreadable``, ``table_unlisted``,
-        ``rows_lost``, ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``,
-        ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
-    message
-        In words, with what to do.
-    """
-
-    path: str
-    code: str
-    message: str
-
-
-@dataclass(frozen=True, slots=True)
-class Look:
-    """A comparison of the published files with their manifests.
-
-    Attributes
-    ----------
-    faults
-        Files that differ, are absent or cannot be read, and manifests that are damaged.
-    proven
-        Manifests all whose files were read and are whole though one was written to since.
-    """
-
-    faults: tuple[TableFault, ...]
-    proven: tuple[Key, ...]
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
@@ -87,162 +31,10 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
         One for each file that differs, is absent, is in no manifest, or is damaged itself.
     """
     yield from look_at_published(output, manifest_keys(output)).faults
-    yield from _verify_unlisted(output)
+    yield from verify_unlisted(output)
     yield from _verify_sealed(output)
     yield from _verify_journal(output)
     yield from _verify_outbox(output)
-
-
-def look_at_published(
-    output: Path, keys: Iterable[Key], is_due: Callable[[Key], bool] = lambda _: True
-) -> Look:
-    """Compare the files of manifests that are due; of the others, those that were written to since.
-
-    That a file is there is looked at in any case.
-    """
-    faults: list[TableFault] = []
-    proven: list[Key] = []
-    for key in keys:
-        manifest = read_manifest(output, *key)
-        if manifest is None:
-            path = manifest_file(output, *key)
-            if path.exists():
-                message = "the manifest is damaged; a run makes it anew from the files"
-                name = path.relative_to(output).as_posix()
-                faults.append(TableFault(name, "manifest_damaged", message))
-            continue
-        later = _written_since(output, key, manifest)
-        names = manifest.names if is_due(key) else later
-        found = [fault for name in sorted(names) if (fault := fault_of(output, name)) is not None]
-        faults += found
-        if later and not found:
-            proven.append(key)
-    return Look(tuple(faults), tuple(proven))
-
-
-def _written_since(output: Path, key: Key, manifest: Manifest) -> set[str]:
-    """Files that were written to after their manifest, or are not there."""
-    published_ns = _written_ns(manifest_file(output, *key))
-    tables = os.fspath(output / "tables")
-    return {
-        name
-        for name in manifest.names
-        if (written := _written_ns(f"{tables}/{name}")) is None
-        or published_ns is None
-        or written > published_ns
-    }
-
-
-def _written_ns(path: Path | str) -> int | None:
-    try:
-        return os.stat(path).st_mtime_ns  # noqa: PTH116 - thousands of them in every run
-    except OSError:
-        return None
-
-
-def fault_of(output: Path, name: str) -> TableFault | None:
-    """The fault of a table file, by its manifest; None: it has none.
-
-    It is looked at twice: a run may have published it in between, and what went wrong on the way
-    from the disk is none of its faults.
-    """
-    fault = None
-    for _ in range(2):
-        manifest = read_manifest(output, *key_of(name)) or Manifest()
-        fault = _compare(output, name, manifest.accepted(name))
-        if fault is None:
-            break
-    return fault
-
-
-def _compare(output: Path, name: str, accepted: tuple[str | None, ...]) -> TableFault | None:
-    if not accepted:
-        return None
-    try:
-        found = hashlib.sha256(read(output / "tables" / name)).hexdigest()
-    except (FileNotFoundError, NotADirectoryError):
-        if None in accepted:
-            return None
-        return TableFault(name, "table_missing", f"the file is gone; {_again(name)}")
-    except OSError as error:
-        message = f"it cannot be read: {error.strerror}; correct its permissions, or the disk"
-        return TableFault(name, "table_unreadable", message)
-    if found not in accepted:
-        return TableFault(name, "table_altered", f"it is not what was published; {_again(name)}")
-    return None
-
-
-def _again(name: str) -> str:
-    """The words for a file that is damaged or gone: who makes it anew."""
-    if name.split("/")[0] in OF_MOTORS:
-        return f"{AGAIN} where the logs of that night are there"
-    if name.split("/")[0] in OF_TRENDS or key_of(name)[0] == WHOLE:
-        return AGAIN
-    return "it told of a run, and nothing makes it anew"
-
-
-def unlisted_files(output: Path) -> dict[Key, list[str]]:
-    """Table files that are in no manifest, by the one that should list them.
-
-    Those of a damaged manifest are among them.
-    """
-    # Files first, then manifests: a run announces a file before it puts it there.
-    found: defaultdict[Key, set[str]] = defaultdict(set)
-    tables = os.fspath(output / "tables")
-    for folder, _, files in os.walk(tables):
-        below = folder[len(tables) + 1 :]
-        for file in files:
-            if not file.startswith(TEMPORARY_PREFIX):
-                name = f"{below}/{file}" if below else file
-                found[key_of(name)].add(name)
-    unlisted = {}
-    for key, names in sorted(found.items()):
-        manifest = read_manifest(output, *key) or Manifest()
-        if left := names - manifest.names:
-            unlisted[key] = sorted(left)
-    return unlisted
-
-
-def proofs_of(output: Path, names: Sequence[str]) -> dict[str, tuple[str, Proof]]:
-    """SHA-256 and proof of those of some table files that can prove themselves.
-
-    Raises
-    ------
-    StoreError
-        ``store_newer``.
-    """
-    found = {}
-    for name in names:
-        table = TABLE_OF.get(name.split("/")[0])
-        if table is None or not name.endswith(ENDING):
-            continue
-        try:
-            found[name] = prove(output / "tables" / name, table)
-        except StoreError as error:
-            if error.code == "store_newer":
-                raise
-    return found
-
-
-def _verify_unlisted(output: Path) -> Iterator[TableFault]:
-    for key, names in unlisted_files(output).items():
-        strangers = set(names)
-        if read_manifest(output, *key) is None:
-            proofs = proofs_of(output, names)
-            strangers -= proofs.keys()
-            path = manifest_file(output, *key)
-            if proofs and not path.exists():
-                message = f"there is no manifest of {len(proofs)} files; a run makes it anew"
-                name = path.relative_to(output).as_posix()
-                yield TableFault(name, "manifest_missing", message)
-        for name in sorted(strangers):
-            yield TableFault(name, "table_unlisted", _why_unlisted(name))
-
-
-def _why_unlisted(name: str) -> str:
-    if name.endswith(PUT_ASIDE):
-        return "it was damaged and put aside; `check --tables --mend` removes it"
-    return "the file is in no manifest: it was not published by a run; delete it"
 
 
 def _verify_sealed(output: Path) -> Iterator[TableFault]:

@@ -17,14 +17,20 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
+import polars as pl
+
 from pipeline.errors import MotorLeakageError, StoreError
+from pipeline.schema import RUNS
 from pipeline.store.atomic_files import put
+from pipeline.store.tables import read_table, table_folder
 
 log = logging.getLogger(__name__)
 
 INTERVAL_S = 15.0
 # A beat this old is none any more: several in a row are missing.
 MISSED_BEATS = 4
+# Runs that went through all motors.
+GOOD_RUNS = ("ok", "motors_failed")
 RUNNING, FINISHED, INTERRUPTED, FAILED = "running", "finished", "interrupted", "failed"
 
 
@@ -176,3 +182,15 @@ def _as_text(values: Mapping[str, object]) -> dict[str, object]:
         name: value.isoformat() if isinstance(value, dt.datetime) else value
         for name, value in values.items()
     }
+
+
+def last_good_run(output: Path) -> dt.datetime | None:
+    """When the last run ended that went through all motors; None where none did."""
+    for month in sorted(table_folder(output, RUNS).glob("month=*"), reverse=True):
+        for path in sorted(month.glob("*.parquet"), reverse=True):
+            rows = read_table(path, RUNS).filter(pl.col("status").is_in(GOOD_RUNS))
+            if not rows.is_empty():
+                ended = rows["finished_at"].max()
+                assert isinstance(ended, dt.datetime)
+                return ended
+    return None

@@ -42,7 +42,6 @@ CREDENTIALS = {
         "GOOGLE_SKIP_SIGNATURE",
     ),
 }
-SCHEMES = tuple(CREDENTIALS)
 # Another S3-compatible server: the names that the client reads, the first found.
 ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
 # A server that fails is asked again this often, with longer and longer waits in between.
@@ -260,14 +259,3 @@ def _is_absent_bucket(error: Exception) -> bool:
 
 def _first_line(error: Exception) -> str:
     return str(error).partition("\n")[0].strip()
-
-
-def is_url(text: str) -> bool:
-    """Whether a setting names an object store instead of a folder.
-
-    Examples
-    --------
-    >>> is_url("s3://bucket/logs"), is_url("../logs")
-    (True, False)
-    """
-    return text.partition("://")[0] in SCHEMES and "://" in text

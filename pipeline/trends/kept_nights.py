@@ -17,8 +17,7 @@ import polars as pl
 import scipy
 
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import config_hash
-from pipeline.night.statistics import hash_of
+from pipeline.config.hashes import config_hash, hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
 from pipeline.store.atomic_files import put
 from pipeline.store.sealed import read_sealed, seal_bytes, unseal_bytes

@@ -9,8 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from pipeline.config import MotorSpec
-from pipeline.config.hashes import config_hash
-from pipeline.night.statistics import hash_of
+from pipeline.config.hashes import config_hash, hash_of
 from pipeline.store.sealed import put_sealed, read_sealed, unseal
 from pipeline.trends.decisions import Decision
 

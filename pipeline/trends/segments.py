@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.config.nights import night as night_labelled
-from pipeline.night.windows import HandSet
+from pipeline.config.periods import ChosenPeriods
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 
@@ -98,7 +98,7 @@ def _changed_settings(history: History) -> list[tuple[int, str]]:
     before: tuple[bytes, bytes, str] | None = None
     for place in known.tolist():
         label = history.nights[place]
-        if HandSet.of(spec.file.periods, night_labelled(label, spec.settings.nights)):
+        if ChosenPeriods.of(spec.file.periods, night_labelled(label, spec.settings.nights)):
             continue
         now = (bytes(models[place]), bytes(modes[place]), spec.file.oil_on(label))
         if before is not None and now != before and now[2] == before[2]:

@@ -19,7 +19,7 @@ from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
 from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.contract import RawLog
-from pipeline.ingest.parquet_file import Place, opened, place_of, text_paths, within
+from pipeline.ingest.parquet.file import Place, opened, place_of, text_paths, within
 from pipeline.ingest.table import Columns, Table, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 

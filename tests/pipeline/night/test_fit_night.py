@@ -13,6 +13,7 @@ import pytest
 
 from leakage import AnnularGap
 from pipeline.config import MotorSpec
+from pipeline.config.hashes import model_hash
 from pipeline.ingest import RawChannel, read_log
 from pipeline.night.block_fit import night_seed
 from pipeline.night.fit_night import (
@@ -25,7 +26,6 @@ from pipeline.night.fit_night import (
     unfitted,
 )
 from pipeline.night.rows import Rows
-from pipeline.night.statistics import model_hash
 from pipeline.schema import NIGHT_TABLES, frame
 from tests.pipeline.simulated import (
     CANONICAL,

@@ -14,17 +14,17 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from pipeline.config import ConfigError, Nights, Windows
+from pipeline.config.hashes import model_hash
 from pipeline.config.motors import Periods
 from pipeline.config.nights import night
 from pipeline.night.fit_night import INSUFFICIENT_DATA, NightOutcome, fit_night
-from pipeline.night.statistics import model_hash
 from pipeline.night.windows import (
     GUARD,
-    NONE_SET,
+    NONE_CHOSEN,
     TRAINING,
     VALIDATION,
     Block,
-    HandSet,
+    ChosenPeriods,
     left_out,
     merge_neighbours,
     split_into_blocks,
@@ -224,8 +224,10 @@ class TestMerge:
 # Parts that are good enough
 
 
-def reasons(time_us: NDArray[np.int64], by_hand: HandSet = NONE_SET, **keys: Any) -> dict[str, Any]:
-    return left_out(time_us, SECOND, START, Windows(**keys), by_hand)
+def reasons(
+    time_us: NDArray[np.int64], chosen_periods: ChosenPeriods = NONE_CHOSEN, **keys: Any
+) -> dict[str, Any]:
+    return left_out(time_us, SECOND, START, Windows(**keys), chosen_periods)
 
 
 def test_by_default_nothing_is_left_out() -> None:
@@ -289,13 +291,13 @@ def test_a_spread_that_is_too_small_is_named() -> None:
 
 # Periods set by hand
 
-BY_HAND = HandSet(
+BY_HAND = ChosenPeriods(
     training=((START + 10 * MINUTE, START + 31 * MINUTE),),
     validation=((START + 31 * MINUTE, START + 50 * MINUTE),),
 )
 
 
-def test_periods_set_by_hand_decide_alone() -> None:
+def test_periods_set_chosen_periods_decide_alone() -> None:
     time = minutes(0, 60)
     outside = reasons(time, BY_HAND, minimum_block_share=1.0)
     assert list(outside) == ["outside_periods"]
@@ -313,8 +315,8 @@ def test_periods_of_other_nights_do_not_touch_this_one() -> None:
         )
     )
     nights = Nights()
-    assert HandSet.of(periods, night(dt.date(2026, 3, 2), nights)).training
-    assert not HandSet.of(periods, night(dt.date(2026, 3, 3), nights))
+    assert ChosenPeriods.of(periods, night(dt.date(2026, 3, 2), nights)).training
+    assert not ChosenPeriods.of(periods, night(dt.date(2026, 3, 3), nights))
 
 
 def night_with(folder: Path, more: str) -> NightOutcome:
@@ -379,10 +381,12 @@ def test_periods_that_make_no_sense_are_faults(tmp_path: Path, period: str) -> N
 
 def test_only_nights_that_a_period_touches_have_another_hash(tmp_path: Path) -> None:
     period = "[periods]\ntraining = [[2026-03-01T22:00:00Z, 2026-03-01T23:00:00Z]]\n"
-    plain, by_hand = (
+    plain, chosen_periods = (
         load_motor(tmp_path / name, motor_toml("M1", more=more))
         for name, more in (("plain", ""), ("hand", period))
     )
     for label, same in ((NIGHT, False), (NIGHT + dt.timedelta(days=1), True)):
-        hashes = {model_hash(one, one.motor(label, "none"), label) for one in (plain, by_hand)}
+        hashes = {
+            model_hash(one, one.motor(label, "none"), label) for one in (plain, chosen_periods)
+        }
         assert (len(hashes) == 1) == same
