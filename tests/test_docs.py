@@ -18,14 +18,12 @@ import pytest
 
 from pipeline.config import Alarms
 from pipeline.config.motors import Channel, Logs
-from pipeline.ingest import (
-    csv_header,
-    csv_text,
-    mcap_cdr_walk,
-    mcap_layout,
-    parquet_file,
-    parquet_log,
-)
+from pipeline.ingest.csv import header as csv_header
+from pipeline.ingest.csv import text as csv_text
+from pipeline.ingest.mcap import cdr_walk as mcap_cdr_walk
+from pipeline.ingest.mcap import layout as mcap_layout
+from pipeline.ingest.parquet import file as parquet_file
+from pipeline.ingest.parquet import log as parquet_log
 from pipeline.telling.delivery import Delivery
 from pipeline.telling.web_hook import WebHook
 from tests.pipeline.ingest.fuzzing.judging import CODES

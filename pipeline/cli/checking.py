@@ -85,7 +85,9 @@ def check(
     if not there_are_logs:
         where = fleet.log_url or fleet.log_root
         message = f"no log of any motor is below {where}; correct folders.logs, or logs.files"
-        say(error_line("no_logs", message, EXIT_MOTORS_FAILED, as_json=as_json), err=True)
+        fault = UsageError("no_logs", message)
+        line = error_line(fault.code, fault.message, EXIT_MOTORS_FAILED, as_json=as_json)
+        say(line, err=True)
     faulty = not there_are_logs or any(one.faults for one in checks)
     raise typer.Exit(EXIT_MOTORS_FAILED if faulty else EXIT_OK)
 

@@ -69,7 +69,8 @@ def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
     folder = table_folder(output, table)
     for month in sorted((entry.name for entry in _entries(folder)), reverse=True):
         for name in sorted((entry.name for entry in _entries(folder / month)), reverse=True):
-            if (night := night_named(name)) is not None:
+            night = night_named(name)
+            if night is not None and month == f"{MONTH_PREFIX}{night:%Y-%m}":
                 yield night
 
 

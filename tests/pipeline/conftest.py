@@ -1,12 +1,26 @@
-"""One Dask cluster for all tests of a process: its start costs more than most of them."""
+"""Fixtures of several rooms: a Dask cluster for all tests of a process, and real files."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from tests.pipeline.dask_processes import Processes, scheduler_with
+
+VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
+DEFAULT = Path(__file__).parents[3] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def foreign_files() -> Path:
+    """Folder of recordings and malformed files from other projects' own tests."""
+    folder = Path(os.environ.get(VARIABLE, DEFAULT))
+    if not folder.is_dir():
+        pytest.skip(f"{folder} is not there: set {VARIABLE} to the folder of real files")
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -164,7 +164,7 @@ def test_2_where_the_root_of_the_logs_is_not_there(call: Call, fleet: Path) -> N
 
 
 def test_2_where_the_output_would_lie_among_the_logs(call: Call, fleet: Path) -> None:
-    code, out, err = call("fit-fleet", fleet, "--output", fleet.parent.parent / "logs")
+    code, out, err = call("fit-fleet", fleet, "--output", fleet.parent.parent / "demo" / "logs")
     assert (code, out) == (2, "")
     assert err.startswith("motor-leakage: folder: --output: got ")
     assert "expected another folder than that of the logs" in err
@@ -391,7 +391,7 @@ def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
 def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet) -> None:
     """A wrong folder or pattern must not pass for a sound fleet."""
     fleet = own_fleet(CSV, PARQUET)
-    logs = fleet.parent.parent / "logs"
+    logs = fleet.parent.parent / "demo" / "logs"
     for path in (logs / PARQUET).iterdir():
         path.unlink()
     code, out, err = call("check", fleet)

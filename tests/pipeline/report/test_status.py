@@ -12,6 +12,7 @@ from typing import Any
 import polars as pl
 import pytest
 
+from leakage.monitoring import ChangeSize
 from pipeline.errors import UsageError
 from pipeline.report.status import (
     RAISED,
@@ -468,7 +469,8 @@ def test_whatever_can_be_raised_is_known_by_the_words_of_status(output: Path) ->
     rows = frame(ALARMS, [row | {"indicator": name} for name in names])
     write_table(night_file(output, ALARMS, night_of(4)), rows)
     for name in names:
-        for words in (name, size_words(name, 30.0, None, "").removesuffix(" +30 %")):
+        size = ChangeSize(9, 0.3, 0.2, 0.4, 10)
+        for words in (name, size_words(name, size, "2026-10-03").partition(" +30 %")[0]):
             assert last_alarm(output, "M1", words, RAISED) == (name, night_of(4))
 
 

@@ -166,7 +166,7 @@ def test_a_setting_redoes_what_depends_on_it_and_says_so(workshop: Workshop, set
     why = f"changed setting {name}"
     expected = {} if work is None else dict.fromkeys(NIGHTS, (work, why))
     assert planned(workshop) == expected
-    assert trends_planned(workshop) == {"M1": f"M1: {why}"}
+    assert trends_planned(workshop) == {"M1": why}
     statistics = files(workshop, "block_statistics", "quality", "operation", "predictions")
     figures, trends = files(workshop, "fits", "parameters"), files(workshop, "trends")
     outcome = workshop.run()
@@ -221,7 +221,7 @@ def test_a_new_version_of_the_program_is_named(
         assert {work for work, _ in plan.values()} == {Work.REFIT}
     else:
         assert {work for work, _ in plan.values()} == {Work.READ}
-    words = f"M1: another version of the program ({said} {old} to {old + 1})"
+    words = f"another version of the program ({said} {old} to {old + 1})"
     assert trends_planned(workshop) == {"M1": words}
 
 
@@ -232,7 +232,7 @@ def test_both_kinds_of_settings_name_only_their_own(workshop: Workshop) -> None:
         "changed setting reference.pressure_bar"
     }
     assert trends_planned(workshop) == {
-        "M1": "M1: changed setting reference.pressure_bar, trend.baseline_nights"
+        "M1": "changed setting reference.pressure_bar, trend.baseline_nights"
     }
 
 

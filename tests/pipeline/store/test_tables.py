@@ -35,11 +35,11 @@ from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
 from pipeline.store.tables import (
     NightFile,
     StagedRows,
-    last_night,
     month_stamps,
     night_file,
     night_paths,
     night_stamps,
+    nights_back,
     prepare_night,
     read_rows,
     read_table,
@@ -136,7 +136,7 @@ class TestLayout:
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(file.read_bytes())
         assert night_paths(tmp_path, QUALITY) == {NIGHT: file, LATER: later}
-        assert last_night(tmp_path, QUALITY) == LATER
+        assert list(nights_back(tmp_path, QUALITY)) == [LATER, NIGHT]
         assert read_rows(tmp_path, QUALITY, ["M000"])["night"].to_list() == [NIGHT, LATER]
         assert month_stamps(tmp_path, QUALITY).keys() == {"2026-01", "2026-02"}
         assert night_stamps(tmp_path, QUALITY, "2026-01").keys() == {str(NIGHT)}

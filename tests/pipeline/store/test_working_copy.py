@@ -56,8 +56,8 @@ def run(fleet_file: Path, output: Path, **changed: Any) -> RunResult:
 def logs_at(fleet_file: Path, url: str) -> None:
     """Let a fleet's logs lie at a URL."""
     text = fleet_file.read_text("utf-8")
-    assert 'logs = "../logs"' in text
-    fleet_file.write_text(text.replace("../logs", url), "utf-8")
+    assert 'logs = "../demo/logs"' in text
+    fleet_file.write_text(text.replace("../demo/logs", url), "utf-8")
 
 
 def published(url: str = URL) -> dict[str, bytes]:
@@ -78,8 +78,8 @@ def test_logs_and_tables_in_a_bucket_give_the_bytes_of_a_folder(
 ) -> None:
     fleet = own_fleet(CSV, PARQUET)
     run(fleet, tmp_path / "folder", object_store="")
-    upload(tmp_path / "logs", f"s3://{BUCKET}/logs")
-    shutil.rmtree(tmp_path / "logs")
+    upload(tmp_path / "demo" / "logs", f"s3://{BUCKET}/logs")
+    shutil.rmtree(tmp_path / "demo" / "logs")
     logs_at(fleet, f"s3://{BUCKET}/logs")
     result = run(fleet, tmp_path / "work")
     assert status_of(result) == {CSV: "ok", PARQUET: "ok"}
