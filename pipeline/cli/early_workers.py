@@ -17,15 +17,7 @@ MODULES = ("pipeline.run.motor_task", "pipeline.trends.stage")
 
 
 def early_crew(config: Path, jobs: int | None) -> Crew:
-    """The workers that a run will most likely have; it starts those that are missing.
-
-    Parameters
-    ----------
-    config
-        The fleet's, which nobody has looked at yet.
-    jobs
-        As said on the command line.
-    """
+    """The workers that a run will most likely have; it starts those that are missing."""
     from pipeline.workers.local import Crew
 
     return Crew(min(_n_workers(config, jobs), os.cpu_count() or 1), MODULES)

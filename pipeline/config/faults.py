@@ -52,13 +52,6 @@ class ConfigError(MotorLeakageError):
 def refuse(title: str, found: Iterable[tuple[Place, str, object]]) -> None:
     """Let a validator report several faults, each at its own key.
 
-    Parameters
-    ----------
-    title
-        What is validated.
-    found
-        Place below the validated table, what was expected, and what stands there.
-
     Raises
     ------
     pydantic.ValidationError
@@ -79,19 +72,7 @@ def refuse(title: str, found: Iterable[tuple[Place, str, object]]) -> None:
 def faults_of(
     error: ValidationError, file: str, prefix: str = "", document: object = None
 ) -> list[Fault]:
-    """All findings of pydantic's about a file.
-
-    Parameters
-    ----------
-    error
-        What pydantic raised.
-    file
-        The file's name, as a reader knows it.
-    prefix
-        Key of the table that was validated, with a dot; empty for the whole file.
-    document
-        What was validated: tables of a list are told by their names in it.
-    """
+    """All findings of pydantic's about a file."""
     return [_fault(detail, file, prefix, document) for detail in error.errors()]
 
 

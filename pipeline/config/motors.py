@@ -481,13 +481,7 @@ def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Pl
 
 
 def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:
-    """What is wrong with a motor's channels as a whole, whatever is wrong within each.
-
-    Parameters
-    ----------
-    units
-        Unit by channel, as they stand in the file.
-    """
+    """What is wrong with a motor's channels as a whole, whatever is wrong within each."""
     names = set(units)
     given = ", ".join(sorted(names))
     ports = {"high_port_pressure", "low_port_pressure"}

@@ -129,18 +129,7 @@ class Truth:
 
 
 def truth_of(night: DemoNight) -> Truth:
-    """State of a motor in a night: as built, with its wear and a small scatter between nights.
-
-    Parameters
-    ----------
-    night
-        The night.
-
-    Returns
-    -------
-    Truth
-        Exact: the log is made from these figures.
-    """
+    """State of a motor in a night: as built, with its wear and a small scatter between nights."""
     rng, motor = night.generator("truth"), night.motor
     gaps: dict[str, float] = {}
     coefficients = {path.name: path.configured_coefficient for path in motor.paths}
@@ -161,20 +150,7 @@ def truth_of(night: DemoNight) -> Truth:
 
 
 def truth_document(plan: Plan, nights: Iterable[DemoNight]) -> dict[str, Any]:
-    """Content of ``truth.json``: for people and tests, never read by the pipeline.
-
-    Parameters
-    ----------
-    plan
-        What is simulated.
-    nights
-        All nights of all motors.
-
-    Returns
-    -------
-    dict
-        Plain numbers and text: what was asked for, then each motor, and its nights by label.
-    """
+    """Content of ``truth.json``: for people and tests, never read by the pipeline."""
     motors: dict[str, dict[str, Any]] = {}
     for night in nights:
         motor_id = night.demo.motor_id

@@ -22,17 +22,7 @@ STAMP_FORMAT: Final = "%Y-%m-%dT%H:%M:%S%.3fZ"
 
 
 def write_log(path: Path, recording: Recording, motor: MotorFile) -> None:
-    """Write a recording to a file that is whole or not there.
-
-    Parameters
-    ----------
-    path
-        The file; its folder exists.
-    recording
-        The rows, in the units of the tables.
-    motor
-        Format, dialect, and each channel's name and unit in the log.
-    """
+    """Write a recording to a file that is whole or not there."""
     write = {"csv": _write_csv, "parquet": _write_parquet, "mcap": _write_mcap}
     with replacing(path) as partial:
         write[motor.logs.format](partial, recording, motor)
@@ -50,22 +40,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def as_logged(channel: str, values: FloatArray, source: Channel) -> FloatArray:
-    """Values as the log holds them: the inverse of what the reader does.
-
-    Parameters
-    ----------
-    channel
-        Name of the channel.
-    values
-        Shape (n,), in the channel's canonical unit.
-    source
-        Unit, scale and offset in the log.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,), rounded to six decimals, so that text stays short.
-    """
+    """Values as the log holds them: the inverse of what the reader does."""
     numerator, denominator, shift = conversion(channel, source.unit)
     in_unit = values * denominator / numerator - shift
     return np.round((in_unit - source.offset) / source.scale, 6) + 0.0  # no -0.0

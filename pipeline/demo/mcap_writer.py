@@ -73,12 +73,6 @@ def mcap_bytes(topics: Mapping[str, Topic]) -> bytes:
     topics
         By topic: place of each message among all topics' messages, publication time [µs since
         1970, UTC], and value, |value| < 100 000 with three decimals; each of shape (n,).
-
-    Returns
-    -------
-    bytes
-        Messages ``{"value": 12.3}`` in order of place, then of time, in Zstandard chunks with
-        indexes, statistics and all checksums.
     """
     channels = [
         Channel(id=number, topic=topic, message_encoding="json", metadata={}, schema_id=SCHEMA.id)

@@ -85,12 +85,6 @@ def simulate_operation(duty: Duty, time_s: FloatArray, rng: np.random.Generator)
         Evenly spaced times since the start, shape (n,), [s].
     rng
         Source of all randomness.
-
-    Returns
-    -------
-    Operation
-        Pressure, speed and temperature vary independently of one another; the motor halts once
-        or twice in 90 minutes.
     """
     halts = _halts(float(time_s[-1]), rng)
     direction = _direction(time_s, halts) if duty.reverses else np.ones_like(time_s)

@@ -43,18 +43,7 @@ SENSORS: Final[Mapping[ChannelName, tuple[float, float, float]]] = {
 
 
 def record_night(night: DemoNight) -> Recording:
-    """Simulate a night and log it, faults included.
-
-    Parameters
-    ----------
-    night
-        Motor, plan and number of the night.
-
-    Returns
-    -------
-    Recording
-        Rows in the order in which they are logged.
-    """
+    """Simulate a night and log it, faults included."""
     plan, rng = night.plan, night.generator("log")
     time_s = np.arange(round(plan.minutes * 60.0 * plan.rate_hz)) / plan.rate_hz
     signals = _signals(night, simulate_operation(night.demo.duty, time_s, rng), rng)

@@ -109,18 +109,6 @@ def measure(signal: FloatArray, sensor: Sensor, rng: np.random.Generator) -> Flo
 def in_steps(values: FloatArray, resolution: float) -> FloatArray:
     """Round to whole steps, as the shortest decimal numbers.
 
-    Parameters
-    ----------
-    values
-        Shape (n,).
-    resolution
-        The step, in the same unit.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,).
-
     Examples
     --------
     >>> in_steps(np.array([123.44, 0.26]), 0.1).tolist()
@@ -198,11 +186,6 @@ def with_frozen(values: FloatArray, first: int, last: int) -> FloatArray:
         What it would have said, shape (n,).
     first, last
         It stays at the value of sample `first` until sample `last`.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,).
     """
     frozen = values.copy()
     frozen[first:last] = values[first]
@@ -224,11 +207,6 @@ def with_log_faults(
         Length of the log, [h].
     rng
         Source of randomness.
-
-    Returns
-    -------
-    Recording
-        The rows that were logged; the first and the last always are.
     """
     rows = recording.time_us.size
     absent = _stretches(rows, hours, rates.missing_periods, (20.0, 180.0), rng)

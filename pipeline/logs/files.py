@@ -40,20 +40,7 @@ NO_REACH: Mapping[str, int] = MappingProxyType({})
 
 
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
-    """The log files of a motor that there are, and those that are named but absent.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    silent
-        Files and patterns that did not answer: they are not looked at.
-
-    Returns
-    -------
-    dict of str to Path, list of str
-        Paths relative to the log root, sorted; a glob without a match is no fault.
-    """
+    """The log files of a motor that there are, and those that are named but absent."""
     found: set[Path] = set()
     absent: list[str] = []
     for pattern in spec.file.logs.files:
@@ -128,12 +115,6 @@ def inspect_log(
         The motor.
     latest_us
         Samples after this time are refused [µs since 1970]; None: those a day after now.
-
-    Returns
-    -------
-    FileRecord
-        With the nights it seems to cover; ``failed``, with the reason, where that cannot be told;
-        ``growing`` where it is changed meanwhile, or was too lately.
     """
     record = look_at(name, path)
     if record.status == "failed":

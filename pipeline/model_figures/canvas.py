@@ -103,19 +103,7 @@ def drawing() -> Iterator[None]:
 
 
 def new_figure(title: str, panels: int, *, note: str, mark: str = "") -> tuple[Figure, list[Axes]]:
-    """Make an empty figure with its panels side by side.
-
-    Parameters
-    ----------
-    title
-        What is shown.
-    panels
-        Number of panels.
-    note
-        Source and conditions, below the panels.
-    mark
-        What is placeholder, marked on the figure; empty: nothing.
-    """
+    """Make an empty figure with its panels side by side."""
     width, height = PANEL_INCHES[0] * max(panels, _NARROWEST), PANEL_INCHES[1] + 0.8
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)

@@ -140,17 +140,7 @@ def stated(path: LeakagePath) -> str:
 def subject_of(
     motor_type: MotorTypeFile, oil: OilFile, settings: Settings, motor: Motor | None = None
 ) -> ModelSubject:
-    """Bring together what the files of a motor type and an oil say.
-
-    Parameters
-    ----------
-    motor_type, oil
-        The two files.
-    settings
-        Film pressure, reference conditions, sides.
-    motor
-        The motor, where it has paths beside those of its type, such as a flushing.
-    """
+    """Bring together what the files of a motor type and an oil say."""
     model, reference = settings.model, settings.reference
     charge = model.charge_pressure_bar - model.case_pressure_bar
     film_pressure = FilmPressure(model.film_pressure, model.film_pressure_share)

@@ -127,20 +127,7 @@ def clean_channel(
 
 
 def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> CleanChannel:
-    """Apply every rule to cells in order.
-
-    Parameters
-    ----------
-    ordered, rules
-        The channel.
-    stamps
-        What is known of the stamps of channels that were judged before.
-
-    Returns
-    -------
-    CleanChannel
-        As of `clean_channel`.
-    """
+    """Apply every rule to cells in order."""
     cells, disorder = ordered.cells, ordered.disorder
     blank = cells.missing.any()
     period = (

@@ -104,11 +104,6 @@ def written_late(time_us: Times, backward: Mask) -> Mask:
     backward
         Those that `backward_time` names, shape (n,).
 
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,), a subset of `backward`.
-
     Examples
     --------
     >>> time = np.array([0, 10, 20, 40, 50, 30])
@@ -141,11 +136,6 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
         Times in the order of the log, shape (n,).
     late
         Those that `written_late` names, shape (n,).
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,).
     """
     stray = np.zeros(len(time_us), dtype=np.bool_)
     period = typical_period_us(time_us[~late]) if late.any() else None
@@ -178,11 +168,6 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
         Times, increasing, shape (n,).
     period_us
         The channel's typical period; None: nothing can be told.
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,). They are kept: interpolation goes by the stamps as they are.
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
     if not period_us:

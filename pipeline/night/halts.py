@@ -70,10 +70,6 @@ def settled_halts(
     settings
         When a halt counts as settled and as depressurised.
 
-    Returns
-    -------
-    Halts
-
     Notes
     -----
     Samples refused as frozen count here: a sensor that has nothing to measure may well not move.

@@ -41,11 +41,6 @@ def missing_sample(
         The channel's own period; None: every blank is missing.
     row_us
         Typical distance of two cells; None where there are not two.
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,).
     """
     if period_us is None or not blank.any():
         return blank.copy()

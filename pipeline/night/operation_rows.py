@@ -23,17 +23,7 @@ HOUR_US = 3_600_000_000
 def operation_row(
     spec: MotorSpec, night: Night, samples: Samples, counter: RawChannel | None
 ) -> Row:
-    """The row of a night with samples, fitted or not.
-
-    Parameters
-    ----------
-    spec, night
-        The motor and the night.
-    samples
-        Its kept samples.
-    counter
-        The channel `running_hours`; None where the log has none.
-    """
+    """The row of a night with samples, fitted or not."""
     hours = (night.end_us - night.start_us) / HOUR_US
     share = samples.n_turning / samples.n_logged if samples.n_logged else None
     counted = hours_counted(counter)

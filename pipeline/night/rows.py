@@ -249,17 +249,7 @@ def agreement_columns(
     judged_on: Callable[[str], Array],
     mode: BlockFit,
 ) -> Row:
-    """How a fit agrees with the samples of both parts.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    judged_on
-        Factor of the samples of a part.
-    mode
-        The fit.
-    """
+    """How a fit agrees with the samples of both parts."""
     fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
     validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)

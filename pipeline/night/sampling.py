@@ -122,11 +122,6 @@ def flow_from_counts(
     sampling
         Kind of counts, volume of one, and where a total rolls over.
 
-    Returns
-    -------
-    CountedFlow
-        One element a sample, those without a flow marked.
-
     Examples
     --------
     >>> meter = Sampling(counts="cumulative", volume_per_count_cm3=1.0, rolls_over_at=100.0)

@@ -32,12 +32,6 @@ def smooth(
         Period of the time base.
     how
         Length of the window, and whether it goes over all columns.
-
-    Returns
-    -------
-    ndarray
-        Shape (n, c). A window is cut at a gap of the time base and at a block's border, and its
-        weights are renormalised over the samples in it.
     """
     half = round(how.window_s * SECOND_US) // (2 * period_us)
     if half == 0:

@@ -92,21 +92,6 @@ def night_statistics(
 ) -> NightStatistics:
     """Regressors, smoothing, blocks, and their factors.
 
-    Parameters
-    ----------
-    spec
-        The motor's config.
-    motor
-        The motor as the physics knows it.
-    night
-        The night; blocks count from its start.
-    samples
-        The kept samples.
-
-    Returns
-    -------
-    NightStatistics
-
     Raises
     ------
     ValidityError

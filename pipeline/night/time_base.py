@@ -150,11 +150,6 @@ def on_grid(
     stamps
         What is known of the stamps of channels that were brought onto this very grid before; None:
         there are none.
-
-    Returns
-    -------
-    value, present, gap
-        Shape (n,) each; `value` is nan where not present; `gap` where the channel was silent.
     """
     n = len(grid_us)
     if not n or not len(channel.time_us):
@@ -182,11 +177,6 @@ def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np
         Times of the grid, shape (n,), `period_us` apart.
     period_us
         Period of the grid.
-
-    Returns
-    -------
-    ndarray of int
-        Shape (n,), as of ``numpy.searchsorted(time_us, grid_us)``.
 
     Examples
     --------
@@ -313,22 +303,7 @@ def bring_together(
     transport_delay: TransportDelay | None = None,
     sensor_health: SensorHealth | None = None,
 ) -> tuple[Samples, tuple[Quality, ...]]:
-    """All channels on one time base, and the joint rules: gap, standstill, guard, transient.
-
-    Parameters
-    ----------
-    channels
-        Cleaned channels; the pressure difference by itself or as two ports.
-    night_start_us, night_end_us
-        The night, half open, UTC microseconds.
-    time_base, cleaning, transport_delay, sensor_health
-        Settings; None: no delay, and the defaults.
-
-    Returns
-    -------
-    Samples, tuple of Quality
-        Kept samples, and counts of the joint rules.
-    """
+    """All channels on one time base, and the joint rules: gap, standstill, guard, transient."""
     period = grid_period_us(channels, time_base)
     last = max(int(channel.time_us[-1]) for channel in channels.values())
     begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)

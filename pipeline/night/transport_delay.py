@@ -118,11 +118,6 @@ def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
         The channel and where it has a value, shape (n,).
     steps
         In periods of the time base, shape (n,); not finite where not known.
-
-    Returns
-    -------
-    value, present
-        Shape (n,) each; linear between two neighbours, both of which must be present.
     """
     known = np.isfinite(steps)
     place = np.arange(len(value)) + np.where(known, steps, 0.0)
@@ -153,12 +148,6 @@ def delay_inputs(
         Period of the time base.
     settings
         Kind of delay, its limit, and the inputs that it is stated for.
-
-    Returns
-    -------
-    values, present, refused, delay
-        All channels, those stated delayed; samples whose τ is above its limit or not known, shape
-        (n,); and the delay.
     """
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
     refused = ~(tau <= settings.maximum_s)

@@ -73,12 +73,6 @@ def left_out(
         Share a block must keep, longest gap, shortest stretch.
     chosen_periods
         Periods chosen by an engineer; where there are some, they alone decide.
-
-    Returns
-    -------
-    dict of str to ndarray of bool
-        Shape (n,) each: `outside_periods`, or `thin_block` and `short_stretch`. Stretches are
-        those of the samples that are not in a thin block.
     """
     if chosen_periods:
         inside = _within(time_us, chosen_periods.training + chosen_periods.validation)
@@ -141,11 +135,6 @@ def split_into_blocks(
     chosen_periods
         Periods chosen by an engineer, which then decide the parts; a block that both touch is
         guard.
-
-    Returns
-    -------
-    tuple of Block
-        In time order; blocks without a kept sample are left out.
     """
     length = round(settings.block_s * SECOND_US)
     if not len(time_us):

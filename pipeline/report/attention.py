@@ -110,19 +110,7 @@ def changes(motor: MotorHistory) -> Changes:
 def attention(
     motor: MotorHistory, changed: Changes, standing: Standing | None, newest: dt.date | None
 ) -> Attention:
-    """How a motor stands.
-
-    Parameters
-    ----------
-    motor
-        Its history.
-    changed
-        What has changed.
-    standing
-        What its trends say; None where no run has judged them.
-    newest
-        The newest night of the whole fleet; None where it has none.
-    """
+    """How a motor stands."""
     if standing is not None and standing.state == "alarm":
         return _moved(standing)
     if not motor.nights:

@@ -276,13 +276,7 @@ def _lost_night(task: NightTask, loss: Loss) -> tuple[dt.date, Entries, list[str
 
 
 def make_night(task: NightTask) -> tuple[dt.date, Entries, list[str]]:
-    """Make the files of one night for all its motors.
-
-    Returns
-    -------
-    night, entries, faults
-        What the manifest is to say of each file, and which table files could not be read.
-    """
+    """Make the files of one night for all its motors."""
     read = read_night(task.output, task.night)
     entries: Entries = {}
     for motor_id, payload in night_payloads(task.night, read):

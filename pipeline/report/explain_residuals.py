@@ -15,15 +15,7 @@ NAMES = {
 
 
 def explain_residuals(fit: Row, verdicts: Sequence[Row]) -> Iterator[str]:
-    """Lines on the errors before smoothing, of training and of validation.
-
-    Parameters
-    ----------
-    fit
-        Row of `fits`.
-    verdicts
-        Its rows of `residual_verdicts`.
-    """
+    """Lines on the errors before smoothing, of training and of validation."""
     for part in ("training", "validation"):
         rows = [row for row in verdicts if row["part"] == part and not row["smoothed"]]
         if not rows:

@@ -86,19 +86,7 @@ def fleet_rows(
     types: Mapping[str, str],
     standings: Mapping[str, Standing],
 ) -> list[FleetRow]:
-    """All motors, the most urgent first.
-
-    Parameters
-    ----------
-    motors
-        Their histories.
-    pages
-        Name of each motor's page, without ending.
-    types
-        Type of each motor whose config is known, for those without any night.
-    standings
-        What trends say, by motor.
-    """
+    """All motors, the most urgent first."""
     span = fleet_span(motors)
     rows = [
         _row(motor, pages[motor.motor_id], types, standings.get(motor.motor_id), span)

@@ -194,17 +194,7 @@ def _error_of_median(values: Array) -> float:
 def motor_histories(
     history: History, motors: Sequence[str], events: Mapping[str, Sequence[dt.date]]
 ) -> Iterator[MotorHistory]:
-    """The history of each motor.
-
-    Parameters
-    ----------
-    history
-        All nights of all motors.
-    motors
-        Ids of the motors wanted; those without any night have an empty history.
-    events
-        Dates by motor at which a new baseline starts.
-    """
+    """The history of each motor."""
     fits = _by_motor(history.fits)
     parameters = _by_motor(history.parameters)
     own_leakage = _by_motor(_own_reference(history.trends))

@@ -108,20 +108,6 @@ def write_changed(
 ) -> tuple[str, int]:
     """Write a file unless it is there with that content.
 
-    Parameters
-    ----------
-    folder, name
-        The report's folder, and the file's path in it.
-    content
-        What it is to hold.
-    before
-        Its hash and size when it was written last.
-
-    Returns
-    -------
-    hash, size
-        For the manifest.
-
     Raises
     ------
     StoreError

@@ -47,21 +47,7 @@ def motor_payload(
     history: History,
     events: Sequence[Payload],
 ) -> Payload:
-    """The payload of a motor's page.
-
-    Parameters
-    ----------
-    motor
-        Its history.
-    page
-        Name of its page, without ending.
-    detailed
-        Nights of which there is a file of their own.
-    history
-        All nights of all motors, with their trends.
-    events
-        Dated events of the motor's config, with date, kind and note.
-    """
+    """The payload of a motor's page."""
     fits = motor.fits
     places = _plotted(motor)
     return {

@@ -16,17 +16,6 @@ DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 def file_names(motor_ids: Iterable[str]) -> dict[str, str]:
     """A name without ending for each motor: its id, wherever that is a safe one.
 
-    Parameters
-    ----------
-    motor_ids
-        Ids, each once.
-
-    Returns
-    -------
-    dict
-        By id. Names differ in more than the case of letters, which file shares do not see, and
-        hold nothing that means anything in a path, a URL or a page.
-
     Examples
     --------
     >>> file_names(["CB560-01", "../x"])

@@ -61,20 +61,7 @@ COVERED = (
 
 
 def night_payloads(night: dt.date, read: Mapping[str, Read]) -> Iterator[tuple[str, Payload]]:
-    """A payload for every motor that has a primary row in `fits` of a night.
-
-    Parameters
-    ----------
-    night
-        The night's label.
-    read
-        Rows by table, as `read_night` gives them.
-
-    Yields
-    ------
-    motor_id, payload
-        The payload holds numbers, text, lists and dicts only.
-    """
+    """A payload for every motor that has a primary row in `fits` of a night."""
     faults = [fault for part in read.values() for fault in part.faults]
     parts = {
         name: make(_in_epoch_ms(read[table].rows)) if table in read else {}

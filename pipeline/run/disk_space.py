@@ -31,18 +31,6 @@ def require_space(
 ) -> None:
     """Refuse a run for which there is too little room; nothing is written.
 
-    Parameters
-    ----------
-    output
-        Output folder; it need not be there yet.
-    specs
-        The run's motors.
-    execution
-        Its ``minimum_free_mib`` is to be free beyond the tables of the new logs; 0: nothing is
-        checked.
-    crew
-        Workers that look at the logs, as one may be on a mount that hangs; None: others.
-
     Raises
     ------
     StoreError

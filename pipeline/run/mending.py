@@ -220,11 +220,6 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
 
     Where the output is published elsewhere as well, they are brought back from there.
 
-    Yields
-    ------
-    TableFault
-        One for each manifest, and for each file that is damaged or is not what a run publishes.
-
     Raises
     ------
     StoreError

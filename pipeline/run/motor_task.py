@@ -89,12 +89,6 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
 def run_motor(task: MotorTask) -> MotorOutcome | SplitMotor:
     """Do everything that is new for a motor, and stage its rows.
 
-    Returns
-    -------
-    MotorOutcome or SplitMotor
-        Also where the task failed as a whole: with status ``failed`` and no nights. Or what is to
-        be done in parts first; nothing is then staged.
-
     Raises
     ------
     MemoryError

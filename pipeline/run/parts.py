@@ -39,17 +39,6 @@ def run_motors(
     A night that workers are lost in is given up, and so is a log that does not answer; a motor of
     which more are lost, or of which it is not known in what, has failed.
 
-    Parameters
-    ----------
-    run_tasks
-        From `open_engine`.
-    function
-        Does a motor's task.
-    tasks
-        The motors; ``nights_a_part`` says which are split.
-    first
-        Whether a motor whose task is lost is set aside, to be tried again later.
-
     Raises
     ------
     EngineError

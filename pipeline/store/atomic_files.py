@@ -104,15 +104,6 @@ class Prepared:
 def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepared:
     """Write a file beside its place, flush it, and read it back.
 
-    Parameters
-    ----------
-    path
-        Its place; folders above it are made.
-    write
-        Its content, or what writes it to the stream that it is given.
-    durable
-        Whether it must outlive a power cut; one that can be made again need not.
-
     Raises
     ------
     StoreError

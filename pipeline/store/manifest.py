@@ -92,16 +92,6 @@ def announce(
 ) -> None:
     """Say which files are about to be replaced.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    month, name
-        YYYY-MM, and the files' name without ending.
-    changes
-        SHA-256 of what is there and of what comes, by path relative to the folder of the tables;
-        None for no file.
-
     Raises
     ------
     StoreError

@@ -479,27 +479,6 @@ def prepare_night(
 ) -> NightFile:
     """Make a night's file with the new rows of some motors; those of the others stay.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-    table, night
-        Which file.
-    staged
-        New rows by motor id; a motor without rows loses those it had.
-    run_id
-        The run that writes them.
-    finish
-        What is still to be done with all rows of the night together.
-    accepted
-        Each SHA-256 that the file there may have, None for no file; empty: nobody knows.
-
-    Returns
-    -------
-    NightFile
-        Written and read back, and not in its place yet. A file keeps its place without rows: a
-        reader who has just listed it must not find it gone.
-
     Raises
     ------
     StoreError

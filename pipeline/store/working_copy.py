@@ -270,20 +270,6 @@ def _digest(path: Path) -> str:
 def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0) -> Snapshot:
     """Publish what is in a folder: its new files, then the lists that name them, `current.json`.
 
-    Parameters
-    ----------
-    store, output
-        The store and its working copy.
-    before
-        What was published when the folder was brought up to date.
-    started_ns
-        Files that were not written since are as they were.
-
-    Returns
-    -------
-    Snapshot
-        What is published now.
-
     Raises
     ------
     StoreError

@@ -19,23 +19,7 @@ INSUFFICIENT = "insufficient"
 def alarm_rows(
     standing: Standing, places: Sequence[int], published: Sequence[Row] = ()
 ) -> list[Row]:
-    """Changes of state in some nights, together with what had been raised in them before.
-
-    Parameters
-    ----------
-    standing
-        How the motor stands.
-    places
-        Nights to be made anew, increasing.
-    published
-        The motor's rows so far, without `run_id`.
-
-    Returns
-    -------
-    list of dict
-        Rows of these nights. What was raised and is not in the figures as they are now stays, and
-        is closed: an indicator's last row always says the state that it is in.
-    """
+    """Changes of state in some nights, together with what had been raised in them before."""
     rows: list[Row] = []
     by_indicator: dict[str, dict[dt.date, Row]] = {}
     for row in published:

@@ -239,14 +239,7 @@ def _rest(
     weights: Array,
     covariance: Array,
 ) -> tuple[float, float, Array] | None:
-    """What the known paths leave unexplained of an indicator's change [l/min].
-
-    Returns
-    -------
-    tuple or None
-        Size, variance, and covariance with the changes of the known coefficients; None where the
-        indicator has no figures since the change began.
-    """
+    """What the known paths leave unexplained of an indicator's change [l/min]."""
     segment, _, _ = standing.watched[name].at(place)
     series, baseline = standing.own_change(name, place)
     recent = series[max(standing.earliest_onset(place), segment.first) : place + 1]

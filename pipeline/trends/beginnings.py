@@ -25,17 +25,7 @@ def beginnings(
     before: Mapping[str, dt.date] | None,
     last_told: dt.date | None,
 ) -> dict[str, dt.date]:
-    """By event and reset of a motor, the first night from which others see its new baseline.
-
-    Parameters
-    ----------
-    spec, decisions
-        The motor, and what people said of it.
-    before
-        The same as of the run before; None: not known.
-    last_told
-        The last night of which any motor of the circuit has been told; None: nothing has.
-    """
+    """By event and reset of a motor, the first night from which others see its new baseline."""
     dates = _dates(spec, decisions)
     if before is None or last_told is None:
         return dates

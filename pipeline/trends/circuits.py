@@ -68,13 +68,6 @@ class Circuit:
         does says what moves all. All of them where a motor's own settings, events or resets
         changed; that touches no other. Where nights after a motor's last are published, its last:
         it says that they are withdrawn.
-
-        Parameters
-        ----------
-        changed_from
-            By motor that was asked for, its first night with new rows; None where it has none.
-        tonight
-            Up to where each motor is judged.
         """
         found, touched, settled = {}, [], {}
         for motor_id, record in self.records.items():

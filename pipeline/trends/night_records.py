@@ -200,22 +200,7 @@ def records_of(
     parameters: pl.DataFrame,
     operation: pl.DataFrame,
 ) -> tuple[Records, list[NightWords]]:
-    """Records of a motor's nights, from their rows.
-
-    Parameters
-    ----------
-    spec, layout
-        The motor.
-    fits
-        Its primary fits, one row a night, by night.
-    parameters, operation
-        Rows of these nights, in any order; `parameters` may have other parameters as well.
-
-    Returns
-    -------
-    tuple
-        One record and the words of each row of `fits`.
-    """
+    """Records of a motor's nights, from their rows."""
     records = blank_records(layout, fits["night"].to_list())
     minutes = _numbers(fits, "n_training") * _numbers(fits, "sample_period_s") / 60.0
     ok = (fits["status"] == OK).to_numpy()

@@ -230,20 +230,7 @@ def contribution(history: History, own: LogChange, wears: Mask) -> Contribution:
 def peers_of_circuit(
     histories: Mapping[str, History], contributions: Mapping[str, Contribution]
 ) -> dict[str, Peers]:
-    """Each motor of a circuit against the others, for one indicator.
-
-    Parameters
-    ----------
-    histories
-        The motors.
-    contributions
-        Of those that have the indicator.
-
-    Returns
-    -------
-    dict of str to Peers
-        Empty for a circuit of one.
-    """
+    """Each motor of a circuit against the others, for one indicator."""
     motors = sorted(contributions)
     if len(motors) < 2:
         return {}

@@ -48,26 +48,7 @@ def with_poor_nights(
     read_blocks: ReadBlocks,
     known: tuple[Records, dt.date] | None = None,
 ) -> History:
-    """A history in which nights that are too poor alone are fitted together.
-
-    Parameters
-    ----------
-    history
-        The motor's nights.
-    decisions
-        What people said of it: nights before and after a reset are not fitted together.
-    read_blocks
-        Rows of `block_statistics` of some nights, with `BLOCK_COLUMNS`.
-    known
-        What this gave before of the nights before one, where it is otherwise than in the history;
-        they are not fitted again, and have no words.
-
-    Returns
-    -------
-    History
-        The last night of each group has the figures of the whole group, and says how many nights
-        that are.
-    """
+    """A history in which nights that are too poor alone are fitted together."""
     most = history.spec.settings.trend.merge_nights
     borders = {part.first for part in segments(history, decisions)}
     records, words = history.records.copy(), dict(history.words)
@@ -100,22 +81,6 @@ def groups_of(
     row: Sequence[int], minutes: Array, kinds: NDArray[np.bytes_], most: int
 ) -> list[tuple[int, ...]]:
     """Nights of a row of poor ones that are fitted together.
-
-    Parameters
-    ----------
-    row
-        Places of the nights, increasing.
-    minutes, kinds
-        Samples for training of each night, as time, and the hash of what shaped its statistics;
-        nights without any have no hash.
-    most
-        Nights of a group.
-
-    Returns
-    -------
-    list of tuple
-        A group is complete with an hour, which verdicts on coefficients need; or, where that takes
-        too many nights, with the half hour that an interval needs.
 
     Examples
     --------
@@ -372,11 +337,6 @@ def memory_of_blocks(factors: Array, coefficients: Array, block_s: float) -> flo
         θ of their fit, shape (p + 1,).
     block_s
         Length of a block [s].
-
-    Returns
-    -------
-    float
-        0 without errors.
     """
     error = factors @ np.concatenate([coefficients, (1.0, -1.0)])
     n = np.sum(factors[:, :, -3] ** 2, axis=1)

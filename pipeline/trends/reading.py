@@ -46,20 +46,6 @@ def read_nights(
 ) -> dict[str, MotorNights]:
     """The published nights of some motors.
 
-    Parameters
-    ----------
-    output
-        Output folder, in which nothing is published meanwhile.
-    specs
-        Which motors.
-    decisions
-        By motor, what people said of it.
-    since
-        By motor, the first night that is to be made anew; of a motor without one, none is.
-    tonight
-        Nights up to this one are part of the history though they have no row, so that a motor that
-        went silent can be stale; later ones are not, though they have.
-
     Raises
     ------
     StoreError

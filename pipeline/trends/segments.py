@@ -43,22 +43,7 @@ class Segment:
 def segments(
     history: History, decisions: Sequence[Decision], indicator: str = ""
 ) -> tuple[Segment, ...]:
-    """The nights of an indicator by the baseline that they are compared with.
-
-    Parameters
-    ----------
-    history
-        The motor's nights; its events are dated in its file.
-    decisions
-        What people said of it; resets count.
-    indicator
-        A reset may be of one indicator alone; empty for what all of them begin anew with.
-
-    Returns
-    -------
-    tuple of Segment
-        In order of time; together they are all nights.
-    """
+    """The nights of an indicator by the baseline that they are compared with."""
     starts: dict[int, list[str]] = {}
     for place, reason in _changed_settings(history):
         starts.setdefault(place, []).append(reason)
