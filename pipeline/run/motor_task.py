@@ -48,8 +48,9 @@ from pipeline.night.fit_night import (
     fit_night,
     unfitted,
 )
-from pipeline.night.refit import StoredNights, is_refit, judged
+from pipeline.night.refit import is_refit, judged
 from pipeline.night.rows import Row
+from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import (
     MadeNight,
     MotorOutcome,
