@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 # Reasons of a plan that are told one by one.
 PLAN_REASONS = 8
+# Lines of progress of a motor that is done in chunks.
+CHUNK_LINES = 10
 
 
 def print_plan(request: RunRequest, as_json: bool) -> None:
@@ -83,7 +85,10 @@ class Reporter:
         self.bar.stop()
 
     def motor(self, outcome: MotorOutcome) -> None:
-        """A motor has finished."""
+        """A motor has finished, or a chunk of one."""
+        if outcome.chunk:
+            self._chunk(outcome.motor_id, *outcome.chunks_done)
+            return
         self.bar.update(self.task, advance=1, description=outcome.motor_id)
         counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
         if self.as_json:
@@ -105,6 +110,17 @@ class Reporter:
             say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
         for message in outcome.growing:
             say(f"{outcome.motor_id}: log_growing: {message}", err=True)
+
+    def _chunk(self, motor_id: str, n_done: int, n: int) -> None:
+        """A chunk of a motor has finished: on the bar, or in at most ten lines a motor."""
+        words = f"{motor_id}: {n_done} of {n} chunks"
+        self.bar.update(self.task, description=words)
+        if self.console.is_terminal and not self.as_json:
+            return
+        if CHUNK_LINES * n_done // n == CHUNK_LINES * (n_done - 1) // n:
+            return
+        line = {"event": "chunks", "motor_id": motor_id, "done": n_done, "of": n}
+        say(json.dumps(line) if self.as_json else words)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""

@@ -440,7 +440,7 @@ class Execution(Section):
     nights_a_part: int = Field(
         14,
         ge=0,
-        description="A motor with more new nights than this is split into parts of so many, which "
+        description="A motor with more new nights than this is done in chunks of so many, which "
         "workers do side by side, over a Dask scheduler or where a run has fewer motors than "
         "workers; 0: never",
     )

@@ -11,7 +11,6 @@ import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -70,9 +69,6 @@ class LogSource(Protocol):
     def unmatched(self) -> tuple[str, ...]:
         """What to say of the globs that match none."""
 
-    def sizes(self) -> dict[str, int]:
-        """Sizes of those that are there, by name; none is opened [bytes]."""
-
 
 class FolderLogs:
     """Logs in a folder.
@@ -108,14 +104,6 @@ class FolderLogs:
     def unmatched(self) -> tuple[str, ...]:
         """As `LogSource`."""
         return without_match(self._spec)
-
-    def sizes(self) -> dict[str, int]:
-        """As `LogSource`."""
-        found = {}
-        for name, path in self._paths.items():
-            with suppress(OSError):  # gone, or not to be read: told when it is looked at
-                found[name] = path.stat().st_size
-        return found
 
 
 class StoredLogs:
@@ -195,10 +183,6 @@ class StoredLogs:
         """As `LogSource`."""
         url = self._spec.log_url
         return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
-
-    def sizes(self) -> dict[str, int]:
-        """As `LogSource`."""
-        return {name: found.size for name, found in self._found.items()}
 
 
 def _changed(path: Path) -> LogError:

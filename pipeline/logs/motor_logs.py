@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +35,6 @@ LOGS_IN_MEMORY = 2
 # What may come of a file in a run: read; unchanged since a run before; growing while it is read;
 # failed; or left to another run, as one of its nights was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
-
-
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """What a task knew of a file before it used it and after, and whether it could read it."""
-
-    before: FileRecord
-    after: FileRecord
-    was_read: bool
 
 
 class LogShelf:
@@ -235,17 +226,18 @@ class LogShelf:
             if max(self.touched(name) | self.reached(name), default=label) <= label:
                 del self._open[name]
 
-    def recall(self, here: Night, known: Mapping[str, Sight], used: tuple[str, ...]) -> bool:
-        """Take over what another task saw when it read a night's files.
+    def used_by(self, here: Night) -> tuple[str, ...]:
+        """Files that a night is made from, in order."""
+        return (*self.before_night(here), *self.of_night(here.date))
 
-        Parameters
-        ----------
-        here
-            The night.
-        known
-            What it knew of each file before and after.
-        used
-            Files that it used, in order.
+    def take_over(
+        self,
+        here: Night,
+        before: Mapping[str, FileRecord],
+        after: Mapping[str, FileRecord],
+        read: Collection[str],
+    ) -> bool:
+        """Take over a night's files as another task knew them before and after it made the night.
 
         Returns
         -------
@@ -253,13 +245,12 @@ class LogShelf:
             False, and nothing is taken over, where this task would use other files, or knows
             something else of one.
         """
-        if (*self.before_night(here), *self.of_night(here.date)) != used:
+        if self.used_by(here) != tuple(before):
             return False
-        if any(self.files[name] not in (one.before, one.after) for name, one in known.items()):
+        if any(self.files[name] not in (before[name], after[name]) for name in before):
             return False
-        for name, one in known.items():
-            self.files[name] = one.after
-            (self.read.add if one.was_read else self.read.discard)(name)
+        self.files.update(after)
+        self.read = (self.read - before.keys()) | set(read)
         return True
 
     def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:

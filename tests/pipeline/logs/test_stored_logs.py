@@ -19,11 +19,8 @@ from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.logs.locations import FolderLogs, StoredLogs
-from pipeline.run.disk_space import MIB, NIGHT_BYTES, new_files
-from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.setup.check import check_motor
 from pipeline.store.object_store import ObjectStore
-from tests.pipeline.run.test_disk_space import leave
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -190,27 +187,3 @@ def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
     one = check_motor(spec)
     assert one.notes == (f"no object matches M1/*.csv below {URL}",)
     assert one.faults == ("log_missing: M1/named.parquet: named in the config and absent",)
-
-
-# Room on the disk
-
-
-def test_new_logs_in_a_bucket_ask_for_room(
-    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
-    fleet = in_bucket(shop)
-    needed = 100 * MIB + 2 * NIGHT_BYTES
-    leave(monkeypatch, needed - 1)
-    with pytest.raises(StoreError, match="2 new log files") as error:
-        run_fleet(RunRequest(fleet))
-    assert error.value.code == "disk_space"
-    # A working copy of another machine's output knows the logs, once it is up to date.
-    leave(monkeypatch, needed)
-    published = replace(fleet, object_store=f"s3://{BUCKET}/fleet")
-    assert run_fleet(RunRequest(published)).n_nights == 2
-    assert new_files(shop.output, fleet.motors[0]) == 0
-    leave(monkeypatch, 100 * MIB)
-    assert run_fleet(RunRequest(replace(published, output=tmp_path / "copy"))).n_nights == 0
