@@ -14,8 +14,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.store.atomic_files import put
-from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
+from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.workers.process import still_alive
 
 # Of a file that is read for its hash, at a time.
@@ -160,7 +159,7 @@ def read_ledger(output: Path, motor_id: str) -> Ledger:
 
 
 def _read_month(path: Path) -> Ledger:
-    document = read_sealed(path, unseal)
+    document = read_if_whole(path, unseal)
     if document is None:
         return Ledger()
     try:
@@ -194,7 +193,7 @@ def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> N
                 label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
             },
         }
-        put(ledger_folder(output, motor_id) / f"{month}.json", seal(document))
+        put_sealed(ledger_folder(output, motor_id) / f"{month}.json", document)
 
 
 def settings_file(output: Path, motor_id: str) -> Path:
@@ -204,7 +203,7 @@ def settings_file(output: Path, motor_id: str) -> Path:
 
 def read_settings(output: Path, motor_id: str) -> dict[str, str]:
     """Settings of a motor's last run by dotted key; empty where they are not known."""
-    document = read_sealed(settings_file(output, motor_id), unseal) or {}
+    document = read_if_whole(settings_file(output, motor_id), unseal) or {}
     return {str(key): str(value) for key, value in document.items()}
 
 

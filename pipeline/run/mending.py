@@ -232,7 +232,7 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
         path = manifest_file(output, *key)
         place, was_there = path.relative_to(output).as_posix(), path.exists()
         kind = "manifest_damaged" if was_there else "manifest_missing"
-        if restore(place):
+        if restore(place) and read_manifest(output, *key) is not None:
             yield TableFault(place, kind, "brought back from the object store")
             continue
         names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]

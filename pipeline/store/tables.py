@@ -219,7 +219,7 @@ def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
         _require_known_version(path, content)
         rows = pl.from_arrow(content)
         assert isinstance(rows, pl.DataFrame)
-        _require_columns(rows.columns, table)
+        _require_columns(content, table)
         absent = [
             pl.lit(None, dtype=kind).alias(name)
             for name, kind in table.schema.items()
@@ -337,7 +337,7 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
         _require_known_version(path, stored)
         rows = pl.from_arrow(stored)
         assert isinstance(rows, pl.DataFrame)
-        _require_columns(rows.columns, table)
+        _require_columns(stored, table)
         of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
         if of_night and {str(night) for night in rows["night"].unique().drop_nulls()} - {path.stem}:
             raise ValueError("it has rows of other nights")
@@ -360,14 +360,16 @@ def _version_of(content: pa.Table) -> int:
     return int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
 
 
-def _require_columns(names: Sequence[str], table: Table) -> None:
+def _require_columns(content: pa.Table, table: Table) -> None:
     """Refuse columns that are not the table's: a damaged name would read as a column of nulls."""
-    strange = sorted(set(names) - table.schema.keys())
-    absent = sorted(set(table.key) - set(names))
+    strange = sorted(set(content.column_names) - table.schema.keys())
+    absent = sorted(set(table.key) - set(content.column_names))
     if strange or absent:
         raise ValueError(
-            f"column {', '.join(strange) or 'none'} is not known to this version, and of the key "
-            f"{', '.join(absent) or 'none'} is absent"
+            f"it has schema version {_version_of(content)}, with unknown columns "
+            f"({', '.join(strange) or 'none'}) or without some of the key "
+            f"({', '.join(absent) or 'none'}); expected version {SCHEMA_VERSION}: "
+            "`fit-fleet --force` makes it anew from the logs"
         )
 
 

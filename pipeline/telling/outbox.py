@@ -20,8 +20,7 @@ from typing import Any
 
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS
-from pipeline.store.atomic_files import put, read
-from pipeline.store.sealed import seal, unseal
+from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
 from pipeline.telling.delivery import Receiver
 
@@ -105,33 +104,42 @@ def read_outbox(output: Path) -> Outbox | None:
     unreadable: StoreError | None = None
     for name in OUTBOX_FILES:
         try:
-            found = parsed(read(output / name))
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            unreadable = StoreError("store_read", f"{name} cannot be read: {error.strerror}")
-            continue
-        if found is not None:
-            return found
-        log.warning("%s is damaged", name)
+            found = read_outbox_file(output / name)
+        except DamagedError as error:
+            log.warning("%s", error)
+        except StoreError as error:
+            unreadable = error
+        else:
+            if found is not None:
+                return found
     if unreadable is not None:
         raise unreadable
     return None
 
 
-def parsed(content: bytes) -> Outbox | None:
-    """The outbox that a file holds; None where it is damaged."""
-    document = unseal(content)
+def read_outbox_file(path: Path) -> Outbox | None:
+    """The outbox in one of its files; None where there is no file.
+
+    Raises
+    ------
+    DamagedError
+        If it is not as it was written.
+    StoreError
+        If it cannot be read.
+    """
+    document = read_sealed(path, unseal)
     try:
-        if document is None:
-            return None
-        return Outbox(
-            {name: _queue(one) for name, one in document["queues"].items()},
-            dict(one.split("-", 1) for one in document["known"]),
-            document["stamps"],
+        return (
+            None
+            if document is None
+            else Outbox(
+                {name: _queue(one) for name, one in document["queues"].items()},
+                dict(one.split("-", 1) for one in document["known"]),
+                document["stamps"],
+            )
         )
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DamagedError("store_read", f"{path.name} is damaged") from error
 
 
 def _queue(document: Mapping[str, Any]) -> Queue:
@@ -152,14 +160,8 @@ def write_outbox(output: Path, outbox: Outbox) -> None:
         If one cannot be written.
     """
     document = asdict(outbox) | {"known": sorted(map("-".join, outbox.known.items()))}
-    content = seal(json.loads(json.dumps(document, default=dt.datetime.isoformat)))
     for name in OUTBOX_FILES:
-        try:
-            present = read(output / name)
-        except OSError:
-            present = None
-        if present != content:
-            put(output / name, content)
+        put_sealed(output / name, document)
 
 
 def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:

@@ -7,16 +7,15 @@ cannot be made anew, so keep it with your backups.
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
-import json
 import logging
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import append, blank, read
+from pipeline.store.sealed import seal, unseal
 
 log = logging.getLogger(__name__)
 
@@ -68,15 +67,6 @@ def record_decision(output: Path, decision: Decision) -> None:
         If it cannot be written.
     """
     append(journal_file(output), _line(decision))
-
-
-def _line(decision: Decision) -> bytes:
-    document = asdict(decision) | {
-        "time": decision.time.isoformat(),
-        "night": decision.night.isoformat(),
-    }
-    line = json.dumps({"sha256": _digest(document), **document}, sort_keys=True) + "\n"
-    return line.encode()
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
@@ -166,17 +156,17 @@ def _lines(output: Path) -> dict[int, Decision | None]:
     return {n: _decision(line) for n, line in enumerate(lines, start=1) if line.strip()}
 
 
+def _line(decision: Decision) -> bytes:
+    return seal(asdict(decision)) + b"\n"
+
+
 def _decision(line: bytes) -> Decision | None:
+    document = unseal(line)
     try:
-        document = json.loads(line)
-        if document.pop("sha256") != _digest(document):
+        if document is None:
             return None
         document["time"] = dt.datetime.fromisoformat(document["time"])
         document["night"] = dt.date.fromisoformat(document["night"])
         return Decision(**document)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return None
-
-
-def _digest(document: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()[:16]

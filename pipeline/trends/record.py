@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
-from pipeline.store.sealed import put_sealed, read_sealed, unseal
+from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -71,7 +70,7 @@ def record_file(output: Path, motor_id: str) -> Path:
 
 def read_record(output: Path, motor_id: str) -> Record | None:
     """What is remembered of a motor's trends; None where nothing is, or it is damaged."""
-    document = read_sealed(record_file(output, motor_id), unseal)
+    document = read_if_whole(record_file(output, motor_id), unseal)
     if document is None:
         return None
     try:
@@ -97,8 +96,7 @@ def write_record(output: Path, motor_id: str, record: Record) -> None:
     StoreError
         If it cannot be written.
     """
-    text = json.loads(json.dumps(asdict(record), default=dt.date.isoformat))  # dates as text
-    put_sealed(record_file(output, motor_id), text)
+    put_sealed(record_file(output, motor_id), asdict(record))
 
 
 def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
