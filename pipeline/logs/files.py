@@ -31,7 +31,7 @@ LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
 # A night that only a file's name or time tells lies this near to those of the motor's other logs.
 FARTHEST_NIGHT = 31 * DAY
-# How a message ends that says by what a file's night is told.
+# End of a message that says how a file's night is told.
 TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 LONGEST_PATH = 4096
@@ -67,7 +67,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
-    """A path leads to a folder; one that did not answer is taken for a file."""
+    """True for a folder; a path that did not answer is taken for a file."""
     if not path.is_symlink():
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())
@@ -77,7 +77,7 @@ def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
 
 
 def require_answer(name: str, path: Path) -> None:
-    """Open a log that is about to be read, if it is one: where it hangs, this is told of it."""
+    """Open a log that is about to be read: if that hangs, the log is named."""
     with asking(name), suppress(OSError):  # which its reader tells
         if path.is_file():
             with path.open("rb", buffering=0) as log:
@@ -85,7 +85,7 @@ def require_answer(name: str, path: Path) -> None:
 
 
 def without_match(spec: MotorSpec) -> tuple[str, ...]:
-    """What to say of the globs of a motor's logs that match no file."""
+    """Messages about globs of a motor's logs that match no file."""
     return tuple(
         f"no file matches {pattern} below {spec.log_root}"
         for pattern in spec.file.logs.files
@@ -96,21 +96,21 @@ def without_match(spec: MotorSpec) -> tuple[str, ...]:
 
 
 def legible(text: str) -> str:
-    """Text that tables, terminals and pages can show: what does not print becomes its escape."""
+    """Text for tables, terminals and pages: characters that do not print become escapes."""
     return one_line(text, LONGEST_PATH)
 
 
 def inspect_log(
     name: str, path: Path, before: FileRecord | None, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
-    """What is known of a file: as before while its content is the same, else from a look at it.
+    """The record of a file: that of before while its content is the same, else a new one.
 
     Parameters
     ----------
     name, path
         Path relative to the log root, and where it is.
     before
-        What was known of it; None for a file not seen.
+        Its record in the run before; None for a new file.
     spec
         The motor.
     latest_us
@@ -135,7 +135,7 @@ def _inspected(
     spec: MotorSpec,
     latest_us: int | None,
 ) -> FileRecord:
-    """What a look into a file of another size or time tells."""
+    """The record of a file whose size or time has changed."""
     try:
         with asking(record.path):
             record = replace(record, sha256=content_hash(path))
@@ -148,7 +148,7 @@ def _inspected(
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
-    """What is no more as it was when a file was looked at; None: nothing, or the file is gone."""
+    """The change of a file since it was looked at; None without one, or if the file is gone."""
     try:
         state = path.stat()
     except OSError:
@@ -161,7 +161,7 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
 
 
 def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
-    """Why a file that was written to a moment ago is left to a later run; None: it is not."""
+    """Reason to leave a file that was just written to to a later run; None without one."""
     age_s = (time.time_ns() - record.modified_ns) / 1e9
     # A clock that is far ahead must not keep a file out for good.
     if abs(age_s) >= settle_s:
@@ -173,7 +173,7 @@ def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | No
 
 
 def growing(record: FileRecord, why: LogError) -> FileRecord:
-    """The record of a file that is left to the next run, as it is being written."""
+    """The record of a file that is being written, and left to the next run."""
     return replace(record, status="growing", error_code=why.code, message=legible(why.message))
 
 
@@ -194,7 +194,7 @@ def look_at(name: str, path: Path) -> FileRecord:
 
 
 def _link_modified_ns(path: Path) -> int:
-    """When a link that leads nowhere was made; 0 where it is gone, too."""
+    """Time of a link that leads nowhere; 0 if it is gone, too."""
     try:
         return path.lstat().st_mtime_ns
     except OSError:
@@ -266,7 +266,7 @@ def _ends(stamps: Sequence[NDArray[np.int64]]) -> tuple[int, int]:
 
 
 def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:
-    """Stamps without those that lie over a year from most; a note says how many there were."""
+    """Stamps without those that lie over a year from most; a note counts them."""
     # A stamp that there is, not a mean of two: it is never far from itself.
     middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
     far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
@@ -280,7 +280,7 @@ def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.
 
 
 def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
-    """What there is to say of channels that are there, and neither have a value nor say why."""
+    """Messages about channels all of whose cells are blank."""
     cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
     blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
     told = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
@@ -344,12 +344,12 @@ class PlausibleNights:
 
 
 def is_guess(record: FileRecord) -> bool:
-    """A file that cannot be read: its nights, if any, are told by its name or time alone."""
+    """True for a file that cannot be read: only its name or time tells its nights."""
     return record.status != "ok" and record.first_us is None
 
 
 def is_newly_told(before: FileRecord, now: FileRecord) -> bool:
-    """The name or time of a file that is as it was tells a night that it did not tell before."""
+    """True if the name or time of an unchanged file tells a night that it did not before."""
     return is_guess(now) and not labels_of(now) <= labels_of(before)
 
 
@@ -361,10 +361,9 @@ def place_failed(
 ) -> dict[str, FileRecord]:
     """Give each unreadable file the night that it would have been of.
 
-    By what was known of it before, by the date in its name compared with those of its readable
-    neighbours, or by when it was last written: in that order, and the message says which. One
-    that vanished in between stays without a night, and so does one whose night is none that may
-    be told.
+    In this order: by its former record, by the date in its name compared with those of readable
+    files, or by the time of its last change; the message says which. A file that vanished, or
+    whose night is not plausible, stays without one.
     """
     lag = _lag_of_names(one for one in records.values() if one.status == "ok" and one.nights)
     return {
@@ -426,7 +425,7 @@ def _date_in(name: str) -> dt.date | None:
 
 
 def _lag_of_names(records: Iterable[FileRecord]) -> dt.timedelta:
-    """What lies between the date in a file's name and its first night, for most files."""
+    """Time from the date in a file's name to its first night, of most files."""
     lags = Counter(
         min(labels_of(record)) - date for record in records if (date := _date_in(record.path))
     )
@@ -460,7 +459,7 @@ def slice_night(
 
 
 def reaches_us(spec: MotorSpec) -> dict[str, int]:
-    """How long the last sample of each on-change channel may hold into the next night [µs]."""
+    """Longest time for which the last sample of each on-change channel holds [µs]."""
     return {
         name: round(channel.longest_silence_s * SECOND_US)
         for name, channel in spec.file.channels.items()

@@ -1,4 +1,4 @@
-"""A motor's log files while its task works through them: what each is, and what is new of it."""
+"""A motor's log files during its task: the record of each, and its news."""
 
 from __future__ import annotations
 
@@ -32,8 +32,7 @@ from pipeline.workers.process import Loss, reading, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
-# What may come of a file in a run: read; unchanged since a run before; growing while it is read;
-# failed; or left to another run, as one of its nights was not done.
+# Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
 
 
@@ -126,12 +125,12 @@ class LogShelf:
         return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
-        """What was known of a file, if it was understood as it is now."""
+        """The former record of a file, if it was read with the same settings."""
         record = self.before.get(name)
         return record if record and record.read_with == self._read_with else None
 
     def news_of(self, name: str) -> str | None:
-        """What is new of a file that no run has finished with, in words; None: nothing."""
+        """The news of a file that no run has finished with, as text; None without any."""
         before, known, now = self.before.get(name), self._known(name), self.files[name]
         if before is None:
             return f"new file {name}"
@@ -294,7 +293,7 @@ class LogShelf:
         return "read" if name in self.read else "unchanged"
 
     def growing(self) -> list[str]:
-        """What there is to say of each file that changes while it is read."""
+        """Messages about files that change while they are read."""
         records = (record for _, record in sorted(self.files.items()))
         return [record.message or "" for record in records if record.status == "growing"]
 

@@ -9,7 +9,7 @@ from pipeline.errors import StoreError
 from pipeline.store.atomic_files import TEMPORARY_PREFIX
 from pipeline.store.manifest import manifest_keys
 from pipeline.store.sealed import read_sealed, unseal, unseal_bytes
-from pipeline.store.verification import TableFault, look_at_published, verify_unlisted
+from pipeline.store.verification import TableFault, compare_published, verify_unlisted
 from pipeline.telling.outbox import OUTBOX_FILES, read_outbox_file
 from pipeline.trends.decisions import damaged_lines, journal_file
 from pipeline.trends.kept_nights import kept_folder
@@ -18,16 +18,16 @@ ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run m
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
-    """Compare every table file with its manifest, and look at what is remembered beside them.
+    """Compare every table file with its manifest, and check the sealed files beside them.
 
     A run may be publishing meanwhile.
 
     Yields
     ------
     TableFault
-        One for each file that differs, is absent, is in no manifest, or is damaged itself.
+        For each file that differs, is missing, is in no manifest, or is damaged.
     """
-    yield from look_at_published(output, manifest_keys(output)).faults
+    yield from compare_published(output, manifest_keys(output)).faults
     yield from verify_unlisted(output)
     yield from _verify_sealed(output)
     yield from _verify_journal(output)

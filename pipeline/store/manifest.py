@@ -1,8 +1,8 @@
 """Manifests: the SHA-256 of every published table file proves it, its footer included.
 
 One manifest a night (and a run). Page checksums do not cover a footer, and a query engine checks
-neither. Before files are put into their places their manifest says what comes, and what was there;
-after that, what is there: so every file can be proven at any moment, wherever a run was broken off.
+neither. Before files are put into their places their manifest lists old and new digests, afterwards
+the new ones: every file can be proven at any moment, wherever a run was broken off.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pipeline.store.atomic_files import put
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, seal, unseal
 
 MONTH_PREFIX = "month="
-# In place of a month: manifests of the tables that are one file.
+# Stands for the month of tables that are one file.
 WHOLE = "whole"
 # Month and name of a manifest.
 Key = tuple[str, str]
@@ -30,8 +30,7 @@ class Manifest:
     files
         SHA-256 of each.
     coming
-        Of those that a run was about to replace when it wrote this: each SHA-256 that the file may
-        have, that of before and that of after; None where there may be no file.
+        SHA-256 before and after, of files that a run is replacing; None for no file.
     """
 
     files: Mapping[str, str] = field(default_factory=dict)
@@ -60,13 +59,15 @@ def manifest_keys(output: Path) -> list[Key]:
     return sorted((path.parent.name.removeprefix(MONTH_PREFIX), path.stem) for path in paths)
 
 
-def key_of(name: str) -> Key:
+def manifest_key(name: str) -> Key:
     """Month and name of the manifest that lists a table file.
 
     Examples
     --------
-    >>> key_of("fits/month=2026-03/2026-03-02.parquet"), key_of("decisions/decisions.parquet")
-    (('2026-03', '2026-03-02'), ('whole', 'decisions'))
+    >>> manifest_key("fits/month=2026-03/2026-03-02.parquet")
+    ('2026-03', '2026-03-02')
+    >>> manifest_key("decisions/decisions.parquet")
+    ('whole', 'decisions')
     """
     path = PurePosixPath(name)
     folder = path.parent.name

@@ -1,7 +1,7 @@
-"""What people said of a motor: acknowledged alarms, findings, and baselines that were reset.
+"""Decisions of people on a motor: acknowledged alarms, findings, and baselines that were reset.
 
-A journal beside the tables, one line each, only ever appended to: unlike all else in the output it
-cannot be made anew, so keep it with your backups.
+A journal beside the tables, a sealed line each, only ever appended to: unlike all else in the
+output it cannot be made anew, so keep it with your backups.
 """
 
 from __future__ import annotations
@@ -26,20 +26,20 @@ KINDS, FINDINGS = get_args(Kind), get_args(Finding)
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What somebody said.
+    """A decision.
 
     Attributes
     ----------
     motor_id, indicator
-        Of what; an empty indicator means all of the motor's.
+        An empty indicator means all of the motor's.
     time
-        When it was said, UTC.
+        Of the decision, UTC.
     kind
         An alarm acknowledged, the finding of an inspection, or a baseline reset.
     night
         The night that it refers to; of a reset the first night of the new baseline.
     finding
-        Whether wear was found; None: nothing was looked at.
+        Result of an inspection; None without one.
     note
         In words.
     """
@@ -54,7 +54,7 @@ class Decision:
 
 
 def journal_file(output: Path) -> Path:
-    """Where the journal lies."""
+    """File of the journal."""
     return output / "decisions.jsonl"
 
 
@@ -98,13 +98,12 @@ def damaged_lines(output: Path) -> tuple[int, ...]:
 
 
 def put_back(output: Path, known: Collection[Decision]) -> int:
-    """Append what a damaged journal, or one that is gone, lacks of what is known from elsewhere.
+    """Append known decisions that a damaged or missing journal lacks.
 
     Returns
     -------
     int
-        How many decisions were put back; none where the journal is whole: people may have taken
-        lines out of it.
+        Number of decisions put back; 0 if the journal is whole: people may have removed lines.
 
     Raises
     ------
@@ -122,7 +121,7 @@ def put_back(output: Path, known: Collection[Decision]) -> int:
 
 
 def take_out_damaged_lines(output: Path) -> None:
-    """Move the damaged lines of the journal into a file beside it, to be looked at.
+    """Move the damaged lines of the journal into a file beside it.
 
     Raises
     ------

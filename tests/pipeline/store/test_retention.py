@@ -152,7 +152,7 @@ def test_the_config_says_how_many_nights_or_the_caller_does() -> None:
     assert nights_kept(retention, [], None) == {"predictions": 90}
     assert nights_kept(retention, ["predictions"], None) == {"predictions": 90}
     assert nights_kept(retention, ["predictions", "starts"], 5) == {"predictions": 5, "starts": 5}
-    with pytest.raises(UsageError, match="starts are to be kept"):
+    with pytest.raises(UsageError, match="the number of nights of starts"):
         nights_kept(retention, ["starts"], None)
     with pytest.raises(UsageError, match="--keep needs --tables"):
         nights_kept(retention, [], 5)
