@@ -1,4 +1,4 @@
-"""A motor's log files: which there are, what is known of each, and the samples of a night."""
+"""A motor's log files: finding them, their records, and the samples of a night."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from pipeline.workers.process import asking, reading, told_alive
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
-# A night that only a file's name or time tells lies this near to those of the motor's other logs.
+# A night known from a file's name or time alone lies this near to those of the motor's other logs.
 FARTHEST_NIGHT = 31 * DAY
-# End of a message that says how a file's night is told.
+# End of a message on how a file's night is known.
 TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 LONGEST_PATH = 4096
@@ -49,7 +49,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
             found |= set() if is_glob else {named}
             continue
         with asking(pattern):
-            # A file may be called `a[1].csv`: what exists under its very name is no glob.
+            # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
             if named.exists():
                 found.add(named)
             elif is_glob:
@@ -120,7 +120,7 @@ def inspect_log(
     if record.status == "failed":
         return record
     same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
-    # What could not be read has no hash: its permissions may be others by now.
+    # An unreadable file has no hash: its permissions may have changed.
     if before and before.sha256 and same:
         return before if before.inode == record.inode else replace(before, inode=record.inode)
     found = _inspected(record, path, before, spec, latest_us)
@@ -187,7 +187,7 @@ def look_at(name: str, path: Path) -> FileRecord:
         )
     record = FileRecord(name, state.st_size, state.st_mtime_ns, None, inode=state.st_ino)
     if not stat.S_ISREG(state.st_mode):
-        # A pipe would keep whoever opens it waiting.
+        # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
         return failed(record, fault)
     return record
@@ -208,7 +208,7 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 def spanned(
     record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
-    """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
+    """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
     try:
         first, last = time_span(path, file.logs, file.channels, latest_us)
@@ -230,7 +230,7 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """The record of a file that was read: its span, its nights, and what was left out of it.
+    """The record of a file that was read: its span, its nights, and notes on skipped cells.
 
     Raises
     ------
@@ -287,7 +287,7 @@ def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[st
     if blank and len(blank) == len(cells):
         message = f"there is no sample: {', '.join(told)}"
         raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
-    # What did not change has no value in a table of what did.
+    # An on-change channel is blank in every row of another channel.
     silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
     return [note for name, note in zip(blank, told, strict=True) if name not in silent]
 
@@ -344,12 +344,12 @@ class PlausibleNights:
 
 
 def is_guess(record: FileRecord) -> bool:
-    """True for a file that cannot be read: only its name or time tells its nights."""
+    """True if a file's nights, if any, are known from its name or time alone."""
     return record.status != "ok" and record.first_us is None
 
 
 def is_newly_told(before: FileRecord, now: FileRecord) -> bool:
-    """True if the name or time of an unchanged file tells a night that it did not before."""
+    """True if an unchanged file's name or time now gives a night that it did not before."""
     return is_guess(now) and not labels_of(now) <= labels_of(before)
 
 
@@ -388,7 +388,7 @@ def _placed(
     placed = plausible.only_plausible(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
     if placed.nights and placed.nights == record.nights:
         return record
-    # The night itself stands beside the message wherever that is shown.
+    # The night itself is always shown beside the message.
     how = f"night told {basis}"
     if not placed.nights:
         how = f"told {basis}, its night would lie {plausible.why_not(labels[0])}: it is of none"
@@ -398,7 +398,7 @@ def _placed(
 def _told(
     record: FileRecord, before: FileRecord | None, lag: dt.timedelta, spec: MotorSpec
 ) -> tuple[list[dt.date], str] | None:
-    """Nights that a file seems to be of, and by what they are told; None where nothing tells."""
+    """Nights that a file seems to be of, and how they are known; None if they are not."""
     if record.nights:  # as a run before has told
         said = TOLD.search(record.message or "")
         return sorted(labels_of(record)), said[1] if said else "by what it held before"

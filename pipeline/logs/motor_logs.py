@@ -53,7 +53,7 @@ class LogShelf:
     spec
         The motor.
     before
-        What was known of its files.
+        Former records of its files.
     latest_us
         Samples after this time are refused [µs since 1970].
     silent
@@ -64,13 +64,13 @@ class LogShelf:
     Attributes
     ----------
     files
-        What is known of each file by now, by path relative to the log root.
+        Present record of each file, by path relative to the log root.
     before
-        What was known of them, without nights that are no longer told.
+        Former records, without nights that are no longer plausible.
     absent
         Those that are named in the config and absent.
     unmatched
-        Tells of the globs that match none.
+        Gives messages about globs that match no log.
     read
         Paths of those whose content was read.
     plausible
@@ -136,7 +136,7 @@ class LogShelf:
             return f"new file {name}"
         if known is None:
             return f"{name} is to be read with other settings"
-        # What could not be read has no hash: it may be legible by now.
+        # An unreadable file has no hash: it may be readable by now.
         if now.sha256 is None or known.sha256 != now.sha256:
             return f"changed file {name}"
         return f"the night of {name} is told now" if is_newly_told(known, now) else None
@@ -275,13 +275,7 @@ class LogShelf:
         }
 
     def counts(self, done: Collection[dt.date]) -> Counter[str]:
-        """Files by what came of them in this run.
-
-        Returns
-        -------
-        Counter of str
-            By those of `FATES`.
-        """
+        """Number of files by outcome, one of `FATES`."""
         finished = self.finished(done)
         return Counter(self._fate(name, finished) for name in self.files)
 

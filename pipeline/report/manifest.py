@@ -70,7 +70,7 @@ def read_report_manifest(folder: Path) -> ReportManifest | None:
         files = {name: (str(one[0]), int(one[1])) for name, one in document["files"].items()}
         return ReportManifest(document["program"], dict(document["nights"]), files)
     except (ValueError, KeyError, TypeError, AttributeError):
-        # Without it everything is made anew, over what is there.
+        # Without it all files are made anew, over the present ones.
         return None
 
 
@@ -83,8 +83,8 @@ def _entries(folder: Path) -> list[Path]:
 
 
 def write_report_manifest(folder: Path, manifest: ReportManifest) -> None:
-    """Leave the manifest; last, so that what it lists is there."""
-    # One flush for all pages, not one for each: first they, then what tells that they are there.
+    """Write the manifest last: the files in it are then there."""
+    # One flush for all pages, not one for each.
     flush_all()
     put_sealed(folder / FILE, asdict(manifest))
 
@@ -118,7 +118,7 @@ def remove_stale(folder: Path, before: ReportManifest, now: ReportManifest) -> i
     stale = sorted(before.files.keys() - now.files.keys())
     for name in stale:
         path = folder / name
-        # A manifest is a file like others: what it names must lie in the report.
+        # Nothing outside the report is removed, whatever the manifest lists.
         if path.resolve().is_relative_to(folder.resolve()):
             with suppress(OSError):
                 path.unlink()

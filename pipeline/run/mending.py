@@ -1,9 +1,8 @@
-"""Damage to what runs have left: how a run, or `check --tables --mend`, mends what can be mended.
+"""Mending of damaged output, by a run or by `check --tables --mend`.
 
-Nothing is mended in its place. What is damaged is put aside, and the nights that it was of are
-forgotten, so that a run makes them anew from logs or stored blocks. A manifest goes on listing a
-file that is gone until it is there again, so whatever becomes of a run, the next one sees it. Each
-step may be the last, and be done again.
+Nothing is mended in its place. A damaged file is put aside, and its nights are forgotten, so that a
+run makes them anew from logs or stored blocks. A manifest lists a missing file until it is there
+again: if a run is broken off, the next one sees it. Each step can be repeated.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ class Damage:
     output: Path
     restore: Restore = lambda _: False
     found: dict[str, TableFault] = field(default_factory=dict)
-    # By motor, the nights with a fit of which rows were lost; and what was found when the motors
+    # By motor, the nights with a fit of which rows were lost; and faults found when the motors
     # had their turn.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
     _late: set[str] = field(default_factory=set)

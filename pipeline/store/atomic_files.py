@@ -131,7 +131,7 @@ def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
             stream.write(write) if isinstance(write, bytes) else write(stream)
         if durable:
             os.fsync(handle)
-            # What is read back is to come from the disk, as far as it can be had from there.
+            # Read back from the disk, if possible, not from the cache.
             if hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
         _require_same(_hash_of(handle), file.hash.digest())

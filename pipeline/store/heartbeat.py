@@ -50,7 +50,7 @@ class Beat:
     n_motors, n_motors_done
         Motors in the run, and those that are done.
     run_id
-        Known once all motors are done: it is the hash of what they read.
+        Known once all motors are done: it is a hash of their inputs.
     last_good_run
         End of the last run that went through all motors.
     error_code

@@ -81,7 +81,7 @@ def read_manifest(output: Path, month: str, name: str) -> Manifest | None:
     Raises
     ------
     StoreError
-        If there is one that cannot be read: taken for absent, it would lose what it says.
+        If there is one that cannot be read: taken for absent, it would lose its files.
     """
     try:
         document = read_sealed(manifest_file(output, month, name), unseal)

@@ -86,7 +86,7 @@ def unseal_bytes(content: bytes) -> bytes | None:
 def read_sealed(path: Path, unsealed: Callable[[bytes], Content | None]) -> Content | None:
     """Content of a sealed file by `unseal` or `unseal_bytes`; None where there is no file.
 
-    One that reads as damaged is read again: what goes wrong on the way from the disk is no damage.
+    One that reads as damaged is read again: an error on the way from the disk is no damage.
 
     Raises
     ------

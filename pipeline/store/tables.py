@@ -216,7 +216,7 @@ def _rows_of(path: Path, table: Table, encoded: bytes) -> tuple[pl.DataFrame, in
     content = _from_parquet(encoded)
     version = int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
     if version > SCHEMA_VERSION:
-        # It may hold what this version of the program would lose.
+        # This version of the program would lose its new columns.
         raise StoreError(
             "store_newer", f"{path.name} is of schema version {version}; update the program"
         )

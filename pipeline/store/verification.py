@@ -45,7 +45,7 @@ class TableFault:
         ``rows_lost``, ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``,
         ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
     message
-        In words, with what to do.
+        The fault, and a remedy.
     """
 
     path: str
