@@ -15,7 +15,13 @@ import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame
-from pipeline.store.manifest import WHOLE, Manifest, announce, read_manifest, update_manifest
+from pipeline.store.manifest import (
+    Manifest,
+    announce,
+    manifest_key,
+    read_manifest,
+    update_manifest,
+)
 from pipeline.store.tables import (
     NightFile,
     StagedRows,
@@ -155,13 +161,13 @@ class Publisher:
                         self.damaged.append(name)
                     self.lost.setdefault(night, set()).update(motors)
                     forget(self.output, (night,), set(motors))
-            self._land(f"{night:%Y-%m}", night.isoformat(), files)
+            self._land(files)
             undone.pop_all()
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file; raises as `nights`."""
         path = table_folder(self.output, table) / f"{table.name}.parquet"
-        self._put(WHOLE, table.name, {path: rows})
+        self._put({path: rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
@@ -171,37 +177,30 @@ class Publisher:
             run_file(self.output, table, started): frame(table, some)
             for table, some in rows.items()
         }
-        self._put(f"{started:%Y-%m}", next(iter(files)).stem, files)
+        self._put(files)
 
-    def _put(self, month: str, name: str, files: Mapping[Path, pl.DataFrame]) -> None:
+    def _put(self, files: Mapping[Path, pl.DataFrame]) -> None:
         """Publish files that replace the present ones as a whole."""
         with ExitStack() as undone:
             prepared = []
             for path, rows in files.items():
                 prepared.append(prepare_file(path, encode_table(path.name, rows)))
                 undone.callback(prepared[-1].drop)
-            self._land(month, name, prepared)
+            self._land(prepared)
             undone.pop_all()
 
-    def _land(self, month: str, name: str, files: Sequence[NightFile]) -> None:
-        """Put files into their places; the manifest lists old and new ones meanwhile."""
+    def _land(self, files: Sequence[NightFile]) -> None:
+        """Put files of one manifest into their places; it lists old and new ones meanwhile."""
         root = self.output / "tables"
-        paths = {file.path.relative_to(root).as_posix(): file for file in files}
+        by_name = {file.path.relative_to(root).as_posix(): file for file in files}
+        key = manifest_key(next(iter(by_name)))
         # The digest of a damaged file is not accepted.
-        announce(
-            self.output,
-            month,
-            name,
-            {
-                path: (None if file.lost_rows else file.before, file.after)
-                for path, file in paths.items()
-            },
-        )
+        before = {name: None if file.lost_rows else file.before for name, file in by_name.items()}
+        after = {name: file.after for name, file in by_name.items()}
+        announce(self.output, *key, {name: (before[name], after[name]) for name in by_name})
         for file in files:
             file.land()
-        update_manifest(
-            self.output, month, name, {path: file.after for path, file in paths.items()}
-        )
+        update_manifest(self.output, *key, after)
 
 
 def _of_night(staged: Mapping[str, StagedRows], night: dt.date) -> Rows:

@@ -18,7 +18,14 @@ from pipeline.config import Retention
 from pipeline.errors import UsageError
 from pipeline.schema import TABLES
 from pipeline.store.atomic_files import remove
-from pipeline.store.manifest import Manifest, announce, read_manifest, update_manifest
+from pipeline.store.manifest import (
+    Key,
+    Manifest,
+    announce,
+    manifest_key,
+    read_manifest,
+    update_manifest,
+)
 from pipeline.store.tables import night_paths
 
 # Tables that may be pruned, and what is lost with each.
@@ -109,19 +116,17 @@ def prune(output: Path, old: Sequence[OldFiles]) -> None:
     StoreError
         If a manifest cannot be written or a file not be removed; pruning again does the rest.
     """
-    by_night: defaultdict[dt.date, list[str]] = defaultdict(list)
+    going: defaultdict[Key, list[str]] = defaultdict(list)
     for one in old:
         for night in one.nights:
-            by_night[night].append(f"{one.table}/month={night:%Y-%m}/{night}.parquet")
-    for night, names in sorted(by_night.items()):
-        month = f"{night:%Y-%m}"
-        manifest = read_manifest(output, month, night.isoformat()) or Manifest()
-        going = {name: (manifest.files.get(name), None) for name in names}
-        announce(output, month, night.isoformat(), going)
+            name = f"{one.table}/month={night:%Y-%m}/{night}.parquet"
+            going[manifest_key(name)].append(name)
+    for key, names in sorted(going.items()):
+        manifest = read_manifest(output, *key) or Manifest()
+        announce(output, *key, {name: (manifest.files.get(name), None) for name in names})
         for name in names:
             path = output / "tables" / name
             remove(path)
-            # A folder without files is removed.
-            with suppress(OSError):
+            with suppress(OSError):  # not empty
                 path.parent.rmdir()
-        update_manifest(output, month, night.isoformat(), dict.fromkeys(names))
+        update_manifest(output, *key, dict.fromkeys(names))

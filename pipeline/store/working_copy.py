@@ -278,12 +278,8 @@ def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0
 
     def land(path: str) -> tuple[str, Entry]:
         known = before.files.get(path)
-        # People add to the journal between runs.
-        if (
-            known is not None
-            and path != JOURNAL
-            and (output / path).stat().st_mtime_ns < started_ns
-        ):
+        is_old = (output / path).stat().st_mtime_ns < started_ns
+        if known is not None and is_old and path != JOURNAL:  # people add to it between runs
             return path, known
         content = read(output / path)
         entry = _entry(f"files/{path}", content)
@@ -317,11 +313,10 @@ def _replace_root(store: ObjectStore, before: Snapshot, files: Mapping[str, Entr
         parts[month] = _entry(f"lists/{month}.json", content)
         if before.parts.get(month) != parts[month]:
             store.create(parts[month].key, content)
-    gone = _keys(before) - _keys(Snapshot(None, files, parts))
-    today = dt.datetime.now(dt.UTC).date().isoformat()
-    superseded = (*before.superseded, *((key, today) for key in sorted(gone)))
     present = _keys(Snapshot(None, files, parts))
-    superseded = tuple((key, day) for key, day in superseded if key not in present)
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    gone = ((key, today) for key in sorted(_keys(before) - present))
+    superseded = (*(one for one in before.superseded if one[0] not in present), *gone)
     content = json.dumps(
         {
             "tables": _tables(files),
