@@ -272,7 +272,7 @@ def read_rows(
         If a file is damaged, or is not what its manifest says.
     """
     chosen = list(columns or table.schema)
-    empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
+    empty = pl.DataFrame(schema=dict(table.schema))
     if nights is None:
         paths = list(night_paths(output, table, month).values())
     else:
