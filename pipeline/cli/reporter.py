@@ -26,7 +26,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
 
     from pipeline.run.fleet import plan_fleet, plan_trends
     from pipeline.store.manifest import manifest_keys
-    from pipeline.store.verification import look_at_published
+    from pipeline.store.verification import compare_published
 
     total = 0
     for motor_id, plan in plan_fleet(request):
@@ -50,7 +50,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         else:
             say(f"{motor_id}: all trends anew: {reason}")
     output = request.fleet.output
-    for fault in look_at_published(output, manifest_keys(output), lambda _: False).faults:
+    for fault in compare_published(output, manifest_keys(output), lambda _: False).faults:
         line = {"event": "table_fault", **asdict(fault)}
         words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
         say(json.dumps(line) if as_json else words, err=True)

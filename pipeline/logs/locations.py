@@ -1,6 +1,6 @@
-"""Where a motor's logs are: in a folder, or in an object store, a copy of each while it is read.
+"""Sources of a motor's logs: a folder, or an object store, with a copy of each log that is read.
 
-A listing tells of every object its size, tag and last change: one that is known so is not opened.
+A listing gives size, tag and last change of every object: a known one is not opened.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class LogSource(Protocol):
     absent: list[str]
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
-        """What is known of a log; one that is as it was before is not opened."""
+        """The record of a log; an unchanged one is not opened."""
 
     def path(self, name: str) -> Path:
         """A file with its content.
@@ -64,10 +64,10 @@ class LogSource(Protocol):
         """
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """What is no more as it was when a log was looked at; None: nothing."""
+        """The change of a log since it was looked at; None without one."""
 
     def unmatched(self) -> tuple[str, ...]:
-        """What to say of the globs that match none."""
+        """Messages about globs that match no log."""
 
 
 class FolderLogs:
@@ -273,5 +273,5 @@ def _translated(part: str) -> str:
 def logs_of(
     spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
 ) -> LogSource:
-    """A motor's logs, wherever its config says they are."""
+    """A motor's logs at the place in its config."""
     return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -18,13 +18,13 @@ from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
-    Manifest,
-    content_hash,
+    ReportManifest,
     is_as_left,
-    read_manifest,
+    read_report_manifest,
     remove_stale,
+    short_hash,
     write_changed,
-    write_manifest,
+    write_report_manifest,
 )
 from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
@@ -167,20 +167,20 @@ def build_report(request: ReportRequest) -> ReportResult:
             f"{request.output} holds no table of fits; run fit-fleet first; where it has run and "
             "found no log, check says why",
         )
-    before = read_manifest(request.folder)
+    before = read_report_manifest(request.folder)
     if before is None:
-        before = Manifest("")
-        write_manifest(request.folder, before)
+        before = ReportManifest("")
+        write_report_manifest(request.folder, before)
     remove_leftovers([request.folder])
     history = read_history(request.output)
     names = _names(request, history)
     nights = _nights_by_motor(history.fits, names)
-    now = Manifest(_program_hash())
+    now = ReportManifest(_program_hash())
     made, faults = _make_nights(request, _wanted(nights, request.nights), names, before, now)
     n_motors = _make_pages(request, history, names, faults, before, now)
     n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
     n_removed = remove_stale(request.folder, before, now)
-    write_manifest(request.folder, now)
+    write_report_manifest(request.folder, now)
     return ReportResult(
         index=request.folder / INDEX,
         n_motors=n_motors,
@@ -225,8 +225,8 @@ def _make_nights(
     request: ReportRequest,
     nights: Mapping[dt.date, list[str]],
     names: Mapping[str, str],
-    before: Manifest,
-    now: Manifest,
+    before: ReportManifest,
+    now: ReportManifest,
 ) -> tuple[int, list[str]]:
     """Make the files of nights that are new or changed; enter all into the new manifest."""
     states = _table_states(request.output, nights)
@@ -292,8 +292,8 @@ def _make_pages(
     history: History,
     names: Mapping[str, str],
     faults: Sequence[str],
-    before: Manifest,
-    now: Manifest,
+    before: ReportManifest,
+    now: ReportManifest,
 ) -> int:
     """Make the fleet's page, the motors' pages, and what they share."""
 
@@ -339,7 +339,7 @@ def _motor_page(
     name: str,
     row: FleetRow,
     facts: FleetFacts,
-    now: Manifest,
+    now: ReportManifest,
 ) -> str:
     detailed = {night for night in motor.nights if night_file_name(name, night) in now.files}
     known = request.known.get(motor.motor_id, KnownMotor(""))
@@ -351,7 +351,7 @@ def _motor_page(
     return motor_html(facts, row, motor, payload)
 
 
-def _write_chart_library(folder: Path, before: Manifest, now: Manifest) -> None:
+def _write_chart_library(folder: Path, before: ReportManifest, now: ReportManifest) -> None:
     """One copy of the chart library for all pages; it is read only where it has to be written."""
     entry = before.files.get(CHART_LIBRARY)
     if before.program == now.program and entry and is_as_left(folder, CHART_LIBRARY, entry):
@@ -367,4 +367,4 @@ def _program_hash() -> str:
     sources = sorted(path for path in Path(__file__).parent.rglob("*") if path.is_file())
     own = [path.read_bytes() for path in sources if "__pycache__" not in path.parts]
     packages = [version(name).encode() for name in ("motor-leakage", "jinja2", "plotly")]
-    return content_hash(b"|".join((*own, *packages, str(SCHEMA_VERSION).encode())))
+    return short_hash(b"|".join((*own, *packages, str(SCHEMA_VERSION).encode())))

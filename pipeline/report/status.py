@@ -16,7 +16,7 @@ from pipeline.schema import ALARMS, FITS, TRENDS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.manifest import manifest_keys
 from pipeline.store.tables import read_rows
-from pipeline.store.verification import TableFault, look_at_published
+from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
@@ -135,7 +135,7 @@ def fleet_status(
         len(findings),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
-        look_at_published(output, manifest_keys(output), lambda _: False).faults,
+        compare_published(output, manifest_keys(output), lambda _: False).faults,
     )
 
 

@@ -23,7 +23,7 @@ import pytest
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import read_ledger
 from pipeline.run.fleet import RunResult
-from pipeline.run.mending import mend_output, share_due
+from pipeline.run.mending import mend_output, rebuild_manifests, share_due
 from pipeline.run.verification import verify_tables
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -421,6 +421,15 @@ def test_a_damaged_manifest_is_rebuilt(tiny_fleet: TinyFleet, output: Path) -> N
     assert found(result) == [(path.relative_to(output).as_posix(), "manifest_damaged")]
     assert path.read_bytes() == before
     check_repaired(output, tiny_fleet)
+
+
+def test_a_manifest_that_is_published_damaged_is_rebuilt(output: Path) -> None:
+    """Or one of an older version: the object store has no better one."""
+    path = manifest_file(output, MONTH, NIGHT.isoformat())
+    path.write_bytes(b'{"files": {}, "sha256": "0"}')
+    (fault,) = rebuild_manifests(output, lambda _: True)
+    assert (fault.code, fault.message[:9]) == ("manifest_damaged", "made anew")
+    assert codes(output) == []
 
 
 def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output: Path) -> None:

@@ -36,6 +36,13 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
         yield found
 
 
+def with_nights(folder: Path, n: int) -> Workshop:
+    made = Workshop.at(folder)
+    for number in range(n):
+        made.log(FIRST + number * DAY, seed=number)
+    return made
+
+
 def stored(workshop: Workshop, **changed: Any) -> Any:
     """The workshop's motor with its logs in the bucket."""
     task = workshop.task()
@@ -44,9 +51,7 @@ def stored(workshop: Workshop, **changed: Any) -> Any:
 
 
 def test_a_log_that_is_replaced_while_it_is_read_waits(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 2)
     store = ObjectStore.at(URL)
     upload(tmp_path / "logs", store.url)
     key = f"M1/{FIRST}.parquet"
@@ -89,9 +94,7 @@ def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) ->
 def test_a_log_that_is_removed_after_it_was_listed_is_missing(
     server: Server, tmp_path: Path
 ) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 2)
     upload(tmp_path / "logs", URL)
     store, key = ObjectStore.at(URL), f"M1/{FIRST}.parquet"
 
@@ -142,9 +145,7 @@ def in_bucket(shop: Workshop) -> Any:
 
 
 def test_check_says_of_a_bucket_what_it_says_of_a_folder(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 2)
     (shop.logs / "broken.parquet").write_bytes(b"PAR1 and nothing of use")
     (spec,) = load_fleet(shop.fleet).motors
     here = check_motor(spec)
@@ -158,9 +159,7 @@ def test_check_says_of_a_bucket_what_it_says_of_a_folder(server: Server, tmp_pat
 
 
 def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(5):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 5)
     (spec,) = in_bucket(shop).motors
     server.forget()
     one = check_motor(spec)
