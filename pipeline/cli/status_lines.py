@@ -111,11 +111,6 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
         leakage, deviation = f"not known since {motor.leakage_night}", "not known"
     if motor.deviation_percent is not None:
         deviation = f"{motor.deviation_percent:+.1f} %"
-    why = motor.reason or "no change of external leakage"
-    if motor.poor_fit:
-        why += f"; {motor.poor_fit}"
-    if motor.acknowledged:
-        why += f" (acknowledged: {motor.acknowledged})"
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
@@ -123,5 +118,5 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
         deviation,
         str(motor.last_good_night or "never"),
         motor.sensor_health or "unknown",
-        why,
+        motor.why,
     )

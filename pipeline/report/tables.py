@@ -147,6 +147,11 @@ def read_history(output: Path) -> History:
     )
 
 
+def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Rows of a table by motor."""
+    return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}
+
+
 def _all_files(output: Path, table: Table) -> list[Path]:
     return sorted(table_folder(output, table).rglob("*.parquet"))
 

@@ -174,6 +174,10 @@ def identified(rows: pl.DataFrame) -> pl.DataFrame:
 def test_every_figure_is_drawn(browser: Chrome, output: Path) -> None:
     """Each when it is scrolled to."""
     change_table(output, "parameters", identified)
+    night = dt.date.fromisoformat(NIGHTS[0])
+    frozen = {"motor_id": "CB560-01", "indicator": "K_piston_ring", "night": night, "start": night}
+    path = night_file(output, BASELINES, night)
+    write_table(path, frame(BASELINES, [frozen | {"mean": 1e-13}]))
     build_report(ReportRequest(output, output / "report"))
     visit(browser, output / "report" / "motors" / "CB560-01.html")
     wait(browser, "return document.body.dataset.night")
