@@ -1,4 +1,4 @@
-"""What the commands share: options, the config they name, and how a line is said."""
+"""Options, config and output shared by the commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Commands that tell what the tables say: a night in words, the report, CSV."""
+"""Commands that publish the tables in another form: a night in words, the report, CSV."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def explain(
     night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
     output: Output = None,
 ) -> None:
-    """Say in words why a motor's night has the figures it has, or none.
+    """Explain in words the figures of a motor's night, or their absence.
 
     Example: motor-leakage explain configs/fleet.toml CB560-01 2026-01-03
     """
@@ -166,7 +166,7 @@ def export(
 
 
 def _known_to_report(fleet: Fleet) -> Mapping[str, KnownMotor]:
-    """What the report is told of the config's motors: type and dated events."""
+    """Type and dated events of the config's motors, for the report."""
     from pipeline.report import KnownMotor
 
     return {

@@ -1,4 +1,4 @@
-"""How a run and its plan are told: a bar on a terminal, plain lines elsewhere, or JSON."""
+"""Progress of a run and its plan: a bar on a terminal, plain lines elsewhere, or JSON."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
 
-# Reasons of a plan that are told one by one.
+# Reasons of a plan that are listed.
 PLAN_REASONS = 8
 
 
 def print_plan(request: RunRequest, as_json: bool) -> None:
-    """What a run would do: nights by motor, and why."""
+    """Print the nights that a run would do by motor, with the reasons."""
     from collections import Counter
 
     from pipeline.run.fleet import plan_fleet, plan_trends
@@ -57,7 +57,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
 
 
 class Reporter:
-    """Says how a run goes: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
+    """Progress of a run: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
 
     def __init__(self, as_json: bool, n_motors: int) -> None:
         from rich.console import Console
@@ -168,7 +168,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
 
 
 def _words(stage: str) -> str:
-    """A stage as people call it."""
+    """Name of a stage for people."""
     names = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
     return names.get(stage, stage.removesuffix("_s"))
 
@@ -181,7 +181,7 @@ def _by_code(result: RunResult) -> dict[str, int]:
 
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
-    """Log files by what came of them, all of which there can be, in a fixed order."""
+    """Log files by outcome: every possible outcome, in a fixed order."""
     from pipeline.logs.motor_logs import FATES
 
     return {fate: files.get(fate, 0) for fate in FATES}

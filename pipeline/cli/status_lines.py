@@ -87,7 +87,7 @@ def _undelivered_line(one: Backlog) -> str:
 
 
 def _run_line(found: FleetStatus) -> str | None:
-    """What there is to say of a run that is under way, or did not come to its end."""
+    """Line on a run that is under way, or that did not end."""
     beat = found.beat
     if beat is None or beat.state == FINISHED:
         return None

@@ -1,4 +1,4 @@
-"""What the figures of a motor type are drawn from: its model, and where its values come from."""
+"""Subject of the figures of a motor type: its model, and the source of its values."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class ModelSubject:
         return pressure_bar * BAR / dynamic_viscosity_pa_s(self.temperature_c, 0.0, self.motor.oil)
 
     def marks(self, *paths: LeakagePath, oil: bool = False) -> str:
-        """What a figure of these paths has to say of placeholders; empty: nothing."""
+        """Note on placeholders for a figure of these paths; empty without one."""
         strange = [path for path in paths if path.name in self.placeholders]
         kinds = ["curve" if isinstance(path, SpeedCurve) else "geometry" for path in strange]
         if oil and self.oil_is_placeholder:

@@ -48,7 +48,7 @@ Entries = dict[str, tuple[str, int]]
 
 @dataclass(frozen=True, slots=True)
 class KnownMotor:
-    """What a config says of a motor, and no table.
+    """Facts on a motor that only the config has.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class KnownMotor:
 
 @dataclass(frozen=True, slots=True)
 class ReportRequest:
-    """What is asked for.
+    """Request for a report.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class ReportRequest:
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
-    """What came of it.
+    """Result of a report.
 
     Attributes
     ----------
