@@ -379,7 +379,7 @@ class Alarms(Section):
     command: tuple[str, ...] = Field(
         (),
         description="Program and arguments, run without a shell for each delivery; it gets the new "
-        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-be-told))",
+        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-notifications))",
     )
     webhook_url: str = Field(
         "", description="The same is posted there; http or https; empty: nowhere"
