@@ -28,9 +28,9 @@ def prune(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say which old nights of heavy tables can go, and what goes with them; remove them with --yes.
+    """List the old nights of heavy tables that can be removed; remove them with --yes.
 
-    Figures, trends and alarms stay, and no night is made anew for it.
+    Figures, trends and alarms stay, and no night is redone.
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
@@ -76,11 +76,11 @@ def migrate(
     config: ConfigFile,
     output: Output = None,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say how many files are of which version.")
+        bool, typer.Option("--dry-run", help="Only print the number of files by version.")
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Write tables of older versions of the program anew, with the columns of today.
+    """Rewrite tables of older versions of the program with the current columns.
 
     The program reads them without it; queries over old and new files together may need it. Rows
     and figures stay, new columns are null.

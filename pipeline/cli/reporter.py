@@ -46,7 +46,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         if as_json:
             say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
         else:
-            say(f"{motor_id}: all trends anew: {reason}")
+            say(f"{motor_id}: all trends redone: {reason}")
     output = request.fleet.output
     for fault in look_at_published(output, manifest_keys(output), lambda _: False).faults:
         line = {"event": "table_fault", **asdict(fault)}
@@ -141,16 +141,16 @@ class Reporter:
         taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
         if taken:
             stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
-            say(f"seconds by stage, those of motors added up: {stages}")
+            say(f"seconds by stage, summed over motors: {stages}")
         for code, count in _by_code(result).items():
             say(f"{code}: {count} motors")
         for fault in result.damage_left:
             say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
         if result.damage:
             n, left = len(result.damage), len(result.damage_left)
-            say(f"damage: {n} files were found damaged or gone, {left} are not mended")
+            say(f"damage: {n} files were damaged or missing, {left} are not repaired")
         for row in result.alarms:
-            # That an indicator has its baseline is in `alarms`; nobody needs to look.
+            # A new baseline needs no attention; `alarms` has it.
             if row["way"] != "baseline":
                 say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
 

@@ -17,7 +17,7 @@ from pipeline.report.status import FleetStatus, MotorState
 from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.telling.outbox import Backlog
 
-# Words beside colours: a state is never told by colour alone.
+# Colours only support the words of a state.
 COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
 COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "sensors", "why")
 
@@ -69,7 +69,7 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
     if found.damage:
         first, n = found.damage[0], len(found.damage)
-        yield f"{n} published files are damaged or gone, such as {first.path}: {first.code}"
+        yield f"{n} published files are damaged or missing, such as {first.path}: {first.code}"
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
         yield (
@@ -97,8 +97,8 @@ def _run_line(found: FleetStatus) -> str | None:
         return f"the run of {since} {beat.state} ({beat.error_code or beat.stage}), {done}"
     if beat.is_missing(dt.datetime.now(dt.UTC)):
         return (
-            f"the run of {since} (process {beat.pid} on {beat.host}) died or hangs: its last sign "
-            f"of life is of {beat.beaten_at:%Y-%m-%d %H:%M} UTC, in the stage {beat.stage}, {done}"
+            f"the run of {since} (process {beat.pid} on {beat.host}) died or hangs: last heartbeat "
+            f"{beat.beaten_at:%Y-%m-%d %H:%M} UTC, in the stage {beat.stage}, {done}"
         )
     return f"a run is under way since {since} (process {beat.pid}): {beat.stage}, {done}"
 

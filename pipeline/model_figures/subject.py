@@ -201,6 +201,6 @@ def choose(fleet: Fleet, motor_type: str, oil: str | None = None) -> ModelSubjec
     )
     if named is None or named not in fleet.oils:
         known = ", ".join(sorted(fleet.oils))
-        what = f"no oil {named!r}" if named else f"no motor of type {motor_type} tells its oil"
+        what = f"no oil {named!r}" if named else f"no motor of type {motor_type} names an oil"
         raise UsageError("unknown_oil", f"{what}; name one with --oil: {known}")
     return subject_of(fleet.motor_types[motor_type], fleet.oils[named], fleet.settings)

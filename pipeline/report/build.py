@@ -159,8 +159,8 @@ def build_report(request: ReportRequest) -> ReportResult:
     if not table_folder(request.output, FITS).is_dir():
         raise StoreError(
             "report_tables",
-            f"{request.output} holds no table of fits; run fit-fleet first; where it has run and "
-            "found no log, check says why",
+            f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
+            "run check",
         )
     before = read_manifest(request.folder)
     if before is None:

@@ -108,11 +108,11 @@ class FleetStatus:
     last_good_run
         When the last run ended that went through all motors; None where none did.
     findings_confirmed, findings
-        Alarms whose inspection found wear, and all that were inspected.
+        Alarms with wear found at the inspection, and all inspected alarms.
     beat
-        What the run that is under way, or the last one, says of itself; None before the first.
+        Heartbeat of the current or the last run; None before the first.
     receivers
-        What each receiver of changes of state has not been told.
+        Changes of state not yet delivered, by receiver.
     damage
         Published files that are gone, or were written to since and are not what was published.
     """
@@ -129,7 +129,7 @@ class FleetStatus:
 def fleet_status(
     output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = (), fleet: str = ""
 ) -> FleetStatus:
-    """The state of some motors, and what receivers of the fleet's alarms have yet to be told.
+    """The state of some motors, and undelivered changes by receiver.
 
     Raises
     ------
@@ -326,9 +326,9 @@ def last_alarm(
     known = sorted(raised["indicator"].unique())
     indicator = name if name in known else _in_words(known).get(_plain(name))
     if indicator is None:
-        named = ", ".join(known) or "none at all"
+        named = ", ".join(known) or "none"
         raise UsageError(
-            "no_alarm", f"{motor_id} has had no alarm of {name!r}; there were of: {named}"
+            "no_alarm", f"{motor_id} has had no alarm of {name!r}; alarms so far: {named}"
         )
     night = _last(raised.filter(indicator=indicator))
     assert night is not None

@@ -71,7 +71,7 @@ class History:
     trends
         Tables of trends and alarms by name, as far as they are there.
     decisions
-        What people said of the motors, the oldest first.
+        Acknowledgements, findings and resets, the oldest first.
     fleet
         Name of the fleet in the newest run; empty where there is none.
     faults

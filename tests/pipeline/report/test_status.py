@@ -419,7 +419,7 @@ def test_acknowledged_found_and_counted(
         (["M9", "K_piston_ring", "--note", "x"], "no motor M9; there are M1"),
         (
             ["M1", "C_f", "--note", "x"],
-            "M1 has had no alarm of 'C_f'; there were of: K_piston_ring",
+            "M1 has had no alarm of 'C_f'; alarms so far: K_piston_ring",
         ),
         (["M1", "K_piston_ring", "--note", "x", "--finding", "yes"], "expected confirmed or not_"),
         (["M1", "K_piston_ring"], "--note"),
@@ -444,7 +444,7 @@ def test_a_baseline_is_reset_with_a_night_and_a_reason(
     call: Call,
 ) -> None:
     code, out, _ = call("baseline", "reset", config, "M1", "2026-01-05", "--note", "new rings")
-    assert (code, out) == (0, "M1: every baseline begins anew with the night 2026-01-05\n")
+    assert (code, out) == (0, "M1: every baseline starts with the night 2026-01-05\n")
     (found,) = read_decisions(output)
     assert (found.kind, found.night, found.indicator, found.note) == (
         "baseline_reset",
@@ -515,7 +515,7 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
     write_table(night_file(output, ALARMS, night_of(5)), frame(ALARMS, [stale]))
     assert last_alarm(output, "M1", "K_piston_ring", TOLD) == ("K_piston_ring", night_of(5))
     assert last_alarm(output, "M1", "K_piston_ring", RAISED) == ("K_piston_ring", night_of(4))
-    with pytest.raises(UsageError, match="there were of: none at all"):
+    with pytest.raises(UsageError, match="alarms so far: none"):
         last_alarm(output, "M2", "K_piston_ring", TOLD)
 
 
