@@ -28,9 +28,9 @@ def prune(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say which old nights of heavy tables can go, and what goes with them; remove them with --yes.
+    """List the old nights of heavy tables that can be removed; remove them with --yes.
 
-    Figures, trends and alarms stay, and no night is made anew for it.
+    Figures, trends and alarms stay, and no night is redone.
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """

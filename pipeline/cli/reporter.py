@@ -1,4 +1,4 @@
-"""How a run and its plan are told: a bar on a terminal, plain lines elsewhere, or JSON."""
+"""Progress of a run and its plan: a bar on a terminal, plain lines elsewhere, or JSON."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ if TYPE_CHECKING:
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
 
-# Reasons of a plan that are told one by one.
+# Reasons of a plan that are listed.
 PLAN_REASONS = 8
 # Lines of progress of a motor that is done in chunks.
 CHUNK_LINES = 10
 
 
 def print_plan(request: RunRequest, as_json: bool) -> None:
-    """What a run would do: nights by motor, and why."""
+    """Print the nights that a run would do by motor, with the reasons."""
     from collections import Counter
 
     from pipeline.run.fleet import plan_fleet, plan_trends
@@ -48,7 +48,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         if as_json:
             say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
         else:
-            say(f"{motor_id}: all trends anew: {reason}")
+            say(f"{motor_id}: all trends redone: {reason}")
     output = request.fleet.output
     for fault in compare_published(output, manifest_keys(output), lambda _: False).faults:
         line = {"event": "table_fault", **asdict(fault)}
@@ -59,7 +59,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
 
 
 class Reporter:
-    """Says how a run goes: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
+    """Progress of a run: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
 
     def __init__(self, as_json: bool, n_motors: int) -> None:
         from rich.console import Console
@@ -157,16 +157,16 @@ class Reporter:
         taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
         if taken:
             stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
-            say(f"seconds by stage, those of motors added up: {stages}")
+            say(f"seconds by stage, summed over motors: {stages}")
         for code, count in _by_code(result).items():
             say(f"{code}: {count} motors")
         for fault in result.damage_left:
             say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
         if result.damage:
             n, left = len(result.damage), len(result.damage_left)
-            say(f"damage: {n} files were found damaged or gone, {left} are not mended")
+            say(f"damage: {n} files were damaged or missing, {left} are not repaired")
         for row in result.alarms:
-            # That an indicator has its baseline is in `alarms`; nobody needs to look.
+            # A new baseline needs no attention; `alarms` has it.
             if row["way"] != "baseline":
                 say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
 
@@ -184,7 +184,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
 
 
 def _words(stage: str) -> str:
-    """A stage as people call it."""
+    """Name of a stage for people."""
     names = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
     return names.get(stage, stage.removesuffix("_s"))
 
@@ -197,7 +197,7 @@ def _by_code(result: RunResult) -> dict[str, int]:
 
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
-    """Log files by what came of them, all of which there can be, in a fixed order."""
+    """Log files by outcome: every possible outcome, in a fixed order."""
     from pipeline.logs.motor_logs import FATES
 
     return {fate: files.get(fate, 0) for fate in FATES}

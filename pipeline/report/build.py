@@ -31,7 +31,7 @@ from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
 from pipeline.report.tables import SHOWN_TABLES, History, read_history, read_night
-from pipeline.report.trends import standings
+from pipeline.report.trends import motor_states
 from pipeline.schema import FITS, SCHEMA_VERSION
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
@@ -48,7 +48,7 @@ Entries = dict[str, tuple[str, int]]
 
 @dataclass(frozen=True, slots=True)
 class KnownMotor:
-    """What a config says of a motor, and no table.
+    """Facts on a motor that only the config has.
 
     Attributes
     ----------
@@ -61,15 +61,10 @@ class KnownMotor:
     motor_type: str
     events: tuple[Mapping[str, Any], ...] = ()
 
-    @property
-    def event_dates(self) -> list[dt.date]:
-        """Dates at which a new baseline starts."""
-        return [event["date"] for event in self.events]
-
 
 @dataclass(frozen=True, slots=True)
 class ReportRequest:
-    """What is asked for.
+    """Request for a report.
 
     Attributes
     ----------
@@ -100,7 +95,7 @@ class ReportRequest:
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
-    """What came of it.
+    """Result of a report.
 
     Attributes
     ----------
@@ -164,8 +159,8 @@ def build_report(request: ReportRequest) -> ReportResult:
     if not table_folder(request.output, FITS).is_dir():
         raise StoreError(
             "report_tables",
-            f"{request.output} holds no table of fits; run fit-fleet first; where it has run and "
-            "found no log, check says why",
+            f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
+            "run check",
         )
     before = read_report_manifest(request.folder)
     if before is None:
@@ -300,36 +295,26 @@ def _make_pages(
     def write(name: str, content: bytes) -> None:
         now.files[name] = write_changed(request.folder, name, content, before.files.get(name))
 
-    motors = list(motor_histories(history, list(names), _new_baselines(request, history)))
+    motors = list(motor_histories(history, list(names)))
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    rows = fleet_rows(motors, names, types, standings(history))
+    rows = fleet_rows(motors, names, types, motor_states(history, names))
     facts = FleetFacts(
         name=request.fleet or history.fleet or "Fleet",
         first=span[0] if span else None,
         newest=span[1] if span else None,
-        has_trends="trends" in history.trends,
         faults=(*history.faults, *faults),
     )
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
     _write_chart_library(request.folder, before, now)
     write(INDEX, fleet_html(facts, rows).encode())
-    by_id: dict[str, FleetRow] = {row.motor_id: row for row in rows}
+    by_id = {row.state.motor_id: row for row in rows}
     for motor in motors:
         name = names[motor.motor_id]
         page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)
         write(f"motors/{name}.html", page.encode())
     return len(motors)
-
-
-def _new_baselines(request: ReportRequest, history: History) -> dict[str, list[dt.date]]:
-    """Dates by motor at which a new baseline starts: events, and resets that somebody asked for."""
-    dates = {motor_id: one.event_dates for motor_id, one in request.known.items()}
-    for one in history.decisions:
-        if one.kind == "baseline_reset":
-            dates.setdefault(one.motor_id, []).append(one.night)
-    return dates
 
 
 def _motor_page(

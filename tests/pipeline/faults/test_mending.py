@@ -631,14 +631,14 @@ def test_the_commands_tell_and_mend(
     cut_off(path)
     code, out, err = call("status", config, "--output", output)
     assert (code, err) == (0, "")
-    assert f"1 published files are damaged or gone, such as {name}: table_altered" in out
+    assert f"1 published files are damaged or missing, such as {name}: table_altered" in out
     code, out, err = call("fit-fleet", config, "--output", output, "--dry-run")
     assert code == 0
     assert f"table_altered: {name}: " in err
     code, out, err = call("fit-fleet", config, "--output", output)
     assert code == 1
     assert f"motor-leakage: table_missing: {name}: not made anew: the logs of that night are" in err
-    assert "damage: 1 files were found damaged or gone, 1 are not mended" in out
+    assert "damage: 1 files were damaged or missing, 1 are not repaired" in out
     code, out, err = call("fit-fleet", config, "--output", output, "--json")
     run = json.loads(out.splitlines()[-1])
     assert [one["code"] for one in run["damage_left"]] == ["table_missing"]
