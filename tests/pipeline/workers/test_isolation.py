@@ -18,6 +18,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
+import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
@@ -386,7 +387,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         module.indicators_of = die
         return run_trends(task)
 
-    monkeypatch.setattr(pipeline.run.fleet, "run_trends", run_or_die)
+    monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
     limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
@@ -414,7 +415,7 @@ def wait(task):
     while True:
         signal.pause()
 
-pipeline.run.fleet.run_trends = wait
+pipeline.run.publishing.run_trends = wait
 main()
 """
 
