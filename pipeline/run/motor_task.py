@@ -254,8 +254,10 @@ class _Nights:
         labels = [label for label, step in self.plan().items() if step.work is Work.READ]
         if len(labels) <= size:
             return None
-        chunks = tuple(tuple(labels[at : at + size]) for at in range(0, len(labels), size))
-        return MotorOutcome(self.spec.motor_id, OK, to_do=chunks, looked_at=self.logs.files)
+        planned = replace(self.task, looked_at=self.logs.files)
+        parts = [tuple(labels[at : at + size]) for at in range(0, len(labels), size)]
+        chunks = tuple(replace(planned, nights=nights) for nights in parts)
+        return MotorOutcome(self.spec.motor_id, OK, to_do=chunks)
 
     def make(self, labels: Sequence[dt.date]) -> dict[dt.date, _ChunkNight]:
         """Read and fit some nights, each on its own."""

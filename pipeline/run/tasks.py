@@ -148,9 +148,7 @@ class MotorOutcome:
     chunks_done
         Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
     to_do
-        Nights of the chunks that are to be made first; empty: the motor is done.
-    looked_at
-        The motor's logs as seen when these were planned.
+        Chunks that are to be made first; empty: the motor is done.
     """
 
     motor_id: str
@@ -171,8 +169,7 @@ class MotorOutcome:
     is_set_aside: bool = False
     chunk: str = ""
     chunks_done: tuple[int, int] = (0, 0)
-    to_do: tuple[tuple[dt.date, ...], ...] = ()
-    looked_at: Mapping[str, FileRecord] | None = None
+    to_do: tuple[MotorTask, ...] = ()
 
     @property
     def finished(self) -> bool:

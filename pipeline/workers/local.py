@@ -58,6 +58,17 @@ NO_MEMORY = re.compile(
 FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
 
 
+def run_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: Callable[[Task, Loss], Result],
+    execution: Execution,
+) -> Iterator[Result]:
+    """As `Crew.run_tasks`, over workers that are there for these tasks alone."""
+    with Crew(execution) as crew:
+        yield from crew.run_tasks(function, tasks, lost)
+
+
 class Crew:
     """Worker processes for all the tasks of a run, started when there are tasks for them.
 

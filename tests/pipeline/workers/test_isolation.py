@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
-from pipeline.workers.local import Crew
+from pipeline.workers.local import Crew, run_tasks
 from pipeline.workers.process import ITEMS_A_SIGN, Loss
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
@@ -48,11 +48,6 @@ TIMEOUT_S = 5.0
 
 def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
     return Execution(workers=workers, timeout_s=timeout_s, memory_limit_mib=MEMORY_MIB)
-
-
-def run_tasks(function: Any, tasks: Sequence[Any], lost: Any, how: Execution) -> Iterator[Any]:
-    with Crew(how) as crew:
-        yield from crew.run_tasks(function, tasks, lost)
 
 
 def not_lost(_: object, loss: Loss) -> Any:
@@ -219,12 +214,11 @@ def test_sequential_has_the_same_outcomes_for_what_is_raised() -> None:
 PARENT = """
 import sys
 from pipeline.config import Execution
-from pipeline.workers.local import Crew
+from pipeline.workers.local import run_tasks
 from tests.pipeline.misbehaviour import pid_and_hang
 
 print("begun", flush=True)
-with Crew(Execution(workers=2)) as crew:
-    list(crew.run_tasks(pid_and_hang, [sys.argv[1]] * 2, print))
+list(run_tasks(pid_and_hang, [sys.argv[1]] * 2, print, Execution(workers=2)))
 """
 
 
