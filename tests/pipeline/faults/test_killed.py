@@ -174,7 +174,7 @@ def check_worker(
     else:
         patched.setattr(pipeline.run.publishing, "run_trends", killing_trends(stage, motor, marker))
         # A task a motor: one alone would be done in this very process.
-        patched.setattr(pipeline.run.fleet, "MOTORS_A_TREND_TASK", 1)
+        patched.setattr(pipeline.run.publishing, "MOTORS_A_TREND_TASK", 1)
     result = fleet.run(output, workers=2, backend="loky")
     patched.undo()
     failed = [outcome.motor_id for outcome in result.failed]

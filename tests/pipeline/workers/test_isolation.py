@@ -262,10 +262,8 @@ def test_no_worker_outlives_the_run(tmp_path: Path, number: signal.Signals) -> N
 # A motor of a fleet
 
 
-def fit(
-    fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str | None, **how: Any
-) -> RunResult:
-    """Run a fleet in which one motor misbehaves, in all its work or in one night of it."""
+def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str) -> RunResult:
+    """Run a fleet in which one motor misbehaves in a night."""
 
     def run_or_misbehave(task: MotorTask) -> MotorOutcome:
         if task.spec.motor_id == BAD:
@@ -273,18 +271,16 @@ def fit(
         return run_motor(task)
 
     fleet = load_fleet(fleet_file)
-    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500} | how)
+    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
-def misbehave_at(night: str | None, what: str) -> None:
-    """In a worker: have the fit of a night misbehave; at once if no night is named."""
+def misbehave_at(night: str, what: str) -> None:
+    """In a worker: have the fit of a night misbehave."""
     import pipeline.run.motor_task as module
 
-    if night is None:
-        MISBEHAVIOUR[what]()
     fit_night = module.fit_night
 
     def fit_or_misbehave(spec: Any, here: Any, *arguments: Any) -> Any:
@@ -310,33 +306,13 @@ def output_of(fleet_file: Path) -> Path:
     return fleet_file.parent.parent / "out"
 
 
-def test_a_motor_that_takes_its_worker_along_costs_no_other_anything(
-    own_fleet: OwnFleet, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet(GOOD, BAD, OTHER)
-    result = fit(fleet, monkeypatch, "segfault", None)
-    assert {one.motor_id: one.status for one in result.outcomes} == {
-        GOOD: "ok",
-        BAD: "failed",
-        OTHER: "ok",
-    }
-    for motor in (GOOD, OTHER):
-        assert_frame_equal(fits(output_of(fleet), motor), fits(fitted_output, motor))
-    row = outcome_rows(output_of(fleet))[BAD]
-    assert (row["status"], row["error_code"]) == ("failed", "worker_died")
-    assert "SIGSEGV, in string_at" in row["message"]
-    assert fits(output_of(fleet), BAD).is_empty()
-
-
 @pytest.mark.parametrize(
     ("what", "code"),
     [
         ("kill", "worker_died"),
         pytest.param("hang_in_c", "task_timeout", marks=pytest.mark.full),
-        pytest.param("eat_with_polars", "task_memory", marks=pytest.mark.full),
         pytest.param("eat_with_numpy", "task_memory", marks=pytest.mark.full),
         pytest.param("panic", "internal", marks=pytest.mark.full),
-        pytest.param("raise_error", "internal", marks=pytest.mark.full),
     ],
 )
 def test_a_night_that_takes_its_worker_along_costs_no_other_night(
