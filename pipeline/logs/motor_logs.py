@@ -117,12 +117,12 @@ class LogShelf:
         return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
-        """What was known of a file, if it was understood as it is now."""
+        """Earlier record of a file, if it was understood as it is now."""
         record = self.before.get(name)
         return record if record and record.read_with == self._read_with else None
 
     def news_of(self, name: str) -> str | None:
-        """What is new of a file that no run has finished with, in words; None: nothing."""
+        """News of a file that no run has finished with, in words; None: nothing."""
         before, known, now = self.before.get(name), self._known(name), self.files[name]
         if before is None:
             return f"new file {name}"
@@ -285,7 +285,7 @@ class LogShelf:
         return "read" if name in self.read else "unchanged"
 
     def growing(self) -> list[str]:
-        """What there is to say of each file that changes while it is read."""
+        """Messages of the files that change while they are read."""
         records = (record for _, record in sorted(self.files.items()))
         return [record.message or "" for record in records if record.status == "growing"]
 

@@ -88,7 +88,7 @@ PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What a run is asked to do.
+    """Request of a run.
 
     Attributes
     ----------
@@ -128,7 +128,7 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What came of a run.
+    """Result of a run.
 
     Attributes
     ----------
@@ -308,7 +308,7 @@ def refresh(fleet: Fleet) -> int:
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
-    """What a run would do now, motor by motor; nothing is read of a log but its ends, or written.
+    """The plan of a run, motor by motor; of logs only the ends are read, and nothing is written.
 
     Raises
     ------

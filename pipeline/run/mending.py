@@ -248,7 +248,7 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
 
 
 def _is_called_as_ours(name: str) -> bool:
-    """Whether a file has its place and name where a run puts such files."""
+    """True where a file has its place and name as a run gives them."""
     table, label = name.split("/")[0], key_of(name)[1]
     if table not in TABLE_OF or not name.endswith(ENDING):
         return False

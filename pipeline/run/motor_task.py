@@ -71,7 +71,7 @@ LONGEST_HOLE = dt.timedelta(days=366)
 
 
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
-    """What a run would do of a motor now, night by night, and why; nothing is read or written.
+    """The plan of a motor, night by night, with reasons; of logs only the ends are read.
 
     Raises
     ------
@@ -407,7 +407,7 @@ class _Nights:
         return sorted(label for label in between - told if self.task.wants(label))
 
     def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
-        """What comes of a night; None where it stays as published, for want of its log."""
+        """Outcome of a night; None where it stays as published, for want of its log."""
         if given_up := self.lost_nights.get(label):
             return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
         sign_of_life(label.isoformat())
@@ -494,7 +494,7 @@ class _Nights:
         return {label: rows[label] for label in sorted({*staged, *moved})}
 
     def _why_nothing(self, status: str) -> str | None:
-        """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
+        """The reason for no fit although nothing failed; None: there is one, or none was to do."""
         if not self.logs.files:
             return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:

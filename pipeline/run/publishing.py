@@ -69,7 +69,7 @@ def publish_motors(
 
 
 def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
-    """What is to be remembered of a motor, but for nights whose published rows were lost."""
+    """The ledger of a motor, but for nights whose published rows were lost."""
     months = dict(outcome.ledger)
     for night, kept in publisher.lost.items():
         if outcome.motor_id not in kept:

@@ -21,7 +21,7 @@ MOST_GIVEN_UP = 3
 
 
 class Work(Enum):
-    """How far a night is made anew: from its log, from its statistics, or the model before only."""
+    """Depth to which a night is made anew: from its log, from its statistics, or the model before only."""
 
     READ = "read"
     REFIT = "refit"
@@ -102,7 +102,7 @@ class MotorTask:
         return {one.log: one for one in self.given_up if one.log}
 
     def wants(self, label: dt.date) -> bool:
-        """Whether a night lies within the asked-for range."""
+        """True where a night lies within the asked-for range."""
         return (self.since is None or label >= self.since) and (
             self.until is None or label <= self.until
         )
@@ -173,7 +173,7 @@ class MotorOutcome:
 
     @property
     def finished(self) -> bool:
-        """Whether the task came to its end, whatever came of its nights."""
+        """True where the task came to its end, whatever came of its nights."""
         return self.peak_memory_mib is not None
 
 
