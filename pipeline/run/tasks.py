@@ -21,7 +21,7 @@ MOST_GIVEN_UP = 3
 
 
 class Work(Enum):
-    """Depth to which a night is made anew: from its log, from its statistics, or the model before only."""
+    """Source of a night that is made anew: its log, its statistics, or the model before only."""
 
     READ = "read"
     REFIT = "refit"
