@@ -103,6 +103,7 @@ class Crew:
         first: bool = False,
     ) -> Iterator[Result]:
         """Results as `RunTasks` says."""
+        tried: Iterator[tuple[Task, Done[Result] | Loss]]
         if self._execution.backend == "sequential":
             tried = ((task, attempt(function, task)) for task in tasks)
         elif first:
