@@ -204,9 +204,9 @@ class _Nights:
         self.spec = task.spec
         self.made = {label: one for chunk in chunks for label, one in chunk.nights.items()}
         self.memory_of_chunks = [chunk.peak_memory_mib for chunk in chunks]
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         for chunk in chunks:
-            self.seconds.update(chunk.seconds)
+            self._add(chunk.seconds)
         self.lost_nights = task.lost_nights
         self.remembered = read_ledger(task.output, task.spec.motor_id)
         self.before = _still_published(self.remembered, task.output)
@@ -289,8 +289,7 @@ class _Nights:
                 self.kept.add(label)
                 continue
             self._remember(outcome, before)
-            for stage_name, seconds in outcome.seconds.items():
-                self.seconds[stage_name] += seconds
+            self._add(outcome.seconds)
             # Also those that an earlier state of a file had been read for.
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
@@ -302,6 +301,10 @@ class _Nights:
         with self._timed("store_s"):
             self._stage()
         return self._outcome()
+
+    def _add(self, seconds: Mapping[str, float]) -> None:
+        for stage_name, taken in seconds.items():
+            self.seconds[stage_name] += taken
 
     @contextmanager
     def _timed(self, stage_name: str) -> Iterator[None]:
