@@ -524,8 +524,8 @@ def test_two_runs_never_write_at_once(own_fleet: OwnFleet) -> None:
             run(fleet)
         seen.append(str(caught.value))
 
-    loaded = load_fleet(fleet)
-    run_fleet(RunRequest(loaded), second)
+    sequential = load_fleet(fleet).execution.model_copy(update={"backend": "sequential"})
+    run_fleet(RunRequest(replace(load_fleet(fleet), execution=sequential)), second)
     (message,) = seen
     assert f"process {os.getpid()} on {socket.gethostname()} since 20" in message
     # It is free again, and the first run's tables are whole.
