@@ -12,13 +12,11 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from leakage import Parametrisation
-from leakage.block_statistics import factors
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
-from pipeline.trends.poor_nights import memory_of_blocks, with_poor_nights
+from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.trend_rows import trend_rows
 from tests.pipeline.trends.blocks import (
-    NOISE,
     PERIOD_S,
     POOR,
     SAMPLES,
@@ -67,20 +65,18 @@ def groups(found: History) -> dict[int, int]:
 
 
 def test_a_groups_fit_is_that_of_all_its_samples() -> None:
-    """Bounded least squares over the training samples themselves, by another library."""
+    """Bounded least squares over the samples themselves, by another library."""
     nights = poor(3, 4, 5)
     found = merged(nights)
     assert groups(found) == {5: 3}
     truth = nights.truth()
-    training = np.concatenate(
-        [samples_of(nights, place, truth[place])[: TRAINING * SAMPLES] for place in (3, 4, 5)]
-    )
+    samples = np.concatenate([samples_of(nights, place, truth[place]) for place in (3, 4, 5)])
     made = nights.spec.motor(found.nights[5], "none")
     lower, upper = Parametrisation.of(made).coefficient_bounds()
     scale = truth[5, :3]
     expected = lsq_linear(
-        training[:, :3] * scale,
-        training[:, -1] - training[:, -2],
+        samples[:, :3] * scale,
+        samples[:, -1] - samples[:, -2],
         (lower[:3] / scale, upper[:3] / scale),
         tol=1e-14,
     )
@@ -224,17 +220,6 @@ def test_nights_without_any_fit_take_part_with_their_blocks() -> None:
     )
 
 
-def test_a_group_that_says_nothing_either_says_so() -> None:
-    """At one pressure the paths cannot be told apart, however long."""
-    spec = motor(fleet="[trend]\nmerge_nights = 2\n")
-    found = merged(poor(3, 4, spec=spec))
-    # 48 minutes: enough for an interval, not for a verdict on a coefficient.
-    assert groups(found) == {4: 2}
-    assert np.isfinite(found.records["reference"][4]).all()
-    assert np.isnan(found.records["figures"][4]).all()
-    assert "60" in found.words[4].coefficients[0]
-
-
 def test_merging_can_be_turned_off() -> None:
     nights = poor(3, 4, 5, spec=motor(fleet="[trend]\nmerge_nights = 1\n"))
     found = merged(nights)
@@ -253,22 +238,3 @@ def test_a_group_hangs_on_no_later_night(until: int) -> None:
     assert [then.words[place].reference for place in range(until + 1)] == [
         all_nights.words[place].reference for place in range(until + 1)
     ]
-
-
-def test_memory_of_errors_from_blocks() -> None:
-    """First-order errors: means of blocks of length L scatter by 2τ/L times the variance."""
-    generator = np.random.default_rng(1)
-    phi, length, n_blocks = 0.9, 200, 400
-    errors = np.empty(length * n_blocks)
-    errors[0] = 0.0
-    white = NOISE * generator.standard_normal(len(errors))
-    for place in range(1, len(errors)):
-        errors[place] = phi * errors[place - 1] + white[place]
-    z = np.column_stack(
-        [np.ones(len(errors)), np.ones(len(errors)), np.zeros(len(errors)), 1.0 + errors]
-    )
-    found = memory_of_blocks(
-        factors(z, np.arange(0, len(z) + 1, length)), np.array([1.0, 0.0]), float(length)
-    )
-    # Integrated correlation time of such errors at 1 s: (1 + φ) / (1 − φ) / 2.
-    assert found == pytest.approx(0.5 * (1 + phi) / (1 - phi), rel=0.2)
