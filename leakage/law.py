@@ -1,4 +1,4 @@
-"""What all laws of leakage paths share: parameters within bounds, and one surface."""
+"""Base of the laws of leakage paths: parameters within bounds, and one surface."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ class Parameter:
 
     @property
     def is_free(self) -> bool:
-        """Whether there is anything to estimate: bounds that are equal fix a parameter too."""
+        """Free to be estimated; bounds that are equal fix a parameter, too."""
         return self.lowest < self.highest
 
 
@@ -127,7 +127,7 @@ class DerivedFigure:
 
 
 class Law(ABC):
-    """What every law offers; the laws below differ only in equation and parameters."""
+    """Surface of every law; laws differ in equation, parameters, tolerances and figures."""
 
     __slots__ = ()
     name: str
@@ -222,12 +222,12 @@ class Law(ABC):
         return ()
 
     def is_beyond(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether |ω| lies outside the speeds for which the law holds, shape (n,)."""
+        """Mask of |ω| outside the speeds for which the law holds, shape (n,)."""
         return np.zeros(np.shape(speed_rpm), dtype=np.bool_)
 
     @property
     def is_free(self) -> bool:
-        """Whether any parameter is estimated."""
+        """At least one parameter is estimated."""
         return not all(parameter.fixed for parameter in self.parameters)
 
     @property

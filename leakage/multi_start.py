@@ -80,7 +80,7 @@ class SearchSettings:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What came of one starting point; a failure is a row with its reason, not an exception.
+    """Outcome of one starting point; a failure is a row with its reason, not an exception.
 
     Attributes
     ----------
@@ -306,7 +306,7 @@ def _differences(
 
 
 def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:
-    """Which starts ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
+    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
 
     Parameters
     ----------

@@ -121,7 +121,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What one source does to every figure, signed, for its tolerance taken as positive."""
+    """Effect of one source on every figure, signed, for its tolerance taken as positive."""
 
     source: Source
     coefficients: Array

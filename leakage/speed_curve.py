@@ -152,7 +152,7 @@ class SpeedCurve(Law):
         return (PathTolerance("curve", share, replace(self, coefficients=raised)),)
 
     def is_beyond(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether |ω| lies outside the range of the curve's points, shape (n,)."""
+        """Mask of |ω| outside the range of the curve's points, shape (n,)."""
         speed = np.abs(speed_rpm)
         beyond: NDArray[np.bool_] = speed > self.speed_maximum_rpm
         beyond |= speed < self.speed_minimum_rpm

@@ -148,7 +148,7 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
 
 
 def _distance_of_nearest(time_us: Times, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """How far some stamps are from the nearest of all others."""
+    """Distance of some stamps from the nearest of all others."""
     # Stable: the sort that is quick where most are in order.
     ordered, stamps = np.sort(time_us, kind="stable"), time_us[rows]
     before = np.searchsorted(ordered, stamps, side="left") - 1

@@ -1,4 +1,4 @@
-"""Which samples a rule refuses: each a pure function that returns a mask and changes nothing."""
+"""Masks of the samples that a rule refuses, by pure functions."""
 
 from __future__ import annotations
 
@@ -218,7 +218,7 @@ def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:
 
 
 def _covered(begins: NDArray[np.intp], ends: NDArray[np.intp], n: int) -> Mask:
-    """Which of n samples lie in any of some stretches, half open, whose ends both increase."""
+    """Mask of the n samples within stretches, half open, whose ends both increase."""
     apart = begins[1:] > ends[:-1]
     begins = begins[np.append(True, apart)[: len(begins)]]
     ends = ends[np.append(apart, True)[: len(ends)]]

@@ -1,4 +1,4 @@
-"""What a channel's samples mean: readings, changes, means of a period, or counts of a volume.
+"""Kinds of samples of a channel: readings, changes, means of a period, or counts of a volume.
 
 The config says which (`[channels.<name>] sampling`, `counts`); nothing here guesses.
 """
@@ -28,7 +28,7 @@ TO_THE_MIDDLE = {"begin": 0.5, "middle": 0.0, "end": -0.5}
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """What the samples of a channel are.
+    """Kind of the samples of a channel.
 
     Attributes
     ----------
@@ -181,7 +181,7 @@ def step_of_readings(value: Values) -> float:
 
 
 def means_too_long(channels: Mapping[ChannelName, Channel], cleaning: Cleaning) -> str | None:
-    """Which channels are means of longer periods than a model can be fitted to; None: none is.
+    """Channels that are means of too long periods for a fit, in words; None: there is none.
 
     A mean of the inputs is no input of the mean: the leakage is not linear in them.
     """

@@ -29,7 +29,7 @@ FEWEST_SAMPLES = 100
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """What a night's delay was, and what it takes to estimate it.
+    """Delay of a night, and the inputs of its estimate.
 
     Attributes
     ----------
@@ -238,7 +238,7 @@ def _correlation(one: Values, other: Values) -> float:
 
 
 def _summit(values: Values, best: int) -> float:
-    """Where a parabola through the best value and its neighbours is highest, relative to it."""
+    """Place of the peak of a parabola through the best value and its neighbours, relative to it."""
     if best == 0:
         return 0.0
     before, at, after = values[best - 1 : best + 2]

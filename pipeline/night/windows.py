@@ -92,7 +92,7 @@ def left_out(
 
 
 def too_uniform(values: Mapping[str, NDArray[np.float64]], settings: Windows) -> str | None:
-    """What varies too little over the training samples to be fitted, in words; None: nothing.
+    """Channel that varies too little over the training samples to be fitted, in words; or None.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ def refused_by(channel: CleanChannel) -> dict[str, int]:
 
 
 def at_times(channel: CleanChannel, time_us: Times) -> tuple[Array, Mask, Mask]:
-    """What an even grid of seconds holds at some of its times."""
+    """Values of an even grid of seconds at some of its times."""
     grid = np.arange(time_us[0], time_us[-1] + 1, SECOND, dtype=np.int64)
     value, present, silent = on_grid(channel, grid, SECOND)
     chosen = (time_us - time_us[0]) // SECOND

@@ -333,7 +333,7 @@ class TestHampel:
 
 
 class TestAcrossAGap:
-    """What came before a gap changes nothing after it."""
+    """Samples before a gap change nothing after it."""
 
     @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
     def test_samples_before_a_gap_do_not_judge_those_after_it(

@@ -1,4 +1,4 @@
-"""What a night says of its fit: verdicts, intervals, budgets, and the choices beyond the thesis."""
+"""A night's fit: verdicts, intervals, budgets, and the choices beyond the thesis."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What samples mean: counts of a volume, values sent on change, means of a period."""
+"""Kinds of samples: counts of a volume, values sent on change, means of a period."""
 
 from __future__ import annotations
 
