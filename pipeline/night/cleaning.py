@@ -107,20 +107,8 @@ def clean_channel(
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
-    Parameters
-    ----------
-    raw
-        Samples as read, in the order of the log.
-    rules
-        The channel's rules.
-    night_start_us
-        Of what lies before it, the last sample of an on-change channel carries over, and no rule
-        counts it; None: all samples are of the night.
-
-    Returns
-    -------
-    CleanChannel
-        Sorted, with blank cells that are no sample left out and all others judged.
+    Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
+    no rule counts it; None: all samples are of the night.
     """
     stamps = Stamps()
     return judged_channel(ordered_channel(raw, rules, night_start_us, stamps), rules, stamps)

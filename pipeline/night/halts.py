@@ -59,17 +59,6 @@ def settled_halts(
 ) -> Halts:
     """The zeros that a night's halts show.
 
-    Parameters
-    ----------
-    standstill
-        Where the motor stands still, on the time base, shape (n,).
-    grid_us
-        The time base, UTC microseconds, shape (n,).
-    channels
-        Cleaned channels; the pressure difference by itself or as two ports.
-    settings
-        When a halt counts as settled and as depressurised.
-
     Notes
     -----
     Samples refused as frozen count here: a sensor that has nothing to measure may well not move.

@@ -111,17 +111,6 @@ def flow_from_counts(
 ) -> CountedFlow:
     """The flow that a counter of volume tells between each sample and the one before.
 
-    Parameters
-    ----------
-    time_us
-        Times, strictly increasing, shape (n,).
-    count
-        Running total, or counts since the sample before; nan where missing. Shape (n,).
-    longest_gap_us
-        Over a longer interval the mean flow says nothing of its middle.
-    sampling
-        Kind of counts, volume of one, and where a total rolls over.
-
     Examples
     --------
     >>> meter = Sampling(counts="cumulative", volume_per_count_cm3=1.0, rolls_over_at=100.0)
@@ -154,11 +143,6 @@ def step_of_readings(value: Values) -> float:
 
     Of a sensor whose resolution nobody stated: the commonest change between neighbours, if it is
     common enough to be a step of the sensor and not of what it measures.
-
-    Parameters
-    ----------
-    value
-        Finite readings in order of time, shape (n,).
 
     Examples
     --------

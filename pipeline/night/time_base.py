@@ -137,20 +137,7 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
 def on_grid(
     channel: CleanChannel, grid_us: Times, period_us: int, stamps: Stamps | None = None
 ) -> tuple[Values, Mask, Mask]:
-    """A channel on the time base.
-
-    Parameters
-    ----------
-    channel
-        Cleaned samples.
-    grid_us
-        Times of the grid, shape (n,).
-    period_us
-        Period of the grid.
-    stamps
-        What is known of the stamps of channels that were brought onto this very grid before; None:
-        there are none.
-    """
+    """Values of a channel on the time base, where it has one, and where it is silent."""
     n = len(grid_us)
     if not n or not len(channel.time_us):
         return np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_)
@@ -168,15 +155,6 @@ def on_grid(
 
 def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
     """Number of samples before each time of an even grid: counted, not searched for.
-
-    Parameters
-    ----------
-    time_us
-        Times of samples, increasing, shape (m,).
-    grid_us
-        Times of the grid, shape (n,), `period_us` apart.
-    period_us
-        Period of the grid.
 
     Examples
     --------

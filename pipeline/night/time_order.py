@@ -92,13 +92,6 @@ class Stamps:
 def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
     """Order rows strictly by time.
 
-    Parameters
-    ----------
-    time_us
-        Times in the order of the log, shape (n,).
-    puts_in_order
-        Whether rows written late are put back in their place, not refused.
-
     Examples
     --------
     >>> found = order_of(np.array([0, 10, 20, 40, 50, 30, 50]), puts_in_order=True)
