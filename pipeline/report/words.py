@@ -49,10 +49,10 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
-# Conditions of a leakage other than the reference conditions.
+# Conditions of a leakage, where they are not the reference conditions.
 LEAKAGE_KINDS: Final[Mapping[str, str]] = {
+    "reference": "",
     "frozen": "at the motor's own conditions",
-    "own": "at each night's conditions",
 }
 SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
 STATES: Final[Mapping[str, str]] = {
