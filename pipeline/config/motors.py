@@ -341,7 +341,7 @@ def _mark_faults(logs: Logs) -> Iterator[tuple[Place, str, object]]:
 
 
 def _fault_of_pattern(pattern: str) -> str | None:
-    """What is wrong with a path or glob of logs; None: nothing."""
+    """Fault of a path or glob of logs; None without one."""
     parts = pattern.replace("\\", "/").split("/")
     if pattern.startswith(("/", "\\")) or ".." in parts:
         return "expected a path below the log root, without '..'"
@@ -399,7 +399,7 @@ class Periods(Section):
 
 
 class FlushingTable(Section):
-    """How the motor is flushed: the flow that is added on the way to the sensor."""
+    """Flushing of the motor: the flow that is added on the way to the sensor."""
 
     mode: Literal["none", "fixed", "estimated"] = Field(
         "none", description="The primary fit's: no flushing, a known flow, or an estimated one"
@@ -481,7 +481,7 @@ def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Pl
 
 
 def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:
-    """What is wrong with a motor's channels as a whole, whatever is wrong within each."""
+    """Faults of a motor's channels as a whole, besides those within each."""
     names = set(units)
     given = ", ".join(sorted(names))
     ports = {"high_port_pressure", "low_port_pressure"}

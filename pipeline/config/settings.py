@@ -35,7 +35,7 @@ class Section(BaseModel):
 
 
 class Folders(Section):
-    """Where things lie; every folder is relative to the fleet file."""
+    """Folders; each is relative to the fleet file."""
 
     motors: RelativeFolder = Field("motors", description="Folder of the motors' files, one a motor")
     motor_types: RelativeFolder = Field("motor_types", description="Folder of the motor types")
@@ -85,7 +85,7 @@ class TimeBase(Section):
 
 
 class Cleaning(Section):
-    """Which samples are refused. Each refusal is counted in the table `quality`."""
+    """Rules that refuse samples. The table `quality` counts each refusal."""
 
     standstill_rpm: NonNegative = Field(
         0.5, description="Below this |speed| the motor stands still"
@@ -301,7 +301,7 @@ class Estimation(Section):
 
 
 class ReferenceConditions(Section):
-    """Where the reference leakage is evaluated."""
+    """Conditions at which the reference leakage is evaluated."""
 
     pressure_bar: Positive = Field(200.0, description="Pressure difference")
     temperature_c: float = Field(50.0, gt=-60, lt=150, description="Oil temperature")
@@ -309,7 +309,7 @@ class ReferenceConditions(Section):
 
 
 class SensorHealth(Section):
-    """Which halts show the zero of the pressure and flow sensors; published in `operation`."""
+    """Halts that show the zero of the pressure and flow sensors; published in `operation`."""
 
     settle_s: NonNegative = Field(
         45.0, description="Time after the motor has stopped that is left out"
@@ -351,7 +351,7 @@ class Trend(Section):
 
 
 class Alarms(Section):
-    """When an indicator is called `warning` or `alarm`, and when no longer."""
+    """Rules for the states `warning` and `alarm` of an indicator, and for their end."""
 
     warning_percent: Positive = Field(15.0, description="Rise over the baseline that is a warning")
     alarm_percent: Positive = Field(30.0, description="Rise over the baseline that is an alarm")
@@ -379,7 +379,7 @@ class Alarms(Section):
     command: tuple[str, ...] = Field(
         (),
         description="Program and arguments, run without a shell for each delivery; it gets the new "
-        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-be-told))",
+        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-notifications))",
     )
     webhook_url: str = Field(
         "", description="The same is posted there; http or https; empty: nowhere"
@@ -428,7 +428,7 @@ class Alarms(Section):
 
 
 class Execution(Section):
-    """How the work is spread; nothing here changes a figure."""
+    """Execution of a run; nothing here changes a figure."""
 
     workers: int = Field(2, ge=1, le=256, description="Motors fitted at the same time")
     backend: Literal["loky", "sequential", "dask"] = Field(
@@ -440,7 +440,7 @@ class Execution(Section):
     nights_a_part: int = Field(
         14,
         ge=0,
-        description="A motor with more new nights than this is split into parts of so many, which "
+        description="A motor with more new nights than this is done in chunks of so many, which "
         "workers do side by side, over a Dask scheduler or where a run has fewer motors than "
         "workers; 0: never",
     )

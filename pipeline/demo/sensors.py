@@ -1,4 +1,4 @@
-"""What the sensors and the logger make of a night: noise, coarse steps, faults, gaps."""
+"""Simulated sensors and logger: noise, coarse steps, faults, gaps."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class FaultRates:
-    """How often things go wrong, in events an hour unless said otherwise.
+    """Rates of faults, in events per hour unless stated otherwise.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ class Recording:
 
 
 def measure(signal: FloatArray, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
-    """What a healthy sensor says: the signal with white noise, in steps, up to its maximum.
+    """Reading of a healthy sensor: the signal with white noise, in steps, up to its maximum.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What the figures of a motor type are drawn from: its model, and where its values come from."""
+"""Subject of the figures of a motor type: its model, and the source of its values."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ class ModelSubject:
         return pressure_bar * BAR / dynamic_viscosity_pa_s(self.temperature_c, 0.0, self.motor.oil)
 
     def marks(self, *paths: LeakagePath, oil: bool = False) -> str:
-        """What a figure of these paths has to say of placeholders; empty: nothing."""
+        """Note on placeholders for a figure of these paths; empty without one."""
         strange = [path for path in paths if path.name in self.placeholders]
         kinds = ["curve" if isinstance(path, SpeedCurve) else "geometry" for path in strange]
         if oil and self.oil_is_placeholder:
@@ -201,6 +201,6 @@ def choose(fleet: Fleet, motor_type: str, oil: str | None = None) -> ModelSubjec
     )
     if named is None or named not in fleet.oils:
         known = ", ".join(sorted(fleet.oils))
-        what = f"no oil {named!r}" if named else f"no motor of type {motor_type} tells its oil"
+        what = f"no oil {named!r}" if named else f"no motor of type {motor_type} names an oil"
         raise UsageError("unknown_oil", f"{what}; name one with --oil: {known}")
     return subject_of(fleet.motor_types[motor_type], fleet.oils[named], fleet.settings)

@@ -1,4 +1,4 @@
-"""Which figures a motor type has, and their files."""
+"""Figures of a motor type, and their files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a motor's page holds: its course over all nights, as a plain payload."""
+"""Payload of a motor's page: its course over all nights."""
 
 from __future__ import annotations
 
@@ -81,7 +81,10 @@ def _plotted(motor: MotorHistory) -> NDArray[np.int64]:
     """Places of the nights that charts show: all, or those with the extremes among them."""
     if len(motor.nights) <= PLOTTED_NIGHTS:
         return np.arange(len(motor.nights))
-    columns = [motor.leakage[1].value, *(course.value for course in motor.coefficients.values())]
+    columns = [
+        motor.leakages[motor.leakage_kind].value,
+        *(course.value for course in motor.coefficients.values()),
+    ]
     return keep_extremes(np.column_stack(columns), PLOTTED_NIGHTS)
 
 

@@ -71,7 +71,7 @@ class History:
     trends
         Tables of trends and alarms by name, as far as they are there.
     decisions
-        What people said of the motors, the oldest first.
+        Acknowledgements, findings and resets, the oldest first.
     fleet
         Name of the fleet in the newest run; empty where there is none.
     faults
@@ -145,6 +145,11 @@ def read_history(output: Path) -> History:
             fault for read in (fits, parameters, runs, *trends.values()) for fault in read.faults
         ),
     )
+
+
+def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Rows of a table by motor."""
+    return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}
 
 
 def _all_files(output: Path, table: Table) -> list[Path]:

@@ -32,10 +32,10 @@ from pipeline.logs.files import legible
 from pipeline.logs.ledger import Ledger, forget_nights, read_settings, write_months, write_settings
 from pipeline.logs.motor_logs import FATES
 from pipeline.night.fit_night import FAILED
+from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motor_task import plan_motor, run_motor
-from pipeline.run.parts import run_motors
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.schema import (
     ALARMS,
@@ -86,8 +86,7 @@ from pipeline.trends.stage import (
 )
 from pipeline.trends.tonight import Tonight, tonight_of
 from pipeline.versions import own_version, versions
-from pipeline.workers.engine import RunTasks, nights_a_part, open_engine, results_of
-from pipeline.workers.local import Crew
+from pipeline.workers.engine import RunTasks, nights_a_chunk, open_engine, results_of
 from pipeline.workers.process import Loss
 
 log = logging.getLogger(__name__)
@@ -197,9 +196,7 @@ class RunResult:
         return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)
 
 
-def run_fleet(
-    request: RunRequest, progress: Progress = lambda _: None, crew: Crew | None = None
-) -> RunResult:
+def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
     A motor whose task hangs or dies is done by a second run, when the first has published what the
@@ -210,9 +207,7 @@ def run_fleet(
     request
         Fleet, and which part of it.
     progress
-        Called with each motor's outcome as it finishes.
-    crew
-        Workers that were started before; None: there are none.
+        Called with the outcome of each motor, and of each chunk of one, as it finishes.
 
     Returns
     -------
@@ -229,13 +224,13 @@ def run_fleet(
         If there is nothing that tasks could run on.
     """
     # One motor holds up no other.
-    result = _run_once(request, progress, crew, first=len(request.specs) > 1)
+    result = _run_once(request, progress, first=len(request.specs) > 1)
     late = [outcome for outcome in result.outcomes if outcome.is_set_aside]
     if not late or result.interrupted:
         return result
     again = replace(request, motors=tuple(outcome.motor_id for outcome in late))
     try:
-        return _joined(result, _run_once(again, progress, None, first=False))
+        return _joined(result, _run_once(again, progress, first=False))
     except (LockedError, EngineError) as error:
         log.warning("%s; the next run does what is left", error)
     for outcome in late:
@@ -262,16 +257,13 @@ def _joined(first: RunResult, second: RunResult) -> RunResult:
     )
 
 
-def _run_once(
-    request: RunRequest, progress: Progress, crew: Crew | None, *, first: bool
-) -> RunResult:
+def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunResult:
     """Do a run; the first of two sets motors aside that hang or die."""
     fleet, output = request.fleet, request.fleet.output
     receivers = receivers_of(fleet.settings.alarms)
     if fleet.log_url:
         _require_logs(fleet.log_url)
-    if not fleet.object_store:
-        require_space(output, request.specs, fleet.execution, crew)
+    require_space(output, fleet.execution.minimum_free_mib)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -280,13 +272,11 @@ def _run_once(
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
         with working_copy(fleet.object_store, output) as restore, staging_folder(output) as staging:
             if fleet.object_store:
-                # A working copy knows its logs only once it is up to date.
-                require_space(output, request.specs, fleet.execution, crew)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             stores = (fleet.log_url,) if fleet.log_url else ()
             open_outbox(output, [one.name for one in receivers], fleet.name)
-            with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
+            with open_engine(fleet.execution, folders, stores) as run_tasks:
                 damage = Damage(output, restore)
                 result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
             _take_up(fleet)
@@ -382,7 +372,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         force=request.force,
         retry=request.retry,
         with_starts=request.with_starts,
-        nights_a_part=nights_a_part(request.fleet.execution, len(request.specs)),
+        nights_a_chunk=nights_a_chunk(request.fleet.execution, len(request.specs)),
         latest_us=latest_us(request.clock),
     )
 
@@ -414,6 +404,9 @@ def _run(
     interrupted = False
     try:
         for outcome in _motors(run_tasks, tasks, first=first):
+            if outcome.chunk:
+                progress(outcome)
+                continue
             outcomes[outcome.motor_id] = outcome
             if not outcome.is_set_aside:
                 heartbeat.motor_done()
@@ -475,11 +468,12 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
 def _motors(
     run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
 ) -> Iterator[MotorOutcome]:
-    """Outcomes of the motors; those for which there was no engine any more have failed."""
+    """Outcomes of motors and chunks; a motor for which no engine is left has failed."""
     left = {task.spec.motor_id: task for task in tasks}
     try:
         for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
-            del left[outcome.motor_id]
+            if not outcome.chunk:
+                del left[outcome.motor_id]
             yield outcome
     except EngineError as error:
         if len(left) == len(tasks):

@@ -37,7 +37,7 @@ Result = TypeVar("Result")
 # How often to look whether there are workers while nothing finishes.
 LOOK_S = 1.0
 # Tasks that are sent, and results that are asked for, in one request: each costs scheduler and run
-# some milliseconds. Joined parts are large, and go and come alone.
+# some milliseconds. Joined chunks are large, and go and come alone.
 TOGETHER = 32
 # How long a result waits for others to be asked for with it.
 GATHER_S = 0.02
@@ -82,7 +82,7 @@ class DaskEngine:
             Does a task; the same version of it must be on the workers.
         tasks
             Plain data. Where one has a ``staging`` folder, it stages elsewhere and the files are
-            brought there; those that it names as its ``parts`` travel with it.
+            brought there; those that it names as its ``chunks`` travel with it.
         lost
             The result of a task that was lost.
         first
@@ -121,7 +121,7 @@ def _bring(staged: Mapping[str, bytes], folder: Path | None) -> None:
 
 def _needed(task: object) -> dict[str, bytes]:
     """What a task reads that others have staged: it travels with the task."""
-    folder, names = getattr(task, "staging", None), getattr(task, "parts", ())
+    folder, names = getattr(task, "staging", None), getattr(task, "chunks", ())
     return {name: (folder / name).read_bytes() for name in names}
 
 
@@ -185,7 +185,7 @@ class _Flight:
 
     def _is_large(self, number: int) -> bool:
         """Whether much travels with a task and its result."""
-        return bool(getattr(self.tasks[number], "parts", ()))
+        return bool(getattr(self.tasks[number], "chunks", ()))
 
     def _most(self, number: int) -> int:
         """How many tasks may be in flight; of those that carry much, no more than are done."""

@@ -37,7 +37,6 @@ def open_engine(
     execution: Execution,
     folders: Sequence[Path] = (),
     stores: Sequence[str] = (),
-    crew: Crew | None = None,
 ) -> Iterator[RunTasks]:
     """The configured engine, for all tasks of a run.
 
@@ -49,8 +48,6 @@ def open_engine(
         What workers elsewhere must see: logs and output.
     stores
         URLs of object stores that they must have a way to.
-    crew
-        Workers of this machine that were started before; None: there are none.
 
     Raises
     ------
@@ -67,18 +64,8 @@ def open_engine(
             yield DaskEngine(client, execution, expected).run_tasks
         return
 
-    with crew or Crew() as crew:
-
-        def here(
-            function: Callable[[Task], Result],
-            tasks: Sequence[Task],
-            lost: Callable[[Task, Loss], Result],
-            *,
-            first: bool = False,
-        ) -> Iterator[Result]:
-            return crew.run_tasks(function, tasks, lost, execution, first=first)
-
-        yield here
+    with Crew(execution) as crew:
+        yield crew.run_tasks
 
 
 def results_of(
@@ -133,8 +120,8 @@ def results_of(
         yield from (lost(task, Loss(error.code, error.message)) for task in rest)
 
 
-def nights_a_part(execution: Execution, n_motors: int) -> int:
-    """How many nights of a motor make a part; 0 where its workers have enough motors to do."""
+def nights_a_chunk(execution: Execution, n_motors: int) -> int:
+    """Nights of a chunk of a motor; 0 where its workers have enough motors to do."""
     if execution.backend == "dask" and execution.scheduler:
         return execution.nights_a_part
     alone = execution.backend == "sequential" or execution.workers <= n_motors

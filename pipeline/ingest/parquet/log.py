@@ -140,7 +140,8 @@ def _require_fewer(path: Path, rows: int) -> None:
         raise LogError(
             "log_too_large",
             path,
-            f"its {size} bytes unfold to {rows} rows or more, which no log does: see what it is",
+            f"its {size} bytes expand to {rows} rows or more, too many for a log: check its "
+            "content",
         )
 
 

@@ -410,7 +410,7 @@ def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet
 
 
 @pytest.mark.parametrize(
-    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1"), ("migrate",)]
+    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1")]
 )
 def test_2_where_there_are_no_tables(
     call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]

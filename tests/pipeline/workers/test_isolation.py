@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
-from pipeline.workers.local import Crew, run_tasks
+from pipeline.workers.local import Crew
 from pipeline.workers.process import ITEMS_A_SIGN, Loss
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
@@ -47,6 +47,15 @@ TIMEOUT_S = 5.0
 
 def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
     return Execution(workers=workers, timeout_s=timeout_s, memory_limit_mib=MEMORY_MIB)
+
+
+def run_tasks(function: Any, tasks: Sequence[Any], lost: Any, how: Execution) -> Iterator[Any]:
+    with Crew(how) as crew:
+        yield from crew.run_tasks(function, tasks, lost)
+
+
+def not_lost(_: object, loss: Loss) -> Any:
+    raise AssertionError(loss)
 
 
 def results(tasks: Sequence[str], how: Execution) -> tuple[set[str], dict[str, Loss]]:
@@ -117,10 +126,7 @@ def test_a_single_task_and_a_single_worker_are_isolated_too() -> None:
 
 
 def test_each_part_has_the_whole_time() -> None:
-    def lost(_: int, loss: Loss) -> int:
-        raise AssertionError(loss)
-
-    assert list(run_tasks(slow_by_parts, [2], lost, execution())) == [2]
+    assert list(run_tasks(slow_by_parts, [2], not_lost, execution())) == [2]
 
 
 @pytest.mark.parametrize(
@@ -142,9 +148,9 @@ def test_a_log_that_a_task_waits_for_is_named(asked: bool, how: str) -> None:
 def test_the_first_time_nobody_is_waited_for() -> None:
     losses: list[Loss] = []
     limits = execution(timeout_s=60.0).model_copy(update={"answer_s": 0.5})
-    with Crew() as crew:
+    with Crew(limits) as crew:
         tasks = ["hang_in_python", "kill", "good"]
-        done = crew.run_tasks(do, tasks, lambda _, loss: losses.append(loss), limits, first=True)
+        done = crew.run_tasks(do, tasks, lambda _, loss: losses.append(loss), first=True)
         assert [one for one in done if one is not None] == ["good done"]
     assert sorted(loss.code for loss in losses) == ["task_timeout", "worker_died"]
     assert (
@@ -155,49 +161,36 @@ def test_the_first_time_nobody_is_waited_for() -> None:
 
 def test_many_files_take_as_long_as_they_take() -> None:
     """Each answers; together they take longer than one task may be silent."""
-
-    def lost(_: int, loss: Loss) -> int:
-        raise AssertionError(loss)
-
     limits = execution().model_copy(update={"answer_s": 2.0})
-    with Crew() as crew:
-        done = crew.run_tasks(slow_by_items, [3 * ITEMS_A_SIGN], lost, limits, first=True)
+    with Crew(limits) as crew:
+        done = crew.run_tasks(slow_by_items, [3 * ITEMS_A_SIGN], not_lost, first=True)
         assert list(done) == [3 * ITEMS_A_SIGN]
 
 
 def test_a_task_that_is_lost_once_is_done_the_second_time(tmp_path: Path) -> None:
-    def lost(_: str, loss: Loss) -> str:
-        raise AssertionError(loss)
-
-    assert list(run_tasks(die_once, [str(tmp_path / "died")], lost, execution())) == ["done"]
+    assert list(run_tasks(die_once, [str(tmp_path / "died")], not_lost, execution())) == ["done"]
     assert (tmp_path / "died").exists()
 
 
 def test_workers_stay_for_the_tasks_that_follow() -> None:
-    def lost(_: int, loss: Loss) -> int:
-        raise AssertionError(loss)
-
-    with Crew(2, ["json"]) as crew:
-        first = set(crew.run_tasks(own_pid, range(6), lost, execution()))
-        assert set(crew.run_tasks(own_pid, range(6), lost, execution())) <= first
+    with Crew(execution()) as crew:
+        first = set(crew.run_tasks(own_pid, range(6), not_lost))
+        assert set(crew.run_tasks(own_pid, range(6), not_lost)) <= first
         assert len(first) <= 2
         # One that nobody waits for any more is ended, and there is another for what follows.
-        slow = crew.run_tasks(own_pid_slowly, [0.0, 60.0], lost, execution())
+        slow = crew.run_tasks(own_pid_slowly, [0.0, 60.0], not_lost)
         next(slow)
         slow.close()  # type: ignore[attr-defined]
-        assert len(list(crew.run_tasks(own_pid, range(6), lost, execution()))) == 6
+        assert len(list(crew.run_tasks(own_pid, range(6), not_lost))) == 6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts processes in /proc")
 def test_the_second_time_it_is_alone(tmp_path: Path) -> None:
     markers = [str(tmp_path / name) for name in "ab"]
 
-    def lost(_: str, loss: Loss) -> int:
-        raise AssertionError(loss)
-
     # Other tests may have left idle workers to this process.
     idle = workers_of(os.getpid())
-    beside = list(run_tasks(count_beside_or_die, markers, lost, execution()))
+    beside = list(run_tasks(count_beside_or_die, markers, not_lost, execution()))
     assert len(beside) == 2
     assert max(beside) <= idle
 
@@ -225,11 +218,12 @@ def test_sequential_has_the_same_outcomes_for_what_is_raised() -> None:
 PARENT = """
 import sys
 from pipeline.config import Execution
-from pipeline.workers.local import run_tasks
+from pipeline.workers.local import Crew
 from tests.pipeline.misbehaviour import pid_and_hang
 
 print("begun", flush=True)
-list(run_tasks(pid_and_hang, [sys.argv[1]] * 2, print, Execution(workers=2)))
+with Crew(Execution(workers=2)) as crew:
+    list(crew.run_tasks(pid_and_hang, [sys.argv[1]] * 2, print))
 """
 
 
