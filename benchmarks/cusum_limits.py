@@ -182,7 +182,10 @@ def main() -> None:
         within = len(TRUE_PHI)
         of_floor[:, at] = limits_of_floor(length, generator)
         for place, rate in enumerate(RATES):
-            limits[place, at] = cheapest_limits(share[:within], above[:within], rate / MARGIN)
+            found_limits = cheapest_limits(share[:within], above[:within], rate / MARGIN)
+            # What holds a lower rate holds this one.
+            stricter = limits[place - 1, at] if place else np.inf
+            limits[place, at] = np.minimum(found_limits, stricter)
             chosen = np.searchsorted(CANDIDATES, limits[place, at])
             rates = above[:, np.arange(len(NODES)), chosen].sum(axis=1)
             rows.append(

@@ -34,6 +34,8 @@ BaselineStatus: TypeAlias = Literal["frozen", "provisional", "insufficient"]
 
 # With fewer, no limit is calibrated.
 LEAST_NIGHTS = 15
+# Memory of nights up to which limits are calibrated.
+HIGHEST_TRUE_PHI = 0.6
 # Floors of model.md, section 7, relative to the baseline's mean.
 COEFFICIENT_FLOOR = 0.05
 LEAKAGE_FLOOR = 0.01
@@ -150,9 +152,10 @@ class Baseline:
         r"""Upper bound of the standard deviation of the nights [unit].
 
         From χ² with :math:`n (1 - \varphi^2) / (1 + \varphi^2) - 1` degrees of freedom, as nights
-        that remember tell less of their scatter.
+        that remember tell less of their scatter; φ at most 0.6, the highest that is allowed for,
+        since short baselines tell it poorly.
         """
-        squared = self.phi**2
+        squared = min(self.phi, HIGHEST_TRUE_PHI) ** 2
         freedom = max(self.n * (1.0 - squared) / (1.0 + squared) - 1.0, 1.0)
         return self.sd * math.sqrt(freedom / float(chdtri(freedom, coverage)))
 

@@ -216,7 +216,7 @@ def monitor(
     >>> nights = np.arange(120)
     >>> values = 1.37 * (1 + 0.004 * generator.standard_normal(120)) * (1 + 0.2 * (nights >= 90))
     >>> [(one.night, one.before, one.after) for one in monitor(nights, values).changes]
-    [(30, 'insufficient', 'ok'), (92, 'ok', 'warning')]
+    [(15, 'insufficient', 'ok'), (92, 'ok', 'warning')]
     """
     chosen = settings or MonitorSettings()
     own = track(nights, values, chosen)
@@ -237,8 +237,8 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
     """Follow one series against its own baseline.
 
     The first good nights make a provisional baseline, and longer ones take its place
-    (`BaselineSettings.lengths`), unless a change stands told by then, or the longer one has a slope
-    that the shorter has not: wear must not become its own baseline.
+    (`BaselineSettings.lengths`), unless a change stands told by then, or the longer one rises, or
+    has a slope that the shorter has not: wear must not become its own baseline.
 
     Parameters
     ----------
@@ -420,7 +420,7 @@ def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
     """Why the provisional baseline is to stay; empty where the whole takes its place."""
     if told:
         return f"kept at {first.n} good nights: a change was told before there were {whole.n}"
-    if whole.sloped and not first.sloped:
+    if whole.sloped and (not first.sloped or whole.mean > first.mean):
         return f"kept at {first.n} good nights: {whole.n} have a slope"
     return ""
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from leakage.attribution import DEGENERATE, Attribution, attribute
 from leakage.autoregression import long_run_factor
-from leakage.baseline import Baseline
+from leakage.baseline import LEAST_NIGHTS, Baseline
 from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import OWN_REFERENCE, REFERENCE
 from pipeline.trends.night_records import FLUSHING
@@ -26,8 +26,6 @@ Places = NDArray[np.intp]
 
 # Good nights that say what the coefficients are now.
 NIGHTS_OF_NOW = 10
-# Nights of a baseline that a covariance needs.
-LEAST_NIGHTS = 20
 # What is not told by the coefficients, among the paths.
 REST = "the rest"
 
@@ -129,7 +127,7 @@ def path_flows(standing: Standing, name: str, place: int) -> dict[str, float]:
         return reference_flows(standing, place)
     own = standing.era(place).own
     if name == OWN_REFERENCE and own is not None:
-        return _flows_at(standing, place, own)
+        return _flows(standing, regressor_row(standing.history, place, own))
     sums = _latest_sums(standing, place)
     paths = standing.history.layout.paths
     if sums is None:
@@ -139,22 +137,23 @@ def path_flows(standing: Standing, name: str, place: int) -> dict[str, float]:
 
 def reference_flows(standing: Standing, place: int) -> dict[str, float]:
     """Flow of each free path per unit of its coefficient at the fleet's reference conditions."""
+    return _flows(standing, reference_row(standing, place))
+
+
+def reference_row(standing: Standing, place: int) -> Array | str:
+    """Columns of the statistics at the fleet's reference conditions, or why there are none."""
     reference = standing.history.spec.settings.reference
     charge = float(standing.history.records["charge"][place])
-    return _flows_at(
-        standing,
-        place,
-        OwnConditions(
-            reference.pressure_bar,
-            reference.temperature_c,
-            reference.speed_rpm,
-            None if np.isnan(charge) else charge,
-        ),
+    at = OwnConditions(
+        reference.pressure_bar,
+        reference.temperature_c,
+        reference.speed_rpm,
+        None if np.isnan(charge) else charge,
     )
+    return regressor_row(standing.history, place, at)
 
 
-def _flows_at(standing: Standing, place: int, at: OwnConditions) -> dict[str, float]:
-    row = regressor_row(standing.history, place, at)
+def _flows(standing: Standing, row: Array | str) -> dict[str, float]:
     if isinstance(row, str):
         return {}
     paths = standing.history.layout.paths
