@@ -75,17 +75,7 @@ class Operation:
 
 
 def simulate_operation(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> Operation:
-    """Random load cycles of a night.
-
-    Parameters
-    ----------
-    duty
-        What the motor is asked to do.
-    time_s
-        Evenly spaced times since the start, shape (n,), [s].
-    rng
-        Source of all randomness.
-    """
+    """Random load cycles of a night at evenly spaced times since its start, shape (n,), [s]."""
     halts = _halts(float(time_s[-1]), rng)
     direction = _direction(time_s, halts) if duty.reverses else np.ones_like(time_s)
     motion = direction * _running(time_s, halts)

@@ -150,7 +150,7 @@ def fit_rows(
 
 
 def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
-    """What a night's fits have in common."""
+    """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
     training, validation = (statistics.rows_of(part) for part in (TRAINING, VALIDATION))
     used = np.flatnonzero(training | validation)
@@ -233,7 +233,7 @@ def _mode_columns(
 
 
 def search_columns(fit: Fit) -> Row:
-    """How the search from several starts went."""
+    """Columns of the search from several starts."""
     return {
         "n_starts": len(fit.starts),
         "n_starts_at_minimum": len(fit.starts_at_minimum),
@@ -246,7 +246,7 @@ def agreement_columns(
     judged_on: Callable[[str], Array],
     mode: BlockFit,
 ) -> Row:
-    """How a fit agrees with the samples of both parts."""
+    """Agreement of a fit with the samples of both parts."""
     fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
     validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
@@ -263,17 +263,7 @@ def agreement_columns(
 def previous_model_columns(
     spec: MotorSpec, night_factor: Array, previous: tuple[float, ...] | None
 ) -> Row:
-    """How the model before agrees with all of the night's samples.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    night_factor
-        Factor of all kept samples, shape (c, c).
-    previous
-        θ of the model before; None where there is none.
-    """
+    """Agreement of the model before, if any, with all samples, given their factor."""
     found = Agreement(0, None, None, None)
     if previous is not None and len(previous) == len(night_factor) - 2:
         resolution = spec.file.channels["leakage_flow"].resolution
@@ -286,7 +276,7 @@ def previous_model_columns(
 
 
 def block_fit_columns(mode: BlockFit) -> Row:
-    """What the blocks of a fit say of it."""
+    """Columns of a fit that come from its blocks alone."""
     certificate, fit = mode.fit.certificate, mode.fit
     condition = certificate.condition_number
     return {

@@ -30,7 +30,7 @@ from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
-from pipeline.report.tables import SHOWN_TABLES, History, read_history, read_night
+from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import motor_states
 from pipeline.schema import FITS, SCHEMA_VERSION
 from pipeline.store.atomic_files import remove_leftovers
@@ -167,7 +167,7 @@ def build_report(request: ReportRequest) -> ReportResult:
         before = ReportManifest("")
         write_report_manifest(request.folder, before)
     remove_leftovers([request.folder])
-    history = read_history(request.output)
+    history = read_tables(request.output)
     names = _names(request, history)
     nights = _nights_by_motor(history.fits, names)
     now = ReportManifest(_program_hash())
@@ -186,7 +186,7 @@ def build_report(request: ReportRequest) -> ReportResult:
     )
 
 
-def _names(request: ReportRequest, history: History) -> dict[str, str]:
+def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
     """Names of the pages of all motors that are shown."""
     ids = {*request.known, *history.fits["motor_id"].unique()}
     strangers = sorted(set(request.motors) - ids)
@@ -284,7 +284,7 @@ def make_night(task: NightTask) -> tuple[dt.date, Entries, list[str]]:
 
 def _make_pages(
     request: ReportRequest,
-    history: History,
+    history: ReportTables,
     names: Mapping[str, str],
     faults: Sequence[str],
     before: ReportManifest,
@@ -319,7 +319,7 @@ def _make_pages(
 
 def _motor_page(
     request: ReportRequest,
-    history: History,
+    history: ReportTables,
     motor: MotorHistory,
     name: str,
     row: FleetRow,

@@ -38,19 +38,7 @@ FITS_OF_A_NIGHT = {
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
-    """Explain a motor's night in words.
-
-    Parameters
-    ----------
-    output
-        Output folder.
-    motor_id, night
-        Which.
-
-    Returns
-    -------
-    list of str
-        Lines.
+    """Explain a motor's night in words, line by line.
 
     Raises
     ------

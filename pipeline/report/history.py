@@ -13,7 +13,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from pipeline.report.tables import History, by_motor
+from pipeline.report.tables import ReportTables, by_motor
 from pipeline.schema import BASELINES, TRENDS, frame
 
 Array = NDArray[np.float64]
@@ -118,7 +118,7 @@ class MotorHistory:
         return changes
 
 
-def motor_histories(history: History, motors: Sequence[str]) -> Iterator[MotorHistory]:
+def motor_histories(history: ReportTables, motors: Sequence[str]) -> Iterator[MotorHistory]:
     """The history of each motor."""
     fits = by_motor(history.fits)
     parameters = by_motor(history.parameters)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from leakage.validation import POOR_FIT_PERCENT
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import Course, MotorHistory
-from pipeline.report.tables import History
+from pipeline.report.tables import ReportTables
 from pipeline.report.trends import trend_payload
 from pipeline.report.words import for_scripts
 from pipeline.thinning import keep_extremes
@@ -44,7 +44,7 @@ def motor_payload(
     motor: MotorHistory,
     page: str,
     detailed: set[dt.date],
-    history: History,
+    history: ReportTables,
     events: Sequence[Payload],
 ) -> Payload:
     """The payload of a motor's page."""

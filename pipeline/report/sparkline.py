@@ -60,16 +60,8 @@ def sparkline(
 ) -> Sparkline | None:
     """A course over the nights as a small picture; None without a value.
 
-    Parameters
-    ----------
-    days
-        Place of each night in time, in days, shape (n,).
-    course
-        What is drawn.
-    ends
-        Days at the edges of the picture, the same for all motors of a fleet.
-    baseline
-        Level to draw across the picture.
+    `days` is the place of each night in time, `ends` the days at the edges of the picture, the same
+    for all motors of a fleet, `baseline` a level to draw across it.
     """
     known = np.flatnonzero(course.is_known)
     if not len(known):

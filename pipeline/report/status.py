@@ -305,21 +305,14 @@ def _acknowledged(
 def last_alarm(
     output: Path, motor_id: str, name: str, states: Collection[str]
 ) -> tuple[str, dt.date]:
-    """The indicator that a name stands for, and the night in which it was last raised.
+    """The indicator of a name, and the night of its last alarm in one of some states.
 
-    Parameters
-    ----------
-    output, motor_id
-        Whose.
-    name
-        Of the indicator, in the tables (``K_piston_ring``) or in words (piston ring leakage).
-    states
-        States that count.
+    The name is that in the tables (``K_piston_ring``) or in words (piston ring leakage).
 
     Raises
     ------
     UsageError
-        ``no_alarm``: there was none; the message names those that there were.
+        ``no_alarm``: there was none; the message lists the alarms so far.
     """
     rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
     raised = rows.filter(pl.col("to_state").is_in(list(states)))

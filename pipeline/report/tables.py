@@ -59,7 +59,7 @@ class Read:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class ReportTables:
     """All nights of all motors.
 
     Attributes
@@ -115,7 +115,7 @@ def _children(rows: pl.DataFrame, fits: pl.DataFrame) -> pl.DataFrame:
     return rows.join(fits, on=FIT_KEY_NAMES, how="semi", maintain_order="left")
 
 
-def read_history(output: Path) -> History:
+def read_tables(output: Path) -> ReportTables:
     """All that is known of all nights, but for what only one night's figures need.
 
     Raises
@@ -133,7 +133,7 @@ def read_history(output: Path) -> History:
     }
     primary = fits.rows.filter("is_primary").sort("motor_id", "night")
     newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
-    return History(
+    return ReportTables(
         fits=primary,
         parameters=parameters.rows.join(
             primary.select(FIT_KEY_NAMES), on=FIT_KEY_NAMES, how="semi"

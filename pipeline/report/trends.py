@@ -11,7 +11,7 @@ import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.status import ORDER, MotorState, motor_state
-from pipeline.report.tables import History, by_motor
+from pipeline.report.tables import ReportTables, by_motor
 from pipeline.schema import TRENDS, frame
 from pipeline.thinning import keep_extremes
 from pipeline.trends.decisions import Decision
@@ -57,7 +57,7 @@ COURSES = (
 )
 
 
-def motor_states(history: History, motors: Iterable[str]) -> dict[str, MotorState]:
+def motor_states(history: ReportTables, motors: Iterable[str]) -> dict[str, MotorState]:
     """The state of each motor, the same that `motor-leakage status` prints."""
     trends = by_motor(history.trends.get(TRENDS.name, frame(TRENDS, [])))
     fits = by_motor(history.fits)
@@ -73,7 +73,7 @@ def motor_states(history: History, motors: Iterable[str]) -> dict[str, MotorStat
     }
 
 
-def trend_payload(motor_id: str, history: History) -> Payload:
+def trend_payload(motor_id: str, history: ReportTables) -> Payload:
     """Trends of a motor for its page; empty lists where there are none."""
     own = {
         name: rows.filter(motor_id=motor_id).drop("run_id", "motor_id")

@@ -36,12 +36,12 @@ def run_motors(
         lose = set_aside if first else lost
         return results_of(run_tasks, function, some, lose, without_lost_part, first=first)
 
-    motors = {task.spec.motor_id: task for task in tasks}
     chunks: dict[str, list[MotorTask]] = {}
     for outcome in outcomes(tasks):
         if outcome.to_do:
-            task = replace(motors[outcome.motor_id], looked_at=outcome.looked_at)
-            chunks[outcome.motor_id] = [replace(task, nights=nights) for nights in outcome.to_do]
+            # A worker elsewhere has a staging folder of its own.
+            staging = tasks[0].staging
+            chunks[outcome.motor_id] = [replace(one, staging=staging) for one in outcome.to_do]
         else:
             yield outcome
     if not chunks:

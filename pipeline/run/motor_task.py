@@ -72,7 +72,7 @@ LONGEST_HOLE = dt.timedelta(days=366)
 
 
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
-    """What a run would do of a motor now, night by night, and why; nothing is read or written.
+    """The plan of a motor, night by night, with reasons; of logs only the ends are read.
 
     Raises
     ------
@@ -205,9 +205,9 @@ class _Nights:
         self.spec = task.spec
         self.made = {label: one for chunk in chunks for label, one in chunk.nights.items()}
         self.memory_of_chunks = [chunk.peak_memory_mib for chunk in chunks]
-        self.seconds: Counter[str] = Counter()
+        self.seconds: defaultdict[str, float] = defaultdict(float)
         for chunk in chunks:
-            self.seconds.update(chunk.seconds)
+            self._add(chunk.seconds)
         self.lost_nights = task.lost_nights
         self.remembered = read_ledger(task.output, task.spec.motor_id)
         self.before = _still_published(self.remembered, task.output)
@@ -255,8 +255,10 @@ class _Nights:
         labels = [label for label, step in self.plan().items() if step.work is Work.READ]
         if len(labels) <= size:
             return None
-        chunks = tuple(tuple(labels[at : at + size]) for at in range(0, len(labels), size))
-        return MotorOutcome(self.spec.motor_id, OK, to_do=chunks, looked_at=self.logs.files)
+        planned = replace(self.task, looked_at=self.logs.files)
+        parts = [tuple(labels[at : at + size]) for at in range(0, len(labels), size)]
+        chunks = tuple(replace(planned, nights=nights) for nights in parts)
+        return MotorOutcome(self.spec.motor_id, OK, to_do=chunks)
 
     def make(self, labels: Sequence[dt.date]) -> dict[dt.date, _ChunkNight]:
         """Read and fit some nights, each on its own."""
@@ -288,8 +290,7 @@ class _Nights:
                 self.kept.add(label)
                 continue
             self._remember(outcome, before)
-            for stage_name, seconds in outcome.seconds.items():
-                self.seconds[stage_name] += seconds
+            self._add(outcome.seconds)
             # Also those that an earlier state of a file had been read for.
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
@@ -301,6 +302,10 @@ class _Nights:
         with self._timed("store_s"):
             self._stage()
         return self._outcome()
+
+    def _add(self, seconds: Mapping[str, float]) -> None:
+        for stage_name, taken in seconds.items():
+            self.seconds[stage_name] += taken
 
     @contextmanager
     def _timed(self, stage_name: str) -> Iterator[None]:
@@ -406,7 +411,7 @@ class _Nights:
         return sorted(label for label in between - told if self.task.wants(label))
 
     def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
-        """What comes of a night; None where it stays as published, for want of its log."""
+        """Outcome of a night; None where it stays as published, for want of its log."""
         if given_up := self.lost_nights.get(label):
             return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
         sign_of_life(label.isoformat())
@@ -493,7 +498,7 @@ class _Nights:
         return {label: rows[label] for label in sorted({*staged, *moved})}
 
     def _why_nothing(self, status: str) -> str | None:
-        """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
+        """The reason for no fit although nothing failed; None: there is one, or none was to do."""
         if not self.logs.files:
             return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:

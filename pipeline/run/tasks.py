@@ -21,7 +21,7 @@ MOST_GIVEN_UP = 3
 
 
 class Work(Enum):
-    """How far a night is made anew: from its log, from its statistics, or the model before only."""
+    """Source of a night that is made anew: its log, its statistics, or the model before only."""
 
     READ = "read"
     REFIT = "refit"
@@ -102,7 +102,7 @@ class MotorTask:
         return {one.log: one for one in self.given_up if one.log}
 
     def wants(self, label: dt.date) -> bool:
-        """Whether a night lies within the asked-for range."""
+        """True where a night lies within the asked-for range."""
         return (self.since is None or label >= self.since) and (
             self.until is None or label <= self.until
         )
@@ -148,9 +148,7 @@ class MotorOutcome:
     chunks_done
         Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
     to_do
-        Nights of the chunks that are to be made first; empty: the motor is done.
-    looked_at
-        The motor's logs as seen when these were planned.
+        Chunks that are to be made first; empty: the motor is done.
     """
 
     motor_id: str
@@ -171,12 +169,11 @@ class MotorOutcome:
     is_set_aside: bool = False
     chunk: str = ""
     chunks_done: tuple[int, int] = (0, 0)
-    to_do: tuple[tuple[dt.date, ...], ...] = ()
-    looked_at: Mapping[str, FileRecord] | None = None
+    to_do: tuple[MotorTask, ...] = ()
 
     @property
     def finished(self) -> bool:
-        """Whether the task came to its end, whatever came of its nights."""
+        """True where the task came to its end, whatever came of its nights."""
         return self.peak_memory_mib is not None
 
 

@@ -1,4 +1,4 @@
-"""What the tasks of a run are spread over: worker processes of this machine, or a Dask cluster."""
+"""Engines that do the tasks of a run: worker processes of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ Result = TypeVar("Result")
 class RunTasks(Protocol):
     """Runs tasks: their results as they finish, in any order.
 
-    The first time, each is tried once, and one of which nothing is heard is not waited for.
+    Parameters
+    ----------
+    function
+        Does a task; what it is made of must be importable, as workers are fresh processes.
+    tasks
+        Plain data, small enough to send.
+    lost
+        The result of a task that was lost.
+    first
+        Whether each is tried only once, and one of which nothing is heard is not waited for.
     """
 
     def __call__(
@@ -79,18 +88,8 @@ def results_of(
 ) -> Iterator[Result]:
     """Results of tasks; one that was lost in a known part of its work is done without that part.
 
-    Parameters
-    ----------
-    run_tasks
-        From `open_engine`.
-    function, tasks
-        What is to be done.
-    lost
-        The result of a task that was lost as a whole.
-    without
-        A task without the part that it was lost in; None where that is not known, or too much.
-    first
-        Whether a task that was lost is left as it is.
+    `without` gives the task without the part that it was lost in; None where that is not known, or
+    too much. The first time, a task that was lost is left as it is.
 
     Raises
     ------

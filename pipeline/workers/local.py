@@ -58,6 +58,17 @@ NO_MEMORY = re.compile(
 FRAME = re.compile(r'^  File "(.+)", line (\d+) in (.+)$', re.MULTILINE)
 
 
+def run_tasks(
+    function: Callable[[Task], Result],
+    tasks: Sequence[Task],
+    lost: Callable[[Task, Loss], Result],
+    execution: Execution,
+) -> Iterator[Result]:
+    """As `Crew.run_tasks`, over workers that are there for these tasks alone."""
+    with Crew(execution) as crew:
+        yield from crew.run_tasks(function, tasks, lost)
+
+
 class Crew:
     """Worker processes for all the tasks of a run, started when there are tasks for them.
 
@@ -91,19 +102,8 @@ class Crew:
         *,
         first: bool = False,
     ) -> Iterator[Result]:
-        """Results as the tasks finish, in any order.
-
-        Parameters
-        ----------
-        function
-            Does a task; what it is made of must be importable, as workers are fresh processes.
-        tasks
-            Plain data, small enough to send.
-        lost
-            The result of a task that was lost.
-        first
-            Whether tasks are tried only once, and one of which nothing is heard is not waited for.
-        """
+        """Results as `RunTasks` says."""
+        tried: Iterator[tuple[Task, Done[Result] | Loss]]
         if self._execution.backend == "sequential":
             tried = ((task, attempt(function, task)) for task in tasks)
         elif first:
@@ -171,7 +171,7 @@ class Crew:
 def run_task(
     worker: Worker, function: Callable[[Task], Result], task: Task, execution: Execution
 ) -> Done[Result] | Loss:
-    """What comes of a task in a worker that has nothing else to do."""
+    """Outcome of a task in a worker that has nothing else to do."""
     worker.begin(function, task, execution)
     while (outcome := worker.outcome()) is None:
         _wait_for_news([worker])
@@ -224,7 +224,7 @@ class Worker:
             self.connection.send_bytes(dumps(given))
 
     def outcome(self) -> Done[Any] | Loss | None:
-        """What came of its task; None while it is at work."""
+        """Outcome of its task; None while it is at work."""
         self._pass_on_stderr()
         if not self.connection.poll():
             if time.monotonic() < self.due:
@@ -248,7 +248,7 @@ class Worker:
         return self.execution.answer_s if self.sign.is_asked else self.execution.timeout_s
 
     def _loss(self) -> Loss:
-        """What the worker has died of."""
+        """The loss that the worker died of."""
         self.process.join(GRACE_S)
         self.kill()
         self._pass_on_stderr()
@@ -302,7 +302,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def _died(exit_code: int | None) -> str:
-    """How a process has ended, in words."""
+    """The end of a process, in words."""
     if exit_code is None:
         return "nothing that could be heard"
     if exit_code >= 0:

@@ -9,7 +9,7 @@ from typing import Any
 import polars as pl
 
 from pipeline.report.history import MotorHistory, motor_histories
-from pipeline.report.tables import History
+from pipeline.report.tables import ReportTables
 from pipeline.schema import FITS, PARAMETERS, frame
 
 Row = dict[str, Any]
@@ -60,7 +60,7 @@ def history(
     motor_id: str = "M",
 ) -> MotorHistory:
     """The history of the one motor that the rows are of."""
-    tables = History(
+    tables = ReportTables(
         fits=frame(FITS, fits).sort("motor_id", "night"),
         parameters=frame(PARAMETERS, parameters).sort("motor_id", "parameter", "night"),
         trends=trends or {},

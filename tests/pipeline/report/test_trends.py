@@ -6,7 +6,7 @@ import datetime as dt
 from typing import Any
 
 from pipeline.report.status import motor_state
-from pipeline.report.tables import History
+from pipeline.report.tables import ReportTables
 from pipeline.report.trends import motor_states, trend_payload
 from pipeline.schema import (
     ALARMS,
@@ -28,7 +28,7 @@ def trend(motor: str, number: int, indicator: str, state: str, **more: Any) -> d
     return row | {"state": state, "sensor_health": "ok"} | more
 
 
-def tables(decisions: tuple[Decision, ...] = ()) -> History:
+def tables(decisions: tuple[Decision, ...] = ()) -> ReportTables:
     trends = [
         trend("M", 0, "reference_leakage", "alarm"),
         trend("M", 1, "reference_leakage", "ok", slope_per_year=0.2, deviation_percent=3.0),
@@ -41,7 +41,7 @@ def tables(decisions: tuple[Decision, ...] = ()) -> History:
     alarm |= {"to_state": "warning", "reason": "sleeve +38 %", "night": FIRST + ONE_DAY}
     baseline = {"motor_id": "M", "indicator": "reference_leakage", "start": FIRST, "end": FIRST}
     changes = {"motor_id": "M", "indicator": "reference_leakage", "size_percent": 5.0}
-    return History(
+    return ReportTables(
         fits=frame(FITS, [fit(0), fit(1)]),
         parameters=frame(PARAMETERS, []),
         trends={
@@ -85,7 +85,7 @@ def test_states_are_those_of_the_command_status() -> None:
 
 
 def test_without_trends_each_motor_has_a_state() -> None:
-    read = History(frame(FITS, [fit(0)]), frame(PARAMETERS, []))
+    read = ReportTables(frame(FITS, [fit(0)]), frame(PARAMETERS, []))
     assert motor_states(read, ["M"])["M"].why == "no trends yet"
 
 

@@ -290,7 +290,22 @@ def test_few_nights_are_not_split(workshop: Workshop, tmp_path: Path) -> None:
     task = replace(workshop.task(), staging=tmp_path, nights_a_chunk=3)
     assert run_motor(task).to_do == ()
     split = run_motor(replace(task, nights_a_chunk=2))
-    assert split.to_do == ((FIRST, FIRST + DAY), (FIRST + 2 * DAY,))
+    assert [one.nights for one in split.to_do] == [(FIRST, FIRST + DAY), (FIRST + 2 * DAY,)]
+
+
+def test_a_log_that_did_not_answer_the_plan_is_not_asked_by_a_chunk(
+    workshop: Workshop, tmp_path: Path
+) -> None:
+    logs_of_nights(workshop, 3)
+    silence = Loss("log_no_answer", "it did not answer", "", f"M1/{FIRST}.parquet")
+
+    def lose(task: MotorTask) -> Loss | None:
+        return None if task.silent else silence
+
+    asked = engine(lose)
+    outcome, chunks = outcomes(workshop, tmp_path / "staging", 1, asked)
+    assert [one.status for one in chunks] == ["ok", "ok", "ok"]
+    assert (outcome.counts, outcome.error_code) == ({"ok": 2, "failed": 1}, "log_no_answer")
 
 
 @pytest.mark.parametrize(

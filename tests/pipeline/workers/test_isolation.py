@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
+import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
-from pipeline.workers.local import Crew
+from pipeline.workers.local import Crew, run_tasks
 from pipeline.workers.process import ITEMS_A_SIGN, Loss
 from tests.conftest import OwnFleet
 from tests.pipeline.misbehaviour import (
@@ -47,11 +48,6 @@ TIMEOUT_S = 5.0
 
 def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
     return Execution(workers=workers, timeout_s=timeout_s, memory_limit_mib=MEMORY_MIB)
-
-
-def run_tasks(function: Any, tasks: Sequence[Any], lost: Any, how: Execution) -> Iterator[Any]:
-    with Crew(how) as crew:
-        yield from crew.run_tasks(function, tasks, lost)
 
 
 def not_lost(_: object, loss: Loss) -> Any:
@@ -218,12 +214,11 @@ def test_sequential_has_the_same_outcomes_for_what_is_raised() -> None:
 PARENT = """
 import sys
 from pipeline.config import Execution
-from pipeline.workers.local import Crew
+from pipeline.workers.local import run_tasks
 from tests.pipeline.misbehaviour import pid_and_hang
 
 print("begun", flush=True)
-with Crew(Execution(workers=2)) as crew:
-    list(crew.run_tasks(pid_and_hang, [sys.argv[1]] * 2, print))
+list(run_tasks(pid_and_hang, [sys.argv[1]] * 2, print, Execution(workers=2)))
 """
 
 
@@ -267,10 +262,8 @@ def test_no_worker_outlives_the_run(tmp_path: Path, number: signal.Signals) -> N
 # A motor of a fleet
 
 
-def fit(
-    fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str | None, **how: Any
-) -> RunResult:
-    """Run a fleet in which one motor misbehaves, in all its work or in one night of it."""
+def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str) -> RunResult:
+    """Run a fleet in which one motor misbehaves in a night."""
 
     def run_or_misbehave(task: MotorTask) -> MotorOutcome:
         if task.spec.motor_id == BAD:
@@ -278,18 +271,16 @@ def fit(
         return run_motor(task)
 
     fleet = load_fleet(fleet_file)
-    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500} | how)
+    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
-def misbehave_at(night: str | None, what: str) -> None:
-    """In a worker: have the fit of a night misbehave; at once if no night is named."""
+def misbehave_at(night: str, what: str) -> None:
+    """In a worker: have the fit of a night misbehave."""
     import pipeline.run.motor_task as module
 
-    if night is None:
-        MISBEHAVIOUR[what]()
     fit_night = module.fit_night
 
     def fit_or_misbehave(spec: Any, here: Any, *arguments: Any) -> Any:
@@ -315,33 +306,13 @@ def output_of(fleet_file: Path) -> Path:
     return fleet_file.parent.parent / "out"
 
 
-def test_a_motor_that_takes_its_worker_along_costs_no_other_anything(
-    own_fleet: OwnFleet, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet(GOOD, BAD, OTHER)
-    result = fit(fleet, monkeypatch, "segfault", None)
-    assert {one.motor_id: one.status for one in result.outcomes} == {
-        GOOD: "ok",
-        BAD: "failed",
-        OTHER: "ok",
-    }
-    for motor in (GOOD, OTHER):
-        assert_frame_equal(fits(output_of(fleet), motor), fits(fitted_output, motor))
-    row = outcome_rows(output_of(fleet))[BAD]
-    assert (row["status"], row["error_code"]) == ("failed", "worker_died")
-    assert "SIGSEGV, in string_at" in row["message"]
-    assert fits(output_of(fleet), BAD).is_empty()
-
-
 @pytest.mark.parametrize(
     ("what", "code"),
     [
         ("kill", "worker_died"),
         pytest.param("hang_in_c", "task_timeout", marks=pytest.mark.full),
-        pytest.param("eat_with_polars", "task_memory", marks=pytest.mark.full),
         pytest.param("eat_with_numpy", "task_memory", marks=pytest.mark.full),
         pytest.param("panic", "internal", marks=pytest.mark.full),
-        pytest.param("raise_error", "internal", marks=pytest.mark.full),
     ],
 )
 def test_a_night_that_takes_its_worker_along_costs_no_other_night(
@@ -386,7 +357,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         module.indicators_of = die
         return run_trends(task)
 
-    monkeypatch.setattr(pipeline.run.fleet, "run_trends", run_or_die)
+    monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
     limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
@@ -414,7 +385,7 @@ def wait(task):
     while True:
         signal.pause()
 
-pipeline.run.fleet.run_trends = wait
+pipeline.run.publishing.run_trends = wait
 main()
 """
 
