@@ -17,7 +17,7 @@ from leakage.autoregression import long_run_factor
 from leakage.baseline import LEAST_NIGHTS, Baseline
 from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import OWN_REFERENCE, REFERENCE
-from pipeline.trends.night_records import FLUSHING
+from pipeline.trends.night_records import FLUSHING, whole_matrix
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.standing import CHANGED, RAISED, Standing
 
@@ -32,12 +32,17 @@ REST = "the rest"
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """Change of a coefficient: its nights, those of now and of the baseline."""
+    """Change of a coefficient: its nights, those of now and of the baseline.
+
+    Where the filter says what it is now, its state in the last night has all nights' information.
+    """
 
     series: Array
     baseline: Baseline
     before: Places
     now: Places
+    state: Array | None
+    number: int
 
     @property
     def size(self) -> float:
@@ -190,9 +195,23 @@ def _changes(standing: Standing, place: int, flows: Mapping[str, float]) -> dict
         before = good[(good >= segment.first) & (good <= last)]
         now = good[good >= max(begin, segment.first)][-NIGHTS_OF_NOW:]
         recent = now[numbers[place] - numbers[now] <= watched.settings.stale_nights]
-        if len(before) >= LEAST_NIGHTS and len(recent):
-            found[path] = _Change(series, baseline, before, now)
+        if len(before) < LEAST_NIGHTS or not len(recent):
+            continue
+        state = None
+        if watched.indicator.n_nights[now[-1]] > 1:
+            now, state = now[-1:], _state(standing, int(now[-1]))
+        number = standing.history.layout.paths.index(path)
+        found[path] = _Change(series, baseline, before, now, state, number)
     return {path: found[path] for path in flows if path in found}
+
+
+def _state(standing: Standing, place: int) -> Array:
+    """Covariance of the filtered coefficients in a night, shape (p + 1, p + 1)."""
+    upper = whole_matrix(
+        standing.history.records["spread"][place], len(standing.history.layout.free)
+    )
+    covariance: Array = upper + np.triu(upper, 1).T
+    return covariance
 
 
 def _covariance(changes: Sequence[_Change]) -> Array:
@@ -218,6 +237,10 @@ def _covariance(changes: Sequence[_Change]) -> Array:
     share = np.array([_variance_share(one) for one in changes])
     error = sd * np.sqrt(share)
     covariance: Array = correlation * np.outer(error, error)
+    for row, one in enumerate(changes):
+        for column, other in enumerate(changes):
+            if one.state is not None and other.state is not None:
+                covariance[row, column] += one.state[one.number, other.number]
     return covariance
 
 
@@ -226,7 +249,7 @@ def _variance_share(change: _Change) -> float:
     baseline = change.baseline
     if baseline.sd <= 0.0:
         return 0.0
-    now = long_run_factor(baseline.phi) / len(change.now)
+    now = 0.0 if change.state is not None else long_run_factor(baseline.phi) / len(change.now)
     return min(now, 1.0) + (baseline.mean_error / baseline.sd) ** 2
 
 

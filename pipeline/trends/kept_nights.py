@@ -24,7 +24,8 @@ from numpy.typing import NDArray
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
-from pipeline.store.atomic_files import put, read
+from pipeline.store.atomic_files import put
+from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.decisions import Decision
 from pipeline.trends.night_records import Layout, Records
@@ -85,25 +86,27 @@ class KeptMonth:
         }
         text = json.dumps(head, separators=(",", ":"), sort_keys=True).encode()
         columns = {name: _column(self.records[name]) for name in self.records.dtype.names or ()}
-        table = pa.table(columns, metadata={HEAD: text, DIGEST: _digest(text, self.records)})
+        table = pa.table(columns)
+        digest = _digest(text, table)
         sink = pa.BufferOutputStream()
-        pq.write_table(table, sink, compression="zstd", use_dictionary=False)
+        pq.write_table(
+            table.replace_schema_metadata({HEAD: text, DIGEST: digest}),
+            sink,
+            compression="zstd",
+            use_dictionary=False,
+        )
         content: bytes = sink.getvalue().to_pybytes()
         return content
 
     @classmethod
-    def decoded(cls, content: bytes, key: str, layout: Layout) -> KeptMonth | None:
-        """A month from a file's content; None where it is damaged or made by other settings."""
-        table = pq.read_table(pa.BufferReader(content), use_threads=False)
-        metadata = table.schema.metadata or {}
-        head = json.loads(metadata[HEAD])
+    def of(cls, table: pa.Table, key: str, layout: Layout) -> KeptMonth | None:
+        """A month from its table; None where it was made by other settings."""
+        head = json.loads(table.schema.metadata[HEAD])
         if head["key"] != key:
             return None
         records = np.zeros(table.num_rows, dtype=layout.dtype)
         for name in layout.dtype.names or ():
-            records[name] = _values(table[name].combine_chunks(), records[name])
-        if metadata[DIGEST] != _digest(metadata[HEAD], records):
-            return None
+            records[name] = _values(table[name]).reshape(records[name].shape)
         return cls(
             tuple(head["folders"]),
             head["files"],
@@ -115,24 +118,40 @@ class KeptMonth:
         )
 
 
+def whole_table(content: bytes) -> pa.Table | None:
+    """The table of a file's content; None where it is not as it was written."""
+    try:
+        table = pq.read_table(pa.BufferReader(content), use_threads=False)
+        metadata = table.schema.metadata
+        return table if metadata[DIGEST] == _digest(metadata[HEAD], table) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
 def _column(values: NDArray[Any]) -> pa.Array:
     """A field of records: a list a night where it has several numbers."""
-    width = int(np.prod(values.shape[1:]))
-    flat = np.ascontiguousarray(values).reshape(-1)
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
     if values.ndim == 1:
-        return pa.array(flat)
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat), width)
+        return flat
+    return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
 
 
-def _values(column: pa.Array, like: NDArray[Any]) -> NDArray[Any]:
-    """The field again."""
-    flat = column.flatten() if pa.types.is_fixed_size_list(column.type) else column
+def _values(column: pa.ChunkedArray) -> NDArray[Any]:
+    """All numbers of a column, night by night."""
+    whole = column.combine_chunks()
+    flat = whole.flatten() if pa.types.is_fixed_size_list(whole.type) else whole
     values: NDArray[Any] = flat.to_numpy(zero_copy_only=False)
-    return values.reshape(like.shape)
+    return values
 
 
-def _digest(head: bytes, records: Records) -> bytes:
-    return hashlib.sha256(head + records.tobytes()).hexdigest().encode()
+def _digest(head: bytes, table: pa.Table) -> bytes:
+    """SHA-256 of all that a month says."""
+    found = hashlib.sha256(head)
+    for name in table.column_names:
+        values = _values(table[name])
+        found.update(name.encode())
+        found.update(b"\0".join(values.tolist()) if values.dtype == object else values.tobytes())
+    return found.hexdigest().encode()
 
 
 def kept_folder(output: Path) -> Path:
@@ -158,10 +177,8 @@ def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[s
     """What is kept of a motor by month, as far as it is whole and was made with the same key."""
     found = {}
     for path in sorted((kept_folder(output) / motor_id).glob("*.parquet")):
-        try:
-            month = KeptMonth.decoded(read(path), key, layout)
-        except (OSError, ValueError, KeyError, TypeError):
-            continue
+        table = read_if_whole(path, whole_table)
+        month = None if table is None else KeptMonth.of(table, key, layout)
         if month is not None:
             found[path.stem] = month
     return found
@@ -175,7 +192,10 @@ def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMon
     StoreError
         If it cannot be written.
     """
-    put(kept_folder(output) / motor_id / f"{month}.parquet", kept.encoded(key), durable=False)
+    folder = kept_folder(output) / motor_id
+    put(folder / f"{month}.parquet", kept.encoded(key), durable=False)
+    # As older versions named it.
+    (folder / month).unlink(missing_ok=True)
 
 
 @dataclass(slots=True)
