@@ -12,8 +12,8 @@ lower set of limits. Between the two it is interpolated by how close the nights'
 come to the floor; the last table of the results checks what that gives.
 
 Run `python -m benchmarks cusum_limits` after a change of the baseline's estimators, of the
-reference value or of winsorising; it takes about three minutes. `benchmarks/alarms.py` measures with
-what it has written.
+reference value or of winsorising; it takes about three minutes. `benchmarks/alarms.py` measures
+with what it has written.
 """
 
 from __future__ import annotations
