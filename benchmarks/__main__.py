@@ -13,6 +13,7 @@ BENCHMARKS = (
     "demo_dialects",
     "demo_run",
     "demo_truth",
+    "filtered_nights",
     "fuzz",
     "guard",
     "mcap_reading",

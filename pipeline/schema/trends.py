@@ -30,7 +30,8 @@ INDICATOR = Column(
     pl.String,
     "",
     "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
-    "and gap_change_ with the path's name, C_f, pressure_zero or flow_zero",
+    "and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, drain_flow, "
+    "comparable_drain_flow or baseline_progress",
 )
 
 TRENDS = Table(
@@ -41,12 +42,17 @@ TRENDS = Table(
         MOTOR_ID,
         NIGHT,
         INDICATOR,
-        Column("value", pl.Float64, "see unit", "The night's figure; null where gated"),
+        Column("value", pl.Float64, "see unit", "The night's figure; null without one"),
         Column("unit", pl.String, "", "l/min, m3, %, bar or 1"),
         Column("lower", pl.Float64, "see unit", "Lower end of its 95 % interval"),
         Column("upper", pl.Float64, "see unit", "Upper end of its 95 % interval"),
-        Column("n_nights", pl.Int64, "", "Nights that were fitted together for it"),
-        Column("gated_reason", pl.String, "", "Why the night does not count; null where it does"),
+        Column("n_nights", pl.Int64, "", "Nights behind it: 1, or those of the filter"),
+        Column(
+            "gated_reason",
+            pl.String,
+            "",
+            "Why the night does not count, also where it has a figure; null where it does",
+        ),
         Column("baseline_start", pl.Date, "", "First night of the baseline in use"),
         Column("baseline_mean", pl.Float64, "see unit", "Its mean; null before there is one"),
         Column("deviation_percent", pl.Float64, "%", "(value − baseline) / baseline"),

@@ -12,6 +12,7 @@ from leakage.cusum import cusum_limit
 from leakage.slope import Slope, fit_slope
 from leakage.time_to_limit import TimeToLimit, time_to_limit
 from pipeline.trends.attribution import path_behind, path_named, reference_flows
+from pipeline.trends.first_rows import first_rows
 from pipeline.trends.indicators import (
     DEVIATION,
     NO_BASELINE,
@@ -35,6 +36,7 @@ def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
         for name in standing.watched:
             yield shared | _watched_row(standing, name, place)
             yield from (shared | row for row in _derived(standing, name, place))
+        yield from (shared | row for row in first_rows(standing, place))
         if DEVIATION in standing.peers:
             yield shared | _peer_row(standing, place)
         for zero in standing.zeros.values():
@@ -171,7 +173,7 @@ def _peer_row(standing: Standing, place: int) -> Row:
         "indicator": PEER_DEVIATION,
         "unit": "1",
         "value": value,
-        "n_nights": int(standing.history.records["n_nights"][place]),
+        "n_nights": 1,
         "gated_reason": None if value is not None else "no figure of the circuit's motors",
         "state": state,
         "state_reason": "with one other motor: they diverge, nobody can tell which"
