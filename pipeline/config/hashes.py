@@ -1,4 +1,4 @@
-"""What a change of the config makes out of date: the reading, the statistics, or their figures.
+"""Hashes of settings: a change makes the reading, the statistics, or their figures out of date.
 
 Each stage has a hash of the settings that shape it. A night whose statistics were shaped by others
 is read again; one whose figures alone were is fitted again from its stored statistics, without a
@@ -23,18 +23,9 @@ from pipeline.config.periods import ChosenPeriods
 # with new ones.
 STATISTICS_VERSION = 2
 
-# Keys that leave the columns of a free path as they are: they scale its coefficient, or only say
-# how well something is known.
-SCALE_ONLY = {
-    "annular_gap": {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"},
-    "speed_curve": {"scale"},
-    "laminar": {"count", "coefficient_m3"},
-}
 WORDS_AND_TOLERANCES = {
     "name",
     "source",
-    "deformation_tolerance_percent",
-    "curve_tolerance_percent",
     "pressure_viscosity_tolerance_percent",
     "density_tolerance_percent",
     "offset_tolerance",
@@ -77,7 +68,7 @@ def changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> tuple
 
 
 def why_anew(before: Mapping[str, str], now: Mapping[str, str], *, trends: bool = False) -> str:
-    """Why nights, or trends, are to be made anew, in words: the settings that changed.
+    """Reason in words to redo nights or trends: the settings that changed.
 
     Examples
     --------
@@ -221,7 +212,8 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         {"name": declared.name}
         | declared.model_dump(
             exclude=WORDS_AND_TOLERANCES
-            | (SCALE_ONLY[declared.law] if declared.name in free else set())
+            | declared.tolerance_keys
+            | (declared.scale_keys if declared.name in free else frozenset())
         )
         for declared in spec.motor_type.path
     ]

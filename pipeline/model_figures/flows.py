@@ -5,17 +5,15 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from leakage import Laminar, SpeedCurve
+from leakage import Laminar, LeakagePath, SpeedCurve
 from pipeline.config.motor_types import BAR
-from pipeline.model_figures.canvas import QUIET, label, new_figure, pen
+from pipeline.model_figures.canvas import QUIET, Array, dots, label, line, new_figure, pen
 from pipeline.model_figures.gaps import DIFFERENCE, MILLILITRES, ONE_INTERFACE, PRESSURE
 from pipeline.model_figures.subject import ModelSubject
 
-Array = NDArray[np.float64]
-
 SPEED = "Speed ω / rpm"
+ALL_INTERFACES = "Leakage of the path / (ml/min)"
 
 _STEPS = 351
 _SPEED_STEPS = 251
@@ -42,10 +40,7 @@ def speed_curve_figure(subject: ModelSubject, path: SpeedCurve) -> Figure:
     curve = axes[0]
     _speed_curve(curve, path)
     if points is not None:
-        curve.plot(
-            points[:, 0], MILLILITRES * points[:, 1], color=pen(1).colour, marker=pen(1).mark,
-            linestyle="", label="points of the simulation",
-        )  # fmt: skip
+        dots(curve, points[:, 0], MILLILITRES * points[:, 1], 1, "points of the simulation")
         _deviations(axes[1], path, points)
     curve.legend(loc="best")
     return figure
@@ -53,15 +48,14 @@ def speed_curve_figure(subject: ModelSubject, path: SpeedCurve) -> Figure:
 
 def _speed_curve(axes: Axes, path: SpeedCurve) -> None:
     low, high = path.speed_minimum_rpm, path.speed_maximum_rpm
-    style = pen(0)
     inside = np.linspace(low, high, _SPEED_STEPS)
-    axes.plot(inside, _curve(path, inside), color=style.colour, label="f(ω)")
+    line(axes, inside, _curve(path, inside), 0, "f(ω)")
     beyond = [np.array([high, _BEYOND_RANGE * high])]
     if low > 0.0:
         beyond.append(np.array([0.0, low]))
     for place, speed in enumerate(beyond):
         name = "end value, held beyond the range" if place == 0 else None
-        axes.plot(speed, _curve(path, speed), color=style.colour, linestyle=":", label=name)
+        line(axes, speed, _curve(path, speed), 0, name, ":")
         axes.axvspan(speed[0], speed[1], color=QUIET, alpha=0.12, linewidth=0.0)
     axes.set_xlim(0.0, _BEYOND_RANGE * high)
     axes.set_ylim(bottom=0.0)
@@ -72,7 +66,7 @@ def _deviations(axes: Axes, path: SpeedCurve, points: Array) -> None:
     """Curve minus points."""
     difference = _curve(path, points[:, 0]) - MILLILITRES * points[:, 1]
     axes.vlines(points[:, 0], 0.0, difference, color=pen(1).colour, linewidth=1.0)
-    axes.plot(points[:, 0], difference, color=pen(1).colour, marker=pen(1).mark, linestyle="")
+    dots(axes, points[:, 0], difference, 1)
     axes.axhline(0.0, color="black", linewidth=0.8)
     rms = float(np.sqrt(np.mean(difference**2)))
     label(axes, f"(b) curve minus points, {rms:.3g} ml/min rms", SPEED, DIFFERENCE)
@@ -85,19 +79,34 @@ def _curve(path: SpeedCurve, speed_rpm: Array) -> Array:
 
 
 def laminar_figure(subject: ModelSubject, path: Laminar) -> Figure:
-    """Leakage of a laminar path over pressure; thesis, equation (8)."""
+    """Leakage of one interface of a laminar path over pressure; thesis, equation (8)."""
+    value = f"C = {path.loss_factor.value:.4g} m³, as configured, not fitted. Equations (3) and (8)"
+    coefficient = path.configured_coefficient / path.count
+    return _over_pressure(subject, path, coefficient, value, ONE_INTERFACE)
+
+
+def pressure_figure(subject: ModelSubject, path: LeakagePath) -> Figure:
+    """Leakage of a path of any law over pressure, at the reference speed."""
+    coefficient = path.configured_coefficient
+    value = f"{subject.speed_rpm:g} rpm; {path.coefficient_name} = {coefficient:.4g}, not fitted"
+    return _over_pressure(subject, path, coefficient, value, ALL_INTERFACES)
+
+
+def _over_pressure(
+    subject: ModelSubject, path: LeakagePath, coefficient: float, value: str, flow_label: str
+) -> Figure:
     figure, (axes,) = new_figure(
         f"{subject.motor.motor_type}, {path.name}: leakage over pressure",
         1,
-        note=f"{subject.conditions_words()}, {subject.film_words()}; "
-        f"C = {path.loss_factor.value:.4g} m³, as configured, not fitted. Equations (3) and (8).",
+        note=f"{subject.conditions_words()}, {subject.film_words()}; {value}.",
         mark=subject.marks(path, oil=True),
     )
     pressure = np.linspace(0.0, subject.highest_pressure_bar, _STEPS)
     regressor = path.regressor(
-        subject.film_drive_per_s(pressure), pressure * BAR, np.zeros_like(pressure)
+        subject.film_drive_per_s(pressure),
+        pressure * BAR,
+        np.full_like(pressure, subject.speed_rpm),
     )
-    flow = path.configured_coefficient / path.count * regressor
-    axes.plot(pressure, MILLILITRES * flow, color=pen(0).colour)
-    label(axes, "", PRESSURE, ONE_INTERFACE)
+    line(axes, pressure, MILLILITRES * coefficient * regressor, 0)
+    label(axes, "", PRESSURE, flow_label)
     return figure

@@ -21,7 +21,7 @@ from leakage.validation import (
 from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit
-from pipeline.night.fit import PA_PER_BAR, FittedMode, own_conditions, transport_delays_s
+from pipeline.night.fit import sample_facts, transport_delays_s
 from pipeline.night.operation_rows import coarse_histogram
 from pipeline.night.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
@@ -119,7 +119,7 @@ def fit_rows(
     spec: MotorSpec,
     night: dt.date,
     statistics: NightStatistics,
-    modes: Sequence[FittedMode],
+    modes: Sequence[BlockFit],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
     """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
@@ -150,13 +150,14 @@ def fit_rows(
 
 
 def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
-    """What a night's fits have in common."""
+    """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
     training, validation = (statistics.rows_of(part) for part in (TRAINING, VALIDATION))
     used = np.flatnonzero(training | validation)
     reference = spec.settings.reference
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
-    pressure, temperature, speed = own_conditions(statistics)
+    facts = sample_facts(spec, statistics)
+    pressure, temperature, speed = facts.own
     return {
         "motor_type": spec.file.motor_type,
         "window_start": utc(samples.time_us[used[0]]),
@@ -182,15 +183,10 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "night_factor": upper_triangle(statistics.judged_on()),
         "n_kept": len(samples.index),
         "sample_period_s": samples.period_us / 1e6,
-        "mean_charge_over_case_bar": _mean_charge_bar(statistics),
-        "weight_inflation": statistics.inflation,
+        "mean_charge_over_case_bar": facts.charge_bar,
+        "weight_inflation": facts.inflation,
         "is_refitted": False,
     }
-
-
-def _mean_charge_bar(statistics: NightStatistics) -> float | None:
-    charge = statistics.conditions.charge_over_case_pa
-    return None if charge is None else float(charge.mean()) / PA_PER_BAR
 
 
 def _covariance(mode: BlockFit) -> list[float] | None:
@@ -212,20 +208,21 @@ def upper_triangle(matrix: Array) -> list[float]:
 def _mode_columns(
     spec: MotorSpec,
     statistics: NightStatistics,
-    mode: FittedMode,
+    mode: BlockFit,
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
     chosen = statistics.rows_of(TRAINING)
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    phi = lag_one_autocorrelation(mode.error, consecutive)
+    error = statistics.training_error(mode.fit.coefficients)
+    phi = lag_one_autocorrelation(error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
         **search_columns(mode.fit),
         "correlation_time_s": mode.excitation.correlation_time_s,
-        "n_effective": effective_sample_count(len(mode.error), phi),
+        "n_effective": effective_sample_count(len(error), phi),
         "lag_one_autocorrelation": phi,
         **agreement_columns(spec, statistics.judged_on, mode),
         **previous_model_columns(spec, statistics.judged_on(), previous),
@@ -236,7 +233,7 @@ def _mode_columns(
 
 
 def search_columns(fit: Fit) -> Row:
-    """How the search from several starts went."""
+    """Columns of the search from several starts."""
     return {
         "n_starts": len(fit.starts),
         "n_starts_at_minimum": len(fit.starts_at_minimum),
@@ -249,7 +246,7 @@ def agreement_columns(
     judged_on: Callable[[str], Array],
     mode: BlockFit,
 ) -> Row:
-    """How a fit agrees with the samples of both parts."""
+    """Agreement of a fit with the samples of both parts."""
     fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
     validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
@@ -266,17 +263,7 @@ def agreement_columns(
 def previous_model_columns(
     spec: MotorSpec, night_factor: Array, previous: tuple[float, ...] | None
 ) -> Row:
-    """How the model before agrees with all of the night's samples.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    night_factor
-        Factor of all kept samples, shape (c, c).
-    previous
-        θ of the model before; None where there is none.
-    """
+    """Agreement of the model before, if any, with all samples, given their factor."""
     found = Agreement(0, None, None, None)
     if previous is not None and len(previous) == len(night_factor) - 2:
         resolution = spec.file.channels["leakage_flow"].resolution
@@ -289,7 +276,7 @@ def previous_model_columns(
 
 
 def block_fit_columns(mode: BlockFit) -> Row:
-    """What the blocks of a fit say of it."""
+    """Columns of a fit that come from its blocks alone."""
     certificate, fit = mode.fit.certificate, mode.fit
     condition = certificate.condition_number
     return {
@@ -335,7 +322,7 @@ def mark_modes(rows: Sequence[Row], primary: str) -> None:
         )
 
 
-def leakage_columns(mode: FittedMode) -> Row:
+def leakage_columns(mode: BlockFit) -> Row:
     """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
     reference, own = mode.reference, mode.own
     identified = reference.verdict in ("identified", "fixed")
@@ -391,7 +378,7 @@ def start_rows(fit: Fit) -> list[Row]:
 
 
 def prediction_rows(
-    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[FittedMode]
+    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[BlockFit]
 ) -> list[Row]:
     """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
     samples = statistics.samples

@@ -1,9 +1,11 @@
-"""What codes, names and units of the tables are called on the pages. The only place."""
+"""Words of the pages for codes, names and units of the tables; `schema` has those of reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Final
+
+from pipeline.schema import QUALITY_REASONS
 
 ABSENT: Final = "–"
 STATUSES: Final[Mapping[str, str]] = {
@@ -34,29 +36,6 @@ CHANNELS: Final[Mapping[str, str]] = {
     "time_base": "all channels together",
     "leakage_flow": "drain flow",
 }
-RULES: Final[Mapping[str, str]] = {
-    "any": "refused by any rule",
-    "missing": "no value",
-    "not_finite": "not a finite number",
-    "out_of_range": "out of its valid range",
-    "at_maximum": "sensor at its maximum",
-    "spike": "spike",
-    "frozen": "sensor frozen",
-    "duplicate_time": "time stamp twice",
-    "backward_time": "time running backward",
-    "jitter": "off its period",
-    "no_interval": "count without an interval",
-    "counter_reset": "counter set back",
-    "standstill": "motor at standstill",
-    "guard": "guard time around a halt or back-flow",
-    "transient": "speed or pressure changing fast",
-    "gap": "gap in the log",
-    "incomplete": "a channel without a value",
-    "thin_block": "block with too few samples",
-    "short_stretch": "stretch too short",
-    "outside_periods": "outside the periods chosen by hand",
-    "transport_delay": "flow too small to say when it arrives",
-}
 FLUSHING: Final[Mapping[str, str]] = {
     "none": "no flushing",
     "fixed": "fixed flushing",
@@ -70,25 +49,25 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
-# Which leakage stands for a motor, if not that at the reference conditions.
+# Conditions of a leakage, where they are not the reference conditions.
 LEAKAGE_KINDS: Final[Mapping[str, str]] = {
+    "reference": "",
     "frozen": "at the motor's own conditions",
-    "own": "at each night's conditions",
 }
 SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
-INDICATOR_STATES: Final[Mapping[str, str]] = {
+STATES: Final[Mapping[str, str]] = {
     "ok": "no change",
     "warning": "warning",
     "alarm": "alarm",
     "common_cause": "common cause",
     "stale": "no recent figure",
-    "insufficient": "too little to tell",
+    "insufficient": "too little data",
 }
 TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
     "no_trend": "no trend towards it",
     "already_crossed": "already crossed",
     "beyond_horizon": "beyond the horizon",
-    "unbounded": "cannot be told: the trend may be none",
+    "unbounded": "unknown: there may be no trend",
     "insufficient": "too few nights",
 }
 DECISIONS: Final[Mapping[str, str]] = {
@@ -124,10 +103,10 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "verdicts": VERDICTS,
         "units": UNITS,
         "channels": CHANNELS,
-        "rules": RULES,
+        "rules": {name: reason.words for name, reason in QUALITY_REASONS.items()},
         "flushing": FLUSHING,
         "tests": TESTS,
-        "indicatorStates": INDICATOR_STATES,
+        "states": STATES,
         "timesToLimit": TIMES_TO_LIMIT,
         "decisions": DECISIONS,
         "events": EVENTS,

@@ -1,4 +1,4 @@
-"""CSV export: what is read back is what was published, and no text is a formula."""
+"""CSV export: it reads back as published, and no text is a formula."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_times_dates_and_lists_as_text() -> None:
 
 
 def cells(text: str, separator: str) -> list[str]:
-    """What a spreadsheet takes for cells."""
+    """Cells as a spreadsheet reads them."""
     rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     return [cell for row in rows for cell in row]
 
@@ -128,7 +128,7 @@ def is_formula(cell: str) -> bool:
 
 
 def hides_a_formula(cell: str) -> bool:
-    """Whether a spreadsheet with another separator would find one, blanks before it or none."""
+    """True if a spreadsheet with another separator would find one, with or without blanks."""
     parts = re.split("[;\t\r\n]", cell)
     return any(part.lstrip("\x00")[:1] in set("=+-@＝＋－＠") for part in parts)
 
@@ -331,7 +331,7 @@ def test_command_says_what_it_wrote(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "export_format: name what to write: --csv FOLDER or --delta PLACE"),
+        ([], 2, "export_format: expected --csv FOLDER or --delta PLACE"),
         (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
         (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: --motors: no motor CB9"),
         (["--csv", "csv", "--since", "x"], 2, "date: --since: got 'x'"),
