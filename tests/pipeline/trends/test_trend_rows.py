@@ -119,7 +119,7 @@ def test_fewer_than_twenty_nights_have_a_status_and_no_slope(n: int) -> None:
     assert row["theil_sen_per_year"] is None
     assert row["n_slope"] == n
     assert row["days_to_limit_status"] == "insufficient"
-    assert row["state_reason"].startswith(f"{n} of 30 good nights for a baseline")
+    assert row["state_reason"].startswith(f"{n} of 15 good nights for a baseline")
 
 
 def test_between_twenty_and_sixty_nights_a_slope_is_provisional(healthy: Standing) -> None:
