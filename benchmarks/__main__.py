@@ -9,6 +9,7 @@ BENCHMARKS = (
     "alarms",
     "coverage",
     "cusum_limits",
+    "dates",
     "demo_alarms",
     "demo_dialects",
     "demo_run",

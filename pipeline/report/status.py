@@ -21,6 +21,7 @@ from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.words import limit_dates
 
 Row = dict[str, Any]
 
@@ -67,6 +68,8 @@ class MotorState:
         Indicator that the leakage is from, and its 95 % interval.
     gap_path, gap_change_percent
         Path with the largest gap change now, and that change; None where no gap is known.
+    limit_dates
+        Dates between which the indicator reaches its limit, in words; empty without one.
     """
 
     motor_id: str
@@ -88,11 +91,14 @@ class MotorState:
     leakage_upper: float | None = None
     gap_path: str | None = None
     gap_change_percent: float | None = None
+    limit_dates: str = ""
 
     @property
     def why(self) -> str:
-        """The state in words, with a failure, a poor fit and an acknowledgement."""
-        parts = (self.reason or "no change of external leakage", self.failure, self.poor_fit)
+        """The state in words, with dates, a failure, a poor fit and an acknowledgement."""
+        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
+        reason = self.reason or "no change of external leakage"
+        parts = (reason, dates, self.failure, self.poor_fit)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -225,6 +231,7 @@ def motor_state(
         leakage_upper=leakage.get("upper"),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
+        limit_dates="" if is_ok else limit_dates(worst),
     )
 
 

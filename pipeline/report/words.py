@@ -66,8 +66,6 @@ STATES: Final[Mapping[str, str]] = {
 TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
     "no_trend": "no trend towards it",
     "already_crossed": "already crossed",
-    "beyond_horizon": "beyond the horizon",
-    "unbounded": "unknown: there may be no trend",
     "insufficient": "too few nights",
 }
 DECISIONS: Final[Mapping[str, str]] = {

@@ -172,7 +172,7 @@ def night_rows(spec: MotorSpec) -> tuple[Rows, Array]:
 def test_a_law_of_its_own_is_fitted_with_its_figures(tmp_path: Path) -> None:
     rows, _ = night_rows(with_paths(tmp_path))
     found = {row["parameter"]: row for row in rows["parameters"]}
-    assert found["C_distributor"]["value"] == pytest.approx(3e-14, rel=1e-6)
+    assert found["K_distributor"]["value"] == pytest.approx(3e-14, rel=1e-6)
     assert found["scale_bore"]["value"] == pytest.approx(1.44, rel=1e-6)
     assert found["scale_bore"]["verdict"] == found["d_bore"]["verdict"] == "identified"
     assert found["d_bore"]["value"] == pytest.approx(480.0, rel=1e-6)
