@@ -65,7 +65,7 @@ def _coefficient_row(
         return row
     row["spread_over_starts"] = spreads.get(path.coefficient_name)
     if judgement.information is not None:
-        row["degrees_of_freedom"] = judgement.information.degrees_of_freedom
+        row["interval_degrees_of_freedom"] = judgement.information.degrees_of_freedom
         row["largest_block_share"] = judgement.information.largest_block_share
     if judgement.interval is None:
         return row

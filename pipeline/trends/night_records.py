@@ -203,7 +203,7 @@ def records_of(
     records = blank_records(layout, fits["night"].to_list())
     minutes = _numbers(fits, "n_training") * _numbers(fits, "sample_period_s") / 60.0
     ok = (fits["status"] == OK).to_numpy()
-    short = ok & fits["coefficient_covariance"].is_null().to_numpy()
+    short = ok & ~fits["interval_status"].str.starts_with(OK).fill_null(False).to_numpy()
     records["fitted"] = ok & ~short
     records["minutes"] = minutes
     records["poor"] = short | (fits["status"] == INSUFFICIENT_DATA).to_numpy()

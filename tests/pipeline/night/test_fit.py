@@ -152,7 +152,7 @@ def test_an_hour_of_steps_identifies_every_loss_factor(spec: MotorSpec) -> None:
     for name in true_k(spec):
         found = parameters(outcome)[name]
         assert found["verdict"] == "identified"
-        assert found["degrees_of_freedom"] >= 4
+        assert found["interval_degrees_of_freedom"] >= 4
         assert found["largest_block_share"] <= 0.5
 
 
