@@ -329,7 +329,7 @@ FITS = Table(
             "reference_degrees_of_freedom",
             pl.Float64,
             "",
-            "Of the interval of the reference leakage; 4 are needed",
+            "Of the interval of the reference leakage; 2 are needed",
         ),
         Column(
             "reference_block_share",
