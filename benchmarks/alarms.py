@@ -7,7 +7,6 @@ one and the same setting: one false alarm in ten motor-years, shared by the moto
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -28,7 +27,6 @@ from leakage.monitoring import Monitoring, MonitorSettings, monitor
 from leakage.peers import peer_deviations
 from leakage.robust import MAD_TO_SD
 from leakage.slope import fit_slope
-from leakage.time_to_limit import time_to_limit
 
 Array = NDArray[np.float64]
 
@@ -46,7 +44,7 @@ WORN_MOTORS = 200
 SLEEVE = 2
 # Slopes: so many a row, a night's rise, the limit, and how far ahead it is looked for.
 SLOPES = 1000
-SLOPE, LIMIT, HORIZON = 0.20 / YEAR, 1.30, 1825.0
+SLOPE = 0.20 / YEAR
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,9 +297,8 @@ def slopes(errors: NightErrors) -> Part:
     return Part(
         "Coverage of 95 % intervals",
         f"{SLOPES} motors a row that wear by {100 * SLOPE * YEAR:.0f} % a year, scatter as "
-        "measured; time until the indicator is 30 % above where it began. Nights are missing at "
-        "random, beside those that are gated (some 20 % of the reference leakage's); with fewer "
-        "than 60 left the slope is marked provisional.",
+        "measured. Nights are missing at random, beside those that are gated (some 20 % of the "
+        "reference leakage's); with fewer than 60 left the slope is marked provisional.",
         (
             "indicator",
             "nights",
@@ -309,8 +306,6 @@ def slopes(errors: NightErrors) -> Part:
             "missing, %",
             "provisional, %",
             "slope, %",
-            "time to limit, %",
-            "statuses of the time to limit",
         ),
         rows,
     )
@@ -318,25 +313,14 @@ def slopes(errors: NightErrors) -> Part:
 
 def _coverage_cells(values: Array) -> list[str]:
     nights = np.arange(len(values))
-    now = float(nights[-1])
-    truth = (LIMIT - 1.0) / SLOPE - now
-    of_slope = of_time = provisional = 0
-    statuses: Counter[str] = Counter()
+    of_slope = provisional = 0
     for one in values.T:
         line = fit_slope(nights, one)
         assert line.lower is not None
         assert line.upper is not None
         of_slope += line.lower <= SLOPE <= line.upper
         provisional += line.status == "provisional"
-        due = time_to_limit(line, LIMIT, now, HORIZON)
-        latest = np.inf if due.upper is None else due.upper
-        of_time += (due.lower or 0.0) <= truth <= latest
-        statuses[due.status] += 1
-    shares = (100 * count / values.shape[1] for count in (provisional, of_slope, of_time))
-    return [
-        *(f"{share:.1f}" for share in shares),
-        ", ".join(f"{name} {count}" for name, count in sorted(statuses.items())),
-    ]
+    return [f"{100 * count / values.shape[1]:.1f}" for count in (provisional, of_slope)]
 
 
 def tank(errors: NightErrors) -> Part:

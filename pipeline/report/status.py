@@ -21,13 +21,14 @@ from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.words import limit_dates
 
 Row = dict[str, Any]
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
 ORDER = (*CHANGED, "stale", "insufficient", "ok")
-REFERENCES = ("reference_leakage", "own_reference_leakage")
+REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_flow")
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
@@ -69,6 +70,8 @@ class MotorState:
         Verdict on the leakage at the reference conditions; None for that at the motor's own.
     gap_path, gap_change_percent
         Path with the largest gap change now, and that change; None where no gap is known.
+    limit_dates
+        Dates between which the indicator reaches its limit, in words; empty without one.
     """
 
     motor_id: str
@@ -91,11 +94,14 @@ class MotorState:
     gap_path: str | None = None
     gap_change_percent: float | None = None
     leakage_verdict: str | None = None
+    limit_dates: str = ""
 
     @property
     def why(self) -> str:
-        """The state in words, with a failure, a poor fit and an acknowledgement."""
-        parts = (self.reason or "no change of external leakage", self.failure, self.poor_fit)
+        """The state in words, with dates, a failure, a poor fit and an acknowledgement."""
+        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
+        reason = self.reason or "no change of external leakage"
+        parts = (reason, dates, self.failure, self.poor_fit)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -230,6 +236,7 @@ def motor_state(
         leakage_verdict=_verdict(fits, leakage_night, leakage),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
+        limit_dates="" if is_ok else limit_dates(worst),
     )
 
 

@@ -1,4 +1,4 @@
-"""What a night says of its fit: verdicts, intervals, budgets, and the choices beyond the thesis."""
+"""A night's fit: verdicts, intervals, budgets, and the choices beyond the thesis."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from tests.pipeline.simulated import (
     night_of,
     operate,
     raw,
+    with_settings,
 )
 
 Array = NDArray[np.float64]
@@ -59,11 +60,6 @@ def parameters(outcome: NightOutcome) -> dict[str, dict[str, Any]]:
 
 def primary(outcome: NightOutcome) -> dict[str, Any]:
     return next(row for row in outcome.rows["fits"] if row["is_primary"])
-
-
-def with_settings(spec: MotorSpec, section: str, **keys: Any) -> MotorSpec:
-    changed = getattr(spec.settings, section).model_copy(update=keys)
-    return replace(spec, settings=spec.settings.model_copy(update={section: changed}))
 
 
 def true_k(spec: MotorSpec) -> dict[str, float]:
