@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from leakage import OperatingConditions, leakage_l_per_min
 from pipeline.config.motors import ChannelName
 from pipeline.demo.fleet import DemoNight, Plan, truth_of
-from pipeline.demo.operation import FloatArray, Operation, correlated_noise, simulate_operation
+from pipeline.demo.noise import FloatArray, correlated_noise
+from pipeline.demo.operation import Operation, simulate_operation
 from pipeline.demo.sensors import (
     FaultRates,
     Recording,
