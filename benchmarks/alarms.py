@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from benchmarks.night_kinds import CYCLES_S, KIND_HEADER, STEPS_S, Kind
+from benchmarks.night_kinds import CYCLES_S, ERRORS, KIND_HEADER, STEPS_S, Kind
 from benchmarks.results_file import RESULTS, Part, write_parts
 from benchmarks.simulated_fleets import (
     INDICATORS,
@@ -44,12 +44,7 @@ KINDS = (
     Kind(60, 1.0, 0.9, STEPS_S),
     Kind(480, 0.2, 0.5),
     *(Kind(60, 10.0, phi) for phi in (0.5, 0.99, 0.999)),
-    *(
-        Kind(90, 1.0, 0.9, CYCLES_S, errors)
-        for errors in ("–", "slow, 15 min", "random walk", "dead band", "heat 1 min late")
-    ),
-    *(Kind(90, 1.0, 0.9, CYCLES_S, errors) for errors in ("heavy tails", "drifting offset")),
-    Kind(30, 1.0, 0.9, coefficients=1),
+    *(Kind(90, 1.0, 0.9, CYCLES_S, errors) for errors in ERRORS if errors != "wander"),
 )
 WATCHED_SLOPES = ("reference_leakage", "baseline_deviation")
 STORED = RESULTS / "alarms.json"
@@ -212,8 +207,8 @@ def raw_flow() -> Part:
         rows.append([f"+{100 * threshold:.0f} %", f"{rate:.2f}", *cells])
     return Part(
         "A fixed threshold on raw drain flow",
-        f"The fleets of {', '.join(USUAL.words[:2])} above; the night's mean drain flow over the "
-        "mean of the motor's first nights, alarm on a single night above. A threshold that is "
+        f"Nights of {USUAL.minutes:g} minutes; the night's mean drain flow over the mean of "
+        "the motor's first nights, alarm on a single night above. A threshold that is "
         "often wrong is often early by chance.",
         ("threshold", "false alarms a motor-year", *(wear.words for wear in WEARS)),
         rows,
