@@ -29,6 +29,7 @@ from benchmarks.simulated_fleets import (
 from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
 from leakage.monitoring import MonitorSettings, monitor
 from leakage.peers import peer_deviations
+from leakage.robust import MAD_TO_SD
 from leakage.slope import fit_slope
 
 Array = NDArray[np.float64]
@@ -111,7 +112,7 @@ def rate_cells(count: int, motor_years: float) -> list[str]:
     return [str(count), f"{count / motor_years:.3f}", f"{lower:.3f} to {upper:.3f}"]
 
 
-def quantiles(nights: list[float]) -> str:
+def quantiles(nights: Sequence[float] | Array) -> str:
     """Median and 90 % quantile of nights of which some are infinite."""
     middle, late = np.quantile(nights, [0.5, 0.9], method="higher")
     return f"{middle:.0f} ({late:.0f})".replace("inf", "never")
@@ -122,23 +123,7 @@ def false_alarms() -> Part:
     rows = []
     for kind in KINDS:
         errors = night_errors(kind)
-        for wanders in (False, True):
-            generator = np.random.default_rng([2, int(wanders)])
-            healthy = np.ones((PROVISIONAL + YEAR, PATHS))
-            values, _ = fleet(errors, healthy, MOTORS, generator, wanders)
-            counts = sum(
-                np.array([len(one) for one in raised(values[:, motor])]) for motor in range(MOTORS)
-            )
-            known = np.isfinite(errors.errors).mean(axis=0)
-            rows.append(
-                [
-                    *kind.words,
-                    "yes" if wanders else "no",
-                    f"{100 * known[:PATHS].max():.0f} / {100 * known[REFERENCE_LEAKAGE]:.0f}",
-                    *rate_cells(int(np.sum(counts)), MOTORS),
-                    " / ".join(str(count) for count in np.array(counts)),
-                ]
-            )
+        rows += [_false_alarm_row(kind, errors, wanders) for wanders in (False, True)]
     return Part(
         "False alarms",
         f"{MOTORS} healthy motors a row, each watched for a year from its provisional baseline of "
@@ -149,6 +134,7 @@ def false_alarms() -> Part:
             *KIND_HEADER,
             "wander",
             "nights with K / reference leakage, %",
+            "robust scatter, %",
             "false alarms",
             "a motor-year",
             "95 % interval",
@@ -158,26 +144,29 @@ def false_alarms() -> Part:
     )
 
 
+def _false_alarm_row(kind: Kind, errors: NightErrors, wanders: bool) -> list[str]:
+    generator = np.random.default_rng([2, int(wanders)])
+    values, _ = fleet(errors, np.ones((PROVISIONAL + YEAR, PATHS)), MOTORS, generator, wanders)
+    counts = np.array([[len(one) for one in raised(values[:, motor])] for motor in range(MOTORS)])
+    nights = values.reshape(-1, len(INDICATORS))
+    known = 100 * np.isfinite(nights).mean(axis=0)
+    scatter = 100 * MAD_TO_SD * np.nanmedian(np.abs(nights - np.nanmedian(nights, 0)), axis=0)
+    return [
+        *kind.words,
+        "yes" if wanders else "no",
+        f"{known[:PATHS].max():.0f} / {known[REFERENCE_LEAKAGE]:.0f}",
+        " / ".join(f"{one:.1f}" for one in scatter).replace("nan", "–"),
+        *rate_cells(int(counts.sum()), MOTORS),
+        " / ".join(str(count) for count in counts.sum(axis=0)),
+    ]
+
+
 def detection() -> Part:
     """Wear that begins with the first night, or at once, told by K itself and by anything."""
     rows = []
     for kind in KINDS:
         errors = night_errors(kind)
-        cells = []
-        for wear in WEARS:
-            generator = np.random.default_rng([3, wear.path])
-            values, _ = fleet(errors, wear.growth(), WORN_MOTORS, generator)
-            begin = wear.at_once_on or 0
-            own, first = [], []
-            for motor in range(WORN_MOTORS):
-                nights = [
-                    min((night for night in one if night >= begin), default=np.inf)
-                    for one in raised(values[:, motor])
-                ]
-                own.append(nights[wear.path])
-                first.append(min(nights))
-            cells.append(f"{quantiles(own)}; {quantiles(first)}")
-        rows.append([*kind.words, *cells])
+        rows.append([*kind.words, *(_nights_to_detect(errors, wear) for wear in WEARS)])
     return Part(
         "Night of detection",
         f"{WORN_MOTORS} motors a row, sensors wander; night of the first warning, counted from the "
@@ -186,6 +175,22 @@ def detection() -> Part:
         (*KIND_HEADER, *(wear.words for wear in WEARS)),
         rows,
     )
+
+
+def _nights_to_detect(errors: NightErrors, wear: Wear) -> str:
+    generator = np.random.default_rng([3, wear.path])
+    values, _ = fleet(errors, wear.growth(), WORN_MOTORS, generator)
+    begin = wear.at_once_on or 0
+    firsts = np.array(
+        [
+            [
+                min((night for night in one if night >= begin), default=np.inf)
+                for one in raised(values[:, motor])
+            ]
+            for motor in range(WORN_MOTORS)
+        ]
+    )
+    return f"{quantiles(firsts[:, wear.path])}; {quantiles(firsts.min(axis=1))}"
 
 
 def raw_flow() -> Part:
@@ -202,7 +207,7 @@ def raw_flow() -> Part:
             above = flow > (1.0 + threshold) * flow[:PROVISIONAL].mean(axis=0)
             above[:PROVISIONAL] = False
             nights = np.where(above.any(axis=0), above.argmax(axis=0), np.inf)
-            cells.append(quantiles(nights.tolist()))
+            cells.append(quantiles(nights))
         rate = _crossings(ratio, threshold) / MOTORS
         rows.append([f"+{100 * threshold:.0f} %", f"{rate:.2f}", *cells])
     return Part(
