@@ -7,12 +7,12 @@ READY  := $(VENV)/.ready
 JOBS   ?= 2
 DEMO   := demo
 
-# Only what was said is passed on: the config decides the rest.
+# Only variables that are set are passed on; the config decides the rest.
 OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
 .PHONY: help install fit-fleet report check demo-logs lint format test test-full bench bench-guard docs clean
 
-help:            ## what can be made
+help:            ## list of targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
 
 install: $(READY) ## the virtual environment with pinned packages
@@ -47,7 +47,7 @@ demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fle
 $(DEMO)/truth.json: | $(READY)
 	$(BIN)/motor-leakage demo .
 
-lint: $(READY)   ## style, types, law of imports, and that the generated docs are up to date
+lint: $(READY)   ## style, types, law of imports, and up-to-date generated docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -58,19 +58,19 @@ format: $(READY)
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-test: $(READY)   ## the tests that judge every change
+test: $(READY)   ## the tests of every change
 	$(BIN)/pytest -n 2 -m "not full"
 
-test-full: $(READY) ## all tests, the long ones too
+test-full: $(READY) ## all tests, with the long ones
 	$(BIN)/pytest -n 2
 
-bench: $(READY)  ## the benchmarks: figures to benchmarks/results/
+bench: $(READY)  ## the benchmarks, into benchmarks/results/
 	$(BIN)/python -m benchmarks
 
-bench-guard: $(READY) ## whether it is slower than at the last committed results, in ratios
+bench-guard: $(READY) ## compare speed with the last committed results
 	$(BIN)/python -m benchmarks guard
 
-docs: $(READY)   ## make the config and table reference anew
+docs: $(READY)   ## regenerate the config and table reference
 	$(BIN)/python -m pipeline.cli.reference docs
 
 clean:           ## remove the virtual environment and the demo's logs; tables stay

@@ -98,7 +98,7 @@ def _ours(z: Array, pressure_bar: Array) -> Fit:
     )
     estimate = fit(merge(blocks), model, settings, np.random.default_rng(7))
     limits = (float(pressure_bar.min()), float(pressure_bar.max()))
-    seen = Excitation(HOURS * 60 * 0.8, limits, (40.0, 60.0), (3.0, 110.0), 2.0, BLOCK_S)
+    seen = Excitation(limits, (40.0, 60.0), (3.0, 110.0))
     identify(estimate, blocks, seen)
     return estimate
 

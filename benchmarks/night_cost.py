@@ -31,6 +31,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 import pipeline.run.fleet
+import pipeline.run.publishing
 from benchmarks.results_file import Part, write_parts
 from pipeline.config import load_fleet
 from pipeline.demo import write_demo
@@ -144,8 +145,8 @@ def _now() -> tuple[float, float, float, float]:
 def _run_here(config: Path) -> Figures:
     """Run the fleet in this process; what it cost, in the trend stage and outside of it."""
     spent = [0.0, 0.0, 0.0, 0.0]
-    stage = pipeline.run.fleet._publish_trends
-    made: Callable[..., Any] = pipeline.run.fleet.run_trends
+    stage = pipeline.run.fleet.publish_trends
+    made: Callable[..., Any] = pipeline.run.publishing.run_trends
     making = [0.0]
 
     def timed_stage(*arguments: Any) -> Any:
@@ -161,8 +162,8 @@ def _run_here(config: Path) -> Figures:
         making[0] += time.process_time() - begin
         return result
 
-    pipeline.run.fleet._publish_trends = timed_stage
-    pipeline.run.fleet.run_trends = timed_task
+    pipeline.run.fleet.publish_trends = timed_stage
+    pipeline.run.publishing.run_trends = timed_task
     fleet = load_fleet(config)
     execution = fleet.execution.model_copy(update={"workers": 1, "backend": "sequential"})
     request = pipeline.run.fleet.RunRequest(pipeline.run.fleet.replace(fleet, execution=execution))

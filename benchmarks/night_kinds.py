@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.simulated_nights import (
-    BLOCK_S,
     REFERENCE,
     CompressedNights,
     Duty,
@@ -33,9 +32,9 @@ from leakage import (
     regressors,
 )
 from leakage.block_statistics import merge
-from leakage.correlation import slowest_correlation_time
 from leakage.identifiability import Excitation, identify, judge_leakage
 from leakage.paths import LeakagePath
+from leakage.slow_errors import short_blocks, slow_errors, whitened
 from pipeline.demo import noise
 
 Array = NDArray[np.float64]
@@ -197,52 +196,32 @@ class Figure(NamedTuple):
 
 def figures(nights: SimulatedNights, flow: Array) -> Iterator[list[Figure]]:
     """Each night's K, and leakage at the reference and at its own mean conditions."""
-    seen = nights.seen
-    own = OperatingConditions.from_bar(
-        *(float(np.mean(one)) for one in (seen.pressure_bar, seen.temperature_c, seen.speed_rpm))
-    )
-    for night, blocks in enumerate(nights.compressed.factors(flow)):
-        yield _figures(nights, blocks, flow[:, night], own)
+    own = OperatingConditions.from_bar(*(float(np.mean(one)) for one in nights.seen.channels))
+    for blocks in nights.compressed.factors(flow):
+        yield _figures(nights, blocks, own)
 
 
-def _figures(
-    nights: SimulatedNights, blocks: Array, flow: Array, own: OperatingConditions
-) -> list[Figure]:
-    of, theta, seen = nights.motor, nights.theta, nights.seen
-    blocks = blocks[: max(int(0.8 * len(blocks)), 1)]
+def _figures(nights: SimulatedNights, blocks: Array, own: OperatingConditions) -> list[Figure]:
+    of, theta = nights.motor, nights.theta
+    bounds = Parametrisation.of(of).coefficient_bounds()
+    short = short_blocks(blocks, np.arange(len(blocks)))
+    errors = slow_errors(blocks, short, bounds[0] == bounds[1], bounds[0])
+    blocks = whitened(blocks, short, errors)
     estimate = fit(merge(blocks), of, NO_SEARCH, np.random.default_rng(0))
-    n = min(round(len(blocks) * BLOCK_S * seen.rate_hz), len(flow))
-    error = flow[:n] - nights.compressed.columns[:n] @ np.append(estimate.coefficients, 1.0)
-    cell = max(round(30.0 * seen.rate_hz), 2)
-    lag = int(min(600.0 * seen.rate_hz, n // 4))
-    excitation = Excitation(
-        minutes=n / seen.rate_hz / 60.0,
-        pressure_bar=(seen.pressure_bar.min(), seen.pressure_bar.max()),
-        temperature_c=(seen.temperature_c.min(), seen.temperature_c.max()),
-        speed_rpm=(seen.speed_rpm.min(), seen.speed_rpm.max()),
-        correlation_time_s=slowest_correlation_time(error, np.arange(n), lag, cell) / seen.rate_hz,
-        block_s=BLOCK_S,
-    )
-    verdicts = identify(estimate, blocks, excitation)
-    judged = zip(
-        Parametrisation.of(of).paths,
-        verdicts.coefficients,
-        estimate.coefficients / np.where(theta == 0.0, 1.0, theta) - 1.0,
-        theta,
-        strict=True,
-    )
-    found = [
-        Figure(
-            path.coefficient_name, one.interval.half_width / true if one.interval else np.nan, error
-        )
-        for path, one, error, true in judged
-        if path is not None and path.is_free
-    ]
+    excitation = Excitation(*((one.min(), one.max()) for one in nights.seen.channels))
+    verdicts = identify(estimate, blocks, excitation, slow=errors)
+    found = []
+    paths = Parametrisation.of(of).paths
+    judged = zip(paths, verdicts.coefficients, estimate.coefficients, theta, strict=True)
+    for path, judgement, value, true in judged:
+        if path is not None and path.is_free:
+            half_width = judgement.interval.half_width if judgement.interval else np.nan
+            found.append(Figure(path.coefficient_name, half_width / true, value / true - 1.0))
     for name, conditions in (("reference", REFERENCE), ("own conditions", own)):
         row = regressors(of, conditions)[0]
         true = float(row[:-2] @ theta[:-1] + row[-1])
         leakage = judge_leakage(estimate, verdicts, excitation, conditions)
-        known = leakage.verdict == "identified" and leakage.interval
-        half_width = known.half_width / true if known else np.nan
-        found.append(Figure(name, half_width, leakage.leakage_l_per_min / true - 1.0))
+        told = leakage.interval if leakage.is_told else None
+        half_width = told.half_width if told else np.nan
+        found.append(Figure(name, half_width / true, leakage.leakage_l_per_min / true - 1.0))
     return found

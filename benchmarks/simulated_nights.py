@@ -56,9 +56,14 @@ class Duty:
         return np.arange(len(self.pressure_bar)) / self.rate_hz
 
     @property
+    def channels(self) -> tuple[Array, Array, Array]:
+        """Pressure difference [bar], temperature [°C] and speed [rpm]."""
+        return self.pressure_bar, self.temperature_c, self.speed_rpm
+
+    @property
     def conditions(self) -> OperatingConditions:
         """As the physics takes it."""
-        return OperatingConditions.from_bar(self.pressure_bar, self.temperature_c, self.speed_rpm)
+        return OperatingConditions.from_bar(*self.channels)
 
 
 def duty(

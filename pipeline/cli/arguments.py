@@ -1,4 +1,4 @@
-"""What the commands share: options, the config they name, and how a line is said."""
+"""Options, config and output shared by the commands."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def loaded(config: Path) -> Fleet:
 
 
 def load(config: Path, output: Path | None, jobs: int | None, *, logs: bool = True) -> Fleet:
-    """The fleet of a config, with what the command line says instead of it.
+    """The fleet of a config, with the options of the command line.
 
     A run into another output folder is private: nothing is taken from or put into an object store.
     """
@@ -97,7 +97,7 @@ def in_order(since: dt.date | None, until: dt.date | None) -> None:
 
 
 def say(line: str, *, err: bool = False) -> None:
-    """Print a line; that nobody reads on must not end a run."""
+    """Print a line; a closed pipe must not end a run."""
     try:
         typer.echo(line, err=err)
     except BrokenPipeError:

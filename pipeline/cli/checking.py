@@ -41,9 +41,7 @@ def check(
     ] = False,
     mend: Annotated[
         bool,
-        typer.Option(
-            "--mend", help="With --tables: mend what is damaged, and give up what is lost."
-        ),
+        typer.Option("--mend", help="With --tables: repair damage, and give up what is lost."),
     ] = False,
     output: Annotated[
         Path | None,
@@ -52,7 +50,7 @@ def check(
         ),
     ] = None,
 ) -> None:
-    """Check the config of a fleet and look at the ends of each log; nothing is fitted.
+    """Check the config of a fleet and the ends of each log; nothing is fitted.
 
     Example: motor-leakage check configs/fleet.toml
 
@@ -60,8 +58,8 @@ def check(
 
     Example: motor-leakage check --tables --mend configs/fleet.toml
 
-    Exit code 0: no fault; 1: a log cannot be read, there is none at all, or a file of the output
-    is damaged; 2: a fault in the config.
+    Exit code 0: no fault; 1: a log cannot be read, there is no log, or a file of the output is
+    damaged; 2: a fault in the config.
     """
     from pipeline.setup.check import check_fleet
 
@@ -93,7 +91,7 @@ def check(
 
 
 def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, mend: bool) -> int:
-    """Compare the files of an output with what was left there; returns the exit code."""
+    """Compare the files of an output with their manifests; returns the exit code."""
     from pipeline.run.fleet import locked
     from pipeline.run.mending import mend_output
     from pipeline.run.verification import verify_tables
@@ -101,7 +99,7 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
     from pipeline.store.working_copy import working_copy
 
     if config is None:
-        raise UsageError("config", "name the fleet file whose tables are to be checked")
+        raise UsageError("config", "name the fleet file; expected CONFIG with --tables")
     fleet = load(config, output, None, logs=False)
     folder = fleet.output
     if mend:
@@ -112,7 +110,7 @@ def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, me
     _say_faults(found, "table_fault", "", as_json=as_json)
     if mend:
         _say_faults(left, "table_fault_left", "left: ", as_json=as_json)
-    # Where manifests tell of tables that are gone, that is said already.
+    # Tables that are missing by their manifests are reported already.
     tables = folder / "tables" if found else existing_tables(folder)
     n_files = sum(1 for _ in tables.glob("**/*.parquet"))
     total = {"event": "tables", "n_files": n_files, "n_faults": len(found), "n_left": len(left)}

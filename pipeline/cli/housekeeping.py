@@ -1,4 +1,4 @@
-"""Commands that keep the tables in order: pruning, migration of older ones, a working copy."""
+"""Commands that keep the tables in order: pruning, and a working copy."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ def prune(
     ] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Say which old nights of heavy tables can go, and what goes with them; remove them with --yes.
+    """List the old nights of heavy tables that can be removed; remove them with --yes.
 
-    Figures, trends and alarms stay, and no night is made anew for it.
+    Figures, trends and alarms stay, and no night is redone.
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
-    from pipeline.run.fleet import fleets_tonight, locked
+    from pipeline.run.fleet import locked
+    from pipeline.run.publishing import fleets_tonight
     from pipeline.store.retention import nights_kept, old_files
     from pipeline.store.retention import prune as remove
     from pipeline.store.tables import existing_tables
@@ -70,49 +71,6 @@ def prune(
     if not as_json:
         size = sum(one.size_bytes for one in old) / 1024**2
         say(f"{size:.1f} MiB {word}" + ("" if yes or not old else "; say --yes to remove them"))
-
-
-def migrate(
-    config: ConfigFile,
-    output: Output = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say how many files are of which version.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Write tables of older versions of the program anew, with the columns of today.
-
-    The program reads them without it; queries over old and new files together may need it. Rows
-    and figures stay, new columns are null.
-
-    Example: motor-leakage migrate configs/fleet.toml --dry-run
-    """
-    from collections import Counter
-
-    from pipeline.run.fleet import locked
-    from pipeline.schema import SCHEMA_VERSION
-    from pipeline.store.migration import migrate as rewrite
-    from pipeline.store.migration import old_table_files
-    from pipeline.store.tables import existing_tables
-    from pipeline.store.working_copy import working_copy
-
-    fleet = load(config, output, None, logs=False)
-    if dry_run or not fleet.object_store:
-        existing_tables(fleet.output)
-    if dry_run:
-        found = Counter(one.version for one in old_table_files(fleet.output))
-    else:
-        with locked(fleet.output), working_copy(fleet.object_store, fleet.output):
-            found = rewrite(fleet.output)
-    word = "to be written" if dry_run else "written"
-    for version, count in sorted(found.items()):
-        if as_json:
-            line = {"event": "migrate", "from_version": version, "n_files": count}
-            say(json.dumps(line | {"to_version": SCHEMA_VERSION, "written": not dry_run}))
-        else:
-            say(f"{count} files of schema version {version} {word} anew")
-    if not as_json:
-        say(f"{found.total()} files {word}; the tables' schema version is {SCHEMA_VERSION}")
 
 
 def pull(

@@ -77,7 +77,7 @@ def draw_model(
 
     fleet = load_fleet(config or shipped_configs() / "fleet.toml")
     subject = choose(fleet, motor_type, oil)
-    # The shipped config lies within the program: its output is nobody's.
+    # The shipped config lies within the program, and its output folder too.
     folder = output or (fleet.output if config else Path("out").resolve()) / "figures"
     for path in write_model_figures(subject, folder, image_format.value):
         typer.echo(path)

@@ -1,4 +1,4 @@
-"""Commands that tell what the tables say: a night in words, the report, CSV."""
+"""Commands that publish the tables in another form: a night in words, the report, CSV."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def explain(
     night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
     output: Output = None,
 ) -> None:
-    """Say in words why a motor's night has the figures it has, or none.
+    """Explain in words the figures of a motor's night, or their absence.
 
     Example: motor-leakage explain configs/fleet.toml CB560-01 2026-01-03
     """
@@ -50,7 +50,7 @@ def explain(
 def report(
     config: Annotated[
         Path | None,
-        typer.Argument(metavar="CONFIG", help="The fleet file; the tables alone will do."),
+        typer.Argument(metavar="CONFIG", help="The fleet file; optional, the tables are enough."),
     ] = None,
     output: Annotated[
         Path | None,
@@ -68,16 +68,16 @@ def report(
         str, typer.Option(help="Ids of the motors to show, with blanks between; needs --to.")
     ] = "",
     nights: Annotated[
-        int | None, typer.Option(min=1, help="Newest nights to show one by one; all if left out.")
+        int | None, typer.Option(min=1, help="Newest nights with their own file; default: all.")
     ] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Nights made at the same time.")] = 2,
+    jobs: Annotated[int, typer.Option(min=1, help="Nights processed in parallel.")] = 2,
 ) -> None:
     """Write the report: pages for the fleet and each motor that open without a server.
 
     Example: motor-leakage report configs/fleet.toml
 
-    Then open out/report/index.html. A further run makes only what has changed. Exit code 1: a
-    table file could not be read; the rest is there.
+    Then open out/report/index.html. A further call only writes what has changed. Exit code
+    1: a table file could not be read; the rest is there.
     """
     from pipeline.config import Execution
     from pipeline.report import ReportRequest, build_report
@@ -102,7 +102,7 @@ def report(
         )
     )
     typer.echo(
-        f"{result.n_motors} motors, {result.n_nights} nights made anew, {result.n_written} files "
+        f"{result.n_motors} motors, {result.n_nights} nights updated, {result.n_written} files "
         f"written, {result.n_removed} removed; open {result.index}"
     )
     for fault in result.faults:
@@ -113,7 +113,7 @@ def report(
 def export(
     config: ConfigFile,
     csv: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Write CSV, one file a table, there.")
+        Path | None, typer.Option(metavar="FOLDER", help="Write CSV there, one file per table.")
     ] = None,
     delta: Annotated[
         str | None,
@@ -130,11 +130,11 @@ def export(
     ] = False,
     output: Output = None,
 ) -> None:
-    """Write published tables in another format; what is there of the same name is replaced.
+    """Write published tables in another format; files of the same name are replaced.
 
     Example: motor-leakage export configs/fleet.toml --csv csv --tables fits,parameters --bom
 
-    Text that a spreadsheet would take for a formula gets an apostrophe in front.
+    Text that a spreadsheet would evaluate as a formula gets an apostrophe in front.
 
     Example: motor-leakage export configs/fleet.toml --delta lake
 
@@ -144,7 +144,7 @@ def export(
     from pipeline.export.delta import export_delta
 
     if (csv is None) == (delta is None):
-        raise UsageError("export_format", "name what to write: --csv FOLDER or --delta PLACE")
+        raise UsageError("export_format", "expected --csv FOLDER or --delta PLACE")
     fleet = loaded(config)
     root = output or fleet.output
     if delta is not None:
@@ -166,7 +166,7 @@ def export(
 
 
 def _known_to_report(fleet: Fleet) -> Mapping[str, KnownMotor]:
-    """What the report is told of the config's motors: type and dated events."""
+    """Type and dated events of the config's motors, for the report."""
     from pipeline.report import KnownMotor
 
     return {

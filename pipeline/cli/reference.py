@@ -252,7 +252,7 @@ def _fields(schema: Schema) -> Mapping[str, Schema]:
 
 
 def _resolved(field: Schema, root: Schema) -> Schema:
-    """What a field can hold, references and "or null" taken away; a table has its own words."""
+    """Type of a field without references and "or null"; a table has its own words."""
     options = [one for one in field.get("anyOf", ()) if one.get("type") != "null"]
     plain: Schema = {**field, **options[0]} if options else field
     reference = plain.get("$ref", "").rpartition("/")[2]
@@ -260,7 +260,7 @@ def _resolved(field: Schema, root: Schema) -> Schema:
 
 
 def _options(items: Schema) -> Sequence[Schema]:
-    """What an element of a list can be."""
+    """Type of an element of a list."""
     options: Sequence[Schema] = items.get("anyOf", [items])
     return options
 

@@ -1,4 +1,4 @@
-"""How a run and its plan are told: a bar on a terminal, plain lines elsewhere, or JSON."""
+"""Progress of a run and its plan: a bar on a terminal, plain lines elsewhere, or JSON."""
 
 from __future__ import annotations
 
@@ -14,17 +14,19 @@ if TYPE_CHECKING:
     from pipeline.run.fleet import RunRequest, RunResult
     from pipeline.run.tasks import MotorOutcome
 
-# Reasons of a plan that are told one by one.
+# Reasons of a plan that are listed.
 PLAN_REASONS = 8
+# Lines of progress of a motor that is done in chunks.
+CHUNK_LINES = 10
 
 
 def print_plan(request: RunRequest, as_json: bool) -> None:
-    """What a run would do: nights by motor, and why."""
+    """Print the nights that a run would do by motor, with the reasons."""
     from collections import Counter
 
     from pipeline.run.fleet import plan_fleet, plan_trends
     from pipeline.store.manifest import manifest_keys
-    from pipeline.store.verification import look_at_published
+    from pipeline.store.verification import compare_published
 
     total = 0
     for motor_id, plan in plan_fleet(request):
@@ -46,9 +48,9 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
         if as_json:
             say(json.dumps({"event": "plan_trends", "motor_id": motor_id, "reason": reason}))
         else:
-            say(f"{motor_id}: all trends anew: {reason}")
+            say(f"{motor_id}: all trends redone: {reason}")
     output = request.fleet.output
-    for fault in look_at_published(output, manifest_keys(output), lambda _: False).faults:
+    for fault in compare_published(output, manifest_keys(output), lambda _: False).faults:
         line = {"event": "table_fault", **asdict(fault)}
         words = f"motor-leakage: {fault.code}: {fault.path}: {fault.message}"
         say(json.dumps(line) if as_json else words, err=True)
@@ -57,7 +59,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
 
 
 class Reporter:
-    """Says how a run goes: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
+    """Progress of a run: a bar on a terminal, plain lines elsewhere, JSON if asked for."""
 
     def __init__(self, as_json: bool, n_motors: int) -> None:
         from rich.console import Console
@@ -83,7 +85,10 @@ class Reporter:
         self.bar.stop()
 
     def motor(self, outcome: MotorOutcome) -> None:
-        """A motor has finished."""
+        """A motor has finished, or a chunk of one."""
+        if outcome.chunk:
+            self._chunk(outcome.motor_id, *outcome.chunks_done)
+            return
         self.bar.update(self.task, advance=1, description=outcome.motor_id)
         counts = ", ".join(f"{n} {status}" for status, n in sorted(outcome.counts.items()))
         if self.as_json:
@@ -105,6 +110,17 @@ class Reporter:
             say(f"{outcome.motor_id}: {outcome.error_code}: {outcome.message}", err=True)
         for message in outcome.growing:
             say(f"{outcome.motor_id}: log_growing: {message}", err=True)
+
+    def _chunk(self, motor_id: str, n_done: int, n: int) -> None:
+        """A chunk of a motor has finished: on the bar, or in at most ten lines a motor."""
+        words = f"{motor_id}: {n_done} of {n} chunks"
+        self.bar.update(self.task, description=words)
+        if self.console.is_terminal and not self.as_json:
+            return
+        if CHUNK_LINES * n_done // n == CHUNK_LINES * (n_done - 1) // n:
+            return
+        line = {"event": "chunks", "motor_id": motor_id, "done": n_done, "of": n}
+        say(json.dumps(line) if self.as_json else words)
 
     def summary(self, result: RunResult, output: Path) -> None:
         """The run has finished."""
@@ -141,16 +157,16 @@ class Reporter:
         taken = [(name, seconds) for name, seconds in _by_stage(result).items() if seconds >= 0.05]
         if taken:
             stages = ", ".join(f"{_words(name)} {seconds:.1f}" for name, seconds in taken)
-            say(f"seconds by stage, those of motors added up: {stages}")
+            say(f"seconds by stage, summed over motors: {stages}")
         for code, count in _by_code(result).items():
             say(f"{code}: {count} motors")
         for fault in result.damage_left:
             say(f"motor-leakage: {fault.code}: {fault.path}: {fault.message}", err=True)
         if result.damage:
             n, left = len(result.damage), len(result.damage_left)
-            say(f"damage: {n} files were found damaged or gone, {left} are not mended")
+            say(f"damage: {n} files were damaged or missing, {left} are not repaired")
         for row in result.alarms:
-            # That an indicator has its baseline is in `alarms`; nobody needs to look.
+            # A new baseline needs no attention; `alarms` has it.
             if row["way"] != "baseline":
                 say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
 
@@ -168,7 +184,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
 
 
 def _words(stage: str) -> str:
-    """A stage as people call it."""
+    """Name of a stage for people."""
     names = {"motors_s": "all motors", "publish_s": "publishing", "store_s": "staging"}
     return names.get(stage, stage.removesuffix("_s"))
 
@@ -181,7 +197,7 @@ def _by_code(result: RunResult) -> dict[str, int]:
 
 
 def _by_fate(files: Mapping[str, int]) -> dict[str, int]:
-    """Log files by what came of them, all of which there can be, in a fixed order."""
+    """Log files by outcome: every possible outcome, in a fixed order."""
     from pipeline.logs.motor_logs import FATES
 
     return {fate: files.get(fate, 0) for fate in FATES}

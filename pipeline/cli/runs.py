@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from types import FrameType
@@ -29,7 +29,6 @@ from pipeline.cli.arguments import (
     night_label,
     say,
 )
-from pipeline.cli.early_workers import early_crew
 from pipeline.cli.reporter import Reporter, print_plan
 from pipeline.errors import MotorLeakageError, UsageError
 
@@ -37,7 +36,6 @@ if TYPE_CHECKING:
     from pipeline.config import Fleet
     from pipeline.run.fleet import RunRequest
     from pipeline.run.tasks import MotorOutcome
-    from pipeline.workers.local import Crew
 
 
 def fit_fleet(
@@ -71,7 +69,7 @@ def fit_fleet(
     Exit code 0: no motor failed; 1: at least one did, the others are done, or published rows are
     lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
     """
-    with _stoppable(), nullcontext() if dry_run else early_crew(config, jobs) as crew:
+    with _stoppable():
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -84,10 +82,10 @@ def fit_fleet(
             with_starts=with_starts,
         )
         in_order(request.since, request.until)
-        if crew is None:
+        if dry_run:
             print_plan(request, as_json)
         else:
-            _run(request, crew, as_json, fail_on_alarm=fail_on_alarm)
+            _run(request, as_json, fail_on_alarm=fail_on_alarm)
 
 
 def retry(
@@ -105,23 +103,21 @@ def retry(
 
     Exit codes as those of fit-fleet.
     """
-    with _stoppable(), early_crew(config, jobs) as crew:
+    with _stoppable():
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
         request = RunRequest(fleet, known_motors(motors.split(), fleet), retry=True)
-        _run(request, crew, as_json)
+        _run(request, as_json)
 
 
-def _run(
-    request: RunRequest, crew: Crew, as_json: bool, *, fail_on_alarm: bool = False
-) -> NoReturn:
+def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> NoReturn:
     """Run a fleet, say how it goes, and end with the exit code."""
     from pipeline.run.fleet import run_fleet
 
     fleet = request.fleet
     with Reporter(as_json, len(request.motors) or len(fleet.motors)) as reporter:
-        result = run_fleet(request, reporter.motor, crew)
+        result = run_fleet(request, reporter.motor)
         reporter.summary(result, fleet.output)
     if result.interrupted:
         raise KeyboardInterrupt

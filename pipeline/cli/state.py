@@ -1,4 +1,4 @@
-"""Commands on the fleet as it stands: its state, and what people say of it."""
+"""Commands on the state of the fleet: status, acknowledgements, baseline resets."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def status(
     ] = "",
     as_json: AsJson = False,
 ) -> None:
-    """Print the fleet's state: the motors that need attention first, and since when.
+    """Print the state of each motor, the one that needs attention most first.
 
     Example: motor-leakage status configs/fleet.toml --max-age 26h
 
-    Exit code 0; with --max-age 1 where the last good run is too old, or there was none.
+    Exit code 0; with --max-age 1 if the last good run is too old, or there was none.
     """
     from pipeline.cli.status_lines import print_status
     from pipeline.report.status import age_in_hours, fleet_status
@@ -56,19 +56,19 @@ def ack(
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
     indicator: Annotated[
         str,
-        typer.Argument(help="The indicator, as K_piston_ring or as `status` words it, in quotes."),
+        typer.Argument(help="The indicator: K_piston_ring, or the words of `status` in quotes."),
     ],
-    note: Annotated[str, typer.Option(help="In words.")],
+    note: Annotated[str, typer.Option(help="Note in words.")],
     finding: Annotated[
-        str, typer.Option(help="confirmed or not_confirmed, once somebody has looked.")
+        str, typer.Option(help="confirmed or not_confirmed, after an inspection.")
     ] = "",
     output: Output = None,
 ) -> None:
-    """Acknowledge an alarm, or say what an inspection found; kept across runs and shown.
+    """Acknowledge an alarm, or record the finding of an inspection.
 
     Example: motor-leakage ack configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
 
-    Once somebody has looked, add --finding confirmed, or --finding not_confirmed.
+    After an inspection add --finding confirmed or --finding not_confirmed.
     """
     from pipeline.report.status import RAISED, TOLD, last_alarm
     from pipeline.trends.decisions import FINDINGS, Decision, record_decision
@@ -95,14 +95,14 @@ def baseline_reset(
     config: ConfigFile,
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
     night: Annotated[str, typer.Argument(help="First night of the new baseline, YYYY-MM-DD.")],
-    note: Annotated[str, typer.Option(help="Why, in words.")],
-    indicator: Annotated[str, typer.Option(help="Of this indicator alone; all if empty.")] = "",
+    note: Annotated[str, typer.Option(help="Reason in words.")],
+    indicator: Annotated[str, typer.Option(help="Only this indicator; all if empty.")] = "",
     output: Output = None,
 ) -> None:
-    """Let a motor's baseline begin anew with a night; the next run makes its trends anew.
+    """Start a new baseline of a motor with a night; the next run redoes its trends.
 
-    An overhaul, an oil change or a change of flushing belongs into the motor's file, dated, in
-    `events`: that starts a new baseline as well.
+    Enter an overhaul, an oil change or a change of flushing in `events` of the motor's file
+    instead: a dated event starts a new baseline as well.
 
     Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
@@ -120,4 +120,4 @@ def baseline_reset(
         fleet.output,
         Decision(motor, indicator, dt.datetime.now(dt.UTC), "baseline_reset", label, None, note),
     )
-    typer.echo(f"{motor}: {indicator or 'every'} baseline begins anew with the night {label}")
+    typer.echo(f"{motor}: {indicator or 'every'} baseline starts with the night {label}")

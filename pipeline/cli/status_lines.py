@@ -17,7 +17,7 @@ from pipeline.report.status import FleetStatus, MotorState
 from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.telling.outbox import Backlog
 
-# Words beside colours: a state is never told by colour alone.
+# Colours only support the words of a state.
 COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
 COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "sensors", "why")
 
@@ -69,7 +69,7 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
     if found.damage:
         first, n = found.damage[0], len(found.damage)
-        yield f"{n} published files are damaged or gone, such as {first.path}: {first.code}"
+        yield f"{n} published files are damaged or missing, such as {first.path}: {first.code}"
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
         yield (
@@ -87,7 +87,7 @@ def _undelivered_line(one: Backlog) -> str:
 
 
 def _run_line(found: FleetStatus) -> str | None:
-    """What there is to say of a run that is under way, or did not come to its end."""
+    """Line on a run that is under way, or that did not end."""
     beat = found.beat
     if beat is None or beat.state == FINISHED:
         return None
@@ -97,8 +97,8 @@ def _run_line(found: FleetStatus) -> str | None:
         return f"the run of {since} {beat.state} ({beat.error_code or beat.stage}), {done}"
     if beat.is_missing(dt.datetime.now(dt.UTC)):
         return (
-            f"the run of {since} (process {beat.pid} on {beat.host}) died or hangs: its last sign "
-            f"of life is of {beat.beaten_at:%Y-%m-%d %H:%M} UTC, in the stage {beat.stage}, {done}"
+            f"the run of {since} (process {beat.pid} on {beat.host}) died or hangs: last heartbeat "
+            f"{beat.beaten_at:%Y-%m-%d %H:%M} UTC, in the stage {beat.stage}, {done}"
         )
     return f"a run is under way since {since} (process {beat.pid}): {beat.stage}, {done}"
 
@@ -111,11 +111,6 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
         leakage, deviation = f"not known since {motor.leakage_night}", "not known"
     if motor.deviation_percent is not None:
         deviation = f"{motor.deviation_percent:+.1f} %"
-    why = motor.reason or "no change of external leakage"
-    if motor.poor_fit:
-        why += f"; {motor.poor_fit}"
-    if motor.acknowledged:
-        why += f" (acknowledged: {motor.acknowledged})"
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
@@ -123,5 +118,5 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
         deviation,
         str(motor.last_good_night or "never"),
         motor.sensor_health or "unknown",
-        why,
+        motor.why,
     )

@@ -120,7 +120,7 @@ def _below(document: object, part: str | int) -> object:
 
 
 def _quote(given: object) -> str:
-    """What stands in the file, unless that is long or may hold a secret."""
+    """Value in the file, unless it is long or may hold a secret."""
     text = json.dumps(given, default=str, ensure_ascii=False)
     long = isinstance(given, Mapping | list | tuple) and len(text) > LONGEST_QUOTE
     secret = isinstance(given, Mapping) and any(f'"{key}"' in text for key in UNQUOTED)

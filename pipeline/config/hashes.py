@@ -1,4 +1,4 @@
-"""What a change of the config makes out of date: the reading, the statistics, or their figures.
+"""Hashes of settings: a change makes the reading, the statistics, or their figures out of date.
 
 Each stage has a hash of the settings that shape it. A night whose statistics were shaped by others
 is read again; one whose figures alone were is fitted again from its stored statistics, without a
@@ -77,7 +77,7 @@ def changed_settings(before: Mapping[str, str], now: Mapping[str, str]) -> tuple
 
 
 def why_anew(before: Mapping[str, str], now: Mapping[str, str], *, trends: bool = False) -> str:
-    """Why nights, or trends, are to be made anew, in words: the settings that changed.
+    """Reason in words to redo nights or trends: the settings that changed.
 
     Examples
     --------

@@ -189,7 +189,7 @@ def overlap(fleet: Fleet) -> str | None:
 
 
 def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
-    """Whether a path or glob of files may match one below a folder, both below the log root."""
+    """A path or glob of files may match one below a folder, both below the log root."""
     parts = PurePosixPath(pattern).parts[:-1]
     for part, name in zip(parts, folder, strict=False):
         if part == "**":
@@ -312,7 +312,7 @@ def _texts_for_times(file: str, document: Document) -> Iterator[Fault]:
 
 
 def _is_time(given: object) -> bool:
-    """Whether a text could be taken for a date or time."""
+    """A text could be taken for a date or time."""
     try:
         return isinstance(given, str) and bool(dt.datetime.fromisoformat(given))
     except ValueError:
@@ -339,7 +339,7 @@ def _settings(override: Any, shared: Document, file: str, faults: list[Fault]) -
 
 
 def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
-    """What shows only where type, oil, flushing and settings come together."""
+    """Faults that only show when type, oil, flushing and settings come together."""
     reference = spec.settings.reference
     conditions = OperatingConditions.from_bar(
         reference.pressure_bar, reference.temperature_c, reference.speed_rpm

@@ -79,17 +79,16 @@ class Channel(Section):
     unit: str = Field(description="Unit in the log")
     quality_source: str = Field(
         "",
-        description="Column of what the log says of this channel's samples (CSV, Parquet; in the "
-        "layouts `long` and `file_per_channel` of the row), or path of a field in the same message "
-        "(MCAP). A sample that it does not call good is refused as `bad_quality`, and of an "
-        "`on_change` channel nothing holds from there on. Empty: none",
+        description="Column of this channel's quality (CSV, Parquet; in the layouts `long` and "
+        "`file_per_channel` of the row), or path of a field in the same message (MCAP). A sample "
+        "without a good code is refused as `bad_quality` and ends the held value of an "
+        "`on_change` channel. Empty: none",
     )
     quality_good: tuple[QualityValue, ...] = Field(
         GOOD_QUALITY,
-        description="What stands there beside a good sample, as text (without regard to case), "
-        "number or truth value; all else is bad, and so is a blank beside a value. OPC DA: "
-        "`[192]`; OPC UA: `[0]`, which in OPC DA is bad and is therefore never taken for good "
-        "unless it stands here",
+        description="Codes of a good sample, as text (without regard to case), number or truth "
+        "value; all others are bad, and so is a blank. OPC DA: `[192]`; OPC UA: `[0]`, which is "
+        "bad in OPC DA and therefore only good if it is listed here",
     )
     scale: float = Field(1.0, description="Factor on the logged number, before the unit")
     offset: float = Field(0.0, description="Added to the scaled number, in the log's unit")
@@ -117,9 +116,9 @@ class Channel(Section):
     )
     sampling: Literal["periodic", "on_change", "mean"] = Field(
         "periodic",
-        description="`periodic`: a reading every so often; `on_change`: a sample where the value "
-        "changes, or what a historian's compression left (silence is no gap and no frozen sensor, "
-        "and no sample a spike); `mean`: the mean of a period",
+        description="`periodic`: readings at a fixed rate; `on_change`: samples sent on change, "
+        "or kept by a historian's compression (silence is neither a gap nor a frozen sensor, and "
+        "no sample is a spike); `mean`: means of a period",
     )
     longest_silence_s: Positive | None = Field(
         None,
@@ -133,10 +132,10 @@ class Channel(Section):
         "a night is the first of these two at its start, if silence may be that long",
     )
     mean_of_s: Positive | None = Field(
-        None, description="Period of which a sample is the mean; needed for `mean`"
+        None, description="Averaging period of a sample; needed for `mean`"
     )
     mean_stamp: Literal["begin", "middle", "end"] = Field(
-        "middle", description="Where in its period the time stamp of a mean stands"
+        "middle", description="Place of a mean's time stamp in its period"
     )
     counts: Literal["cumulative", "pulses"] | None = Field(
         None,
@@ -155,7 +154,7 @@ class Channel(Section):
         0.0,
         ge=-600.0,
         le=600.0,
-        description="Added to the channel's time stamps, where its clock is known to be off",
+        description="Added to the channel's time stamps, to correct its clock",
     )
 
     @model_validator(mode="after")
@@ -243,8 +242,8 @@ class Logs(Section):
     )
     layout: LogLayout = Field(
         "wide",
-        description="CSV, Parquet: a column a channel, a row a sample with the channel's name in "
-        "it, or a file a channel",
+        description="CSV, Parquet: one column per channel, one row per sample with the channel's "
+        "name, or one file per channel",
     )
     channel_column: str = Field("channel", description="Layout `long`: column of channels' names")
     value_column: str = Field(
@@ -257,12 +256,12 @@ class Logs(Section):
     skip_rows: int = Field(0, ge=0, description="CSV: lines before the header")
     unit_rows: int = Field(0, ge=0, description="CSV: lines after the header that hold no samples")
     missing_tokens: tuple[str, ...] = Field(
-        MISSING_TOKENS, description="CSV: what a cell without a value holds"
+        MISSING_TOKENS, description="CSV: content of a cell without a value"
     )
     settle_s: NonNegative = Field(
         0.0,
-        description="A new file that was written to within this time before it is looked at is "
-        "left to a later run. Without it only a file that changes while it is read is",
+        description="A new file that was written to within this time before a run is left to a "
+        "later run. Without it, only a file that changes during reading is",
     )
     stamp: str = Field(
         "",
@@ -271,8 +270,8 @@ class Logs(Section):
     )
     salvage: bool = Field(
         False,
-        description="MCAP: read what stands before the damage of a truncated or damaged file, "
-        "instead of refusing the file; what is lost is noted",
+        description="MCAP: read the part of a truncated or damaged file before the damage, "
+        "instead of refusing the file; the loss is noted",
     )
 
     @field_validator("files")
@@ -341,7 +340,7 @@ def _mark_faults(logs: Logs) -> Iterator[tuple[Place, str, object]]:
 
 
 def _fault_of_pattern(pattern: str) -> str | None:
-    """What is wrong with a path or glob of logs; None: nothing."""
+    """Fault of a path or glob of logs; None without one."""
     parts = pattern.replace("\\", "/").split("/")
     if pattern.startswith(("/", "\\")) or ".." in parts:
         return "expected a path below the log root, without '..'"
@@ -360,7 +359,7 @@ class Event(Section):
 
     date: dt.date = Field(description="First night's label from which it holds")
     kind: Literal["overhaul", "oil_change", "flushing_change", "motor_exchanged"] = Field(
-        description="What happened"
+        description="Kind of event"
     )
     oil: str | None = Field(
         None, description="The new oil, where it changed; needed for `oil_change`"
@@ -399,7 +398,7 @@ class Periods(Section):
 
 
 class FlushingTable(Section):
-    """How the motor is flushed: the flow that is added on the way to the sensor."""
+    """Flushing of the motor: the flow that is added on the way to the sensor."""
 
     mode: Literal["none", "fixed", "estimated"] = Field(
         "none", description="The primary fit's: no flushing, a known flow, or an estimated one"
@@ -481,7 +480,7 @@ def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Pl
 
 
 def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, object]]:
-    """What is wrong with a motor's channels as a whole, whatever is wrong within each."""
+    """Faults of a motor's channels as a whole, besides those within each."""
     names = set(units)
     given = ", ".join(sorted(names))
     ports = {"high_port_pressure", "low_port_pressure"}

@@ -35,9 +35,11 @@ class Section(BaseModel):
 
 
 class Folders(Section):
-    """Where things lie; every folder is relative to the fleet file."""
+    """Folders; each is relative to the fleet file."""
 
-    motors: RelativeFolder = Field("motors", description="Folder of the motors' files, one a motor")
+    motors: RelativeFolder = Field(
+        "motors", description="Folder of the motors' files, one per motor"
+    )
     motor_types: RelativeFolder = Field("motor_types", description="Folder of the motor types")
     oils: RelativeFolder = Field("oils", description="Folder of the oils")
     logs: RelativeFolder = Field(
@@ -47,8 +49,7 @@ class Folders(Section):
     )
     output: RelativeFolder | None = Field(
         None,
-        description="Output folder, where no log is looked for; without it `out/` where the "
-        "command was started",
+        description="Output folder, which holds no logs; default: `out/` in the working directory",
     )
     object_store: str = Field(
         "",
@@ -85,7 +86,7 @@ class TimeBase(Section):
 
 
 class Cleaning(Section):
-    """Which samples are refused. Each refusal is counted in the table `quality`."""
+    """Rules that refuse samples. The table `quality` counts each refusal."""
 
     standstill_rpm: NonNegative = Field(
         0.5, description="Below this |speed| the motor stands still"
@@ -157,7 +158,7 @@ class TransportDelay(Section):
         None, description="`flow`: inner diameter of the drain line"
     )
     flow_average_s: NonNegative = Field(
-        10.0, description="`flow`: the drain flow that tells the delay is averaged over this time"
+        10.0, description="`flow`: averaging time of the drain flow that gives the delay"
     )
     maximum_s: Positive = Field(
         60.0, description="A sample with a longer delay is refused; longest delay estimated"
@@ -279,7 +280,7 @@ class Estimation(Section):
         10, ge=0, le=1000, description="Starting points a fit, the configured one first"
     )
     gradient_type: Literal["analytic", "2-point", "3-point"] = Field(
-        "analytic", description="How the Jacobian is found"
+        "analytic", description="Method for the Jacobian"
     )
     step_tolerance: Positive = Field(1e-10, description="Stops at a relative step below this")
     function_tolerance: Positive = Field(
@@ -301,7 +302,7 @@ class Estimation(Section):
 
 
 class ReferenceConditions(Section):
-    """Where the reference leakage is evaluated."""
+    """Conditions at which the reference leakage is evaluated."""
 
     pressure_bar: Positive = Field(200.0, description="Pressure difference")
     temperature_c: float = Field(50.0, gt=-60, lt=150, description="Oil temperature")
@@ -309,7 +310,7 @@ class ReferenceConditions(Section):
 
 
 class SensorHealth(Section):
-    """Which halts show the zero of the pressure and flow sensors; published in `operation`."""
+    """Halts that show the zero of the pressure and flow sensors; published in `operation`."""
 
     settle_s: NonNegative = Field(
         45.0, description="Time after the motor has stopped that is left out"
@@ -339,8 +340,8 @@ class Trend(Section):
     merge_nights: int = Field(
         7,
         ge=1,
-        description="Nights in a row that have too few samples alone are fitted together, at most "
-        "so many; 1: never",
+        description="Largest number of nights in a row with too few samples that are fitted "
+        "together; 1: never",
     )
 
     @model_validator(mode="after")
@@ -351,12 +352,12 @@ class Trend(Section):
 
 
 class Alarms(Section):
-    """When an indicator is called `warning` or `alarm`, and when no longer."""
+    """Rules for the states `warning` and `alarm` of an indicator, and for their end."""
 
     warning_percent: Positive = Field(15.0, description="Rise over the baseline that is a warning")
     alarm_percent: Positive = Field(30.0, description="Rise over the baseline that is an alarm")
     on_nights: tuple[int, int] = Field(
-        (3, 5), description="On after this many of that many nights in a row beyond a level"
+        (3, 5), description="On after m of n nights in a row beyond a level, [m, n]"
     )
     deadband_percent: NonNegative = Field(
         5.0, description="Points below a level that an indicator must fall before it is off"
@@ -367,22 +368,22 @@ class Alarms(Section):
     )
     false_alarms_per_year: Positive = Field(
         0.1,
-        description="False alarms a motor and year, over all its indicators together, that the "
-        "limits of the change test are calibrated for",
+        description="False alarms per motor and year, over all its indicators together, for "
+        "which the limits of the change test are calibrated",
     )
     common_cause_percent: Positive = Field(
         5.0,
-        description="`common_cause` stands in place of alarms where the other motors of the oil "
-        "circuit moved alike; not where a motor's own loss factors moved apart by more than these "
-        "points and by half of the largest: oil moves all paths alike",
+        description="The state is `common_cause` instead of an alarm if the other motors of the "
+        "oil circuit changed alike; not if a motor's own loss factors differ by more than these "
+        "points and by half of the largest: oil changes all paths alike",
     )
     command: tuple[str, ...] = Field(
         (),
         description="Program and arguments, run without a shell for each delivery; it gets the new "
-        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-be-told))",
+        "rows of `alarms` as JSON on its standard input ([trends.md](trends.md#10-notifications))",
     )
     webhook_url: str = Field(
-        "", description="The same is posted there; http or https; empty: nowhere"
+        "", description="The same is posted to this address, http or https; empty: none"
     )
     webhook_headers: dict[str, str] = Field(
         {},
@@ -390,8 +391,8 @@ class Alarms(Section):
     )
     webhook_secret: str = Field(
         "",
-        description="`${NAME}`: the environment variable with the secret, in Base64, that posts "
-        "are signed with as Standard Webhooks has it; empty: no signature",
+        description="`${NAME}`: environment variable with the secret in Base64, which signs "
+        "posts as in Standard Webhooks; empty: no signature",
     )
 
     @model_validator(mode="after")
@@ -428,19 +429,19 @@ class Alarms(Section):
 
 
 class Execution(Section):
-    """How the work is spread; nothing here changes a figure."""
+    """Execution of a run; nothing here changes a figure."""
 
     workers: int = Field(2, ge=1, le=256, description="Motors fitted at the same time")
     backend: Literal["loky", "sequential", "dask"] = Field(
         "loky",
-        description="`loky`: worker processes, one with `workers` = 1 too; `sequential`: one after "
-        "the other in the run's own process, without limits: a motor that hangs or dies takes the "
-        "run with it; `dask`: a Dask cluster (`scale.md`)",
+        description="`loky`: worker processes, also with `workers` = 1; `sequential`: one after "
+        "the other in the run's own process, without limits: a motor that hangs or crashes stops "
+        "the run; `dask`: a Dask cluster (`scale.md`)",
     )
     nights_a_part: int = Field(
         14,
         ge=0,
-        description="A motor with more new nights than this is split into parts of so many, which "
+        description="A motor with more new nights than this is done in chunks of so many, which "
         "workers do side by side, over a Dask scheduler or where a run has fewer motors than "
         "workers; 0: never",
     )
@@ -453,11 +454,11 @@ class Execution(Section):
     tasks_in_flight: int = Field(
         256,
         ge=1,
-        description="`dask`: never more tasks than this are handed to the scheduler at a time",
+        description="`dask`: most tasks at the scheduler at a time",
     )
     scheduler_wait_s: Positive = Field(
         30.0,
-        description="`dask`: how long to wait for the scheduler, and while it has no worker",
+        description="`dask`: time to wait for the scheduler, and for its first worker",
     )
     timeout_s: float = Field(
         1800.0,
@@ -472,9 +473,9 @@ class Execution(Section):
         gt=0.0,
         le=604_800.0,
         allow_inf_nan=False,
-        description="A log that gives nothing for this long when it is opened is left "
-        "(`log_no_answer`), and a motor of which nothing is heard for this long is done after the "
-        "others are published [s]",
+        description="A log that does not answer for this long when it is opened fails "
+        "(`log_no_answer`), and a motor without an answer for this long is done after the others "
+        "are published [s]",
     )
     memory_limit_mib: int = Field(
         4096,
@@ -486,15 +487,15 @@ class Execution(Section):
     minimum_free_mib: float = Field(
         100.0,
         ge=0,
-        description="Disk space that a run leaves free beyond its own tables, or else does not "
-        "begin [MiB]; 0: not looked at",
+        description="Free disk space that a run requires beyond its own tables [MiB]; 0: not "
+        "checked",
     )
     prove_within_days: int = Field(
         30,
         ge=1,
         le=365,
-        description="Every published file is read and compared with its manifest within so many "
-        "days, a share of them in each run [days]",
+        description="Days within which every published file is read and compared with its "
+        "manifest, a share in each run [days]",
     )
 
     @property

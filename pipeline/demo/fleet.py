@@ -52,14 +52,14 @@ class DemoMotor:
 
     @property
     def is_excited(self) -> bool:
-        """Whether its pressures vary enough to tell its paths apart."""
+        """Its pressures vary enough to tell its paths apart."""
         lowest, highest = self.duty.pressure_bar
         return highest > lowest
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What is simulated of every motor.
+    """Extent of the simulation.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ class DemoNight:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What no log says: the state of a motor in a night.
+    """State of a motor in a night that no log shows.
 
     Attributes
     ----------

@@ -68,11 +68,8 @@ Topic = tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.float64]]
 def mcap_bytes(topics: Mapping[str, Topic]) -> bytes:
     """A whole MCAP file.
 
-    Parameters
-    ----------
-    topics
-        By topic: place of each message among all topics' messages, publication time [µs since
-        1970, UTC], and value, |value| < 100 000 with three decimals; each of shape (n,).
+    By topic: place of each message among all topics' messages, publication time [µs since 1970,
+    UTC], and value, |value| < 100 000 with three decimals; each of shape (n,).
     """
     channels = [
         Channel(id=number, topic=topic, message_encoding="json", metadata={}, schema_id=SCHEMA.id)
@@ -97,19 +94,7 @@ def mcap_bytes(topics: Mapping[str, Topic]) -> bytes:
 def fixed_width_numbers(
     values: NDArray[np.float64], width: int = NUMBER_WIDTH, decimals: int = DECIMALS
 ) -> NDArray[np.uint8]:
-    """Numbers as text of one width, padded with spaces in front.
-
-    Parameters
-    ----------
-    values
-        Finite numbers, shape (n,); sign, digits and point must fit.
-    width, decimals
-        Characters in all, and behind the point.
-
-    Returns
-    -------
-    ndarray
-        ASCII codes, shape (n, width).
+    """ASCII codes of finite numbers as text of one width, padded in front, shape (n, width).
 
     Examples
     --------

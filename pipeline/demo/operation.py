@@ -1,4 +1,4 @@
-"""How a simulated motor is run through a night: load, speed and oil temperature, and its halts."""
+"""Operation of a simulated motor in a night: load, speed, oil temperature and halts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ TEMPERATURE_PERIODS_S: Final = (1500.0, 3000.0)
 
 @dataclass(frozen=True, slots=True)
 class Duty:
-    """What a motor is asked to do.
+    """Duty of a motor.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Duty:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What happened in a motor, sample by sample, before any sensor saw it.
+    """True conditions in a motor, sample by sample, before any sensor.
 
     Attributes
     ----------
@@ -74,17 +74,7 @@ class Operation:
 
 
 def simulate_operation(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> Operation:
-    """Random load cycles of a night.
-
-    Parameters
-    ----------
-    duty
-        What the motor is asked to do.
-    time_s
-        Evenly spaced times since the start, shape (n,), [s].
-    rng
-        Source of all randomness.
-    """
+    """Random load cycles of a night at evenly spaced times since its start, shape (n,), [s]."""
     halts = _halts(float(time_s[-1]), rng)
     direction = _direction(time_s, halts) if duty.reverses else np.ones_like(time_s)
     motion = direction * _running(time_s, halts)

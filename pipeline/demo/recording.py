@@ -62,7 +62,7 @@ def record_night(night: DemoNight) -> Recording:
 def _signals(
     night: DemoNight, operation: Operation, rng: np.random.Generator
 ) -> dict[ChannelName, FloatArray]:
-    """What reaches each sensor, by channel."""
+    """True signal at each sensor, by channel."""
     pressures: dict[ChannelName, FloatArray] = {
         "pressure_difference": operation.pressure_difference_bar
     }

@@ -1,4 +1,4 @@
-"""What the sensors and the logger make of a night: noise, coarse steps, faults, gaps."""
+"""Simulated sensors and logger: noise, coarse steps, faults, gaps."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Sensor:
     spike
         Typical height of a spike, [unit of the channel].
     error_value
-        What it says when it is broken; outside its range, [unit of the channel].
+        Reading of a broken sensor, outside its range, [unit of the channel].
     maximum
-        Highest value that it can say, [unit of the channel].
+        Highest reading, [unit of the channel].
     """
 
     resolution: float
@@ -43,7 +43,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class FaultRates:
-    """How often things go wrong, in events an hour unless said otherwise.
+    """Rates of faults, in events per hour unless stated otherwise.
 
     Parameters
     ----------
@@ -85,22 +85,7 @@ class Recording:
 
 
 def measure(signal: FloatArray, sensor: Sensor, rng: np.random.Generator) -> FloatArray:
-    """What a healthy sensor says: the signal with white noise, in steps, up to its maximum.
-
-    Parameters
-    ----------
-    signal
-        What reaches the sensor, shape (n,), [unit of the channel].
-    sensor
-        The sensor.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,), [unit of the channel].
-    """
+    """Reading of a healthy sensor: the signal with white noise, in steps, up to its maximum."""
     noisy = signal + sensor.noise * rng.standard_normal(signal.size)
     highest = np.inf if sensor.maximum is None else sensor.maximum
     return in_steps(np.minimum(noisy, highest), sensor.resolution)
@@ -120,22 +105,10 @@ def in_steps(values: FloatArray, resolution: float) -> FloatArray:
 def flow_noise_l_per_min(
     leakage_l_per_min: FloatArray, step_s: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Noise of the drain flow: correlated over some seconds, with white noise on top.
+    """Noise of the drain flow in l/min: correlated over some seconds, with white noise on top.
 
-    Parameters
-    ----------
-    leakage_l_per_min
-        The leakage without noise, shape (n,), [l/min].
-    step_s
-        Time between samples, [s].
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,), [l/min]; its standard deviation is 1.3 % of the leakage itself and 0.3 % of
-        the mean leakage, correlated, and 0.5 % of the leakage, white.
+    Its standard deviation is 1.3 % of the leakage itself and 0.3 % of the mean leakage, correlated,
+    and 0.5 % of the leakage, white.
     """
     correlated = correlated_noise(rng, leakage_l_per_min.size, step_s, NOISE_TIME_CONSTANT_S)
     white = rng.standard_normal(leakage_l_per_min.size)
@@ -146,26 +119,7 @@ def flow_noise_l_per_min(
 def with_faults(
     values: FloatArray, sensor: Sensor, rates: FaultRates, hours: float, rng: np.random.Generator
 ) -> FloatArray:
-    """A channel with spikes, values out of range, values that are not finite, and blanks.
-
-    Parameters
-    ----------
-    values
-        What a healthy sensor says, shape (n,), [unit of the channel].
-    sensor
-        The sensor.
-    rates
-        How often things go wrong.
-    hours
-        Length of the log, [h].
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    ndarray
-        Shape (n,), [unit of the channel]; NaN where the channel is blank.
-    """
+    """A channel with spikes, values out of range, values that are not finite, and blanks (NaN)."""
     faulty = values.copy()
     spikes = _some(values.size, rates.spikes * hours, rng)
     signs = rng.choice([-1.0, 1.0], spikes.size)
@@ -178,15 +132,7 @@ def with_faults(
 
 
 def with_frozen(values: FloatArray, first: int, last: int) -> FloatArray:
-    """A channel whose sensor freezes.
-
-    Parameters
-    ----------
-    values
-        What it would have said, shape (n,).
-    first, last
-        It stays at the value of sample `first` until sample `last`.
-    """
+    """A channel with a sensor that stays at the value of sample `first` until sample `last`."""
     frozen = values.copy()
     frozen[first:last] = values[first]
     return frozen
@@ -195,19 +141,7 @@ def with_frozen(values: FloatArray, first: int, last: int) -> FloatArray:
 def with_log_faults(
     recording: Recording, rates: FaultRates, hours: float, rng: np.random.Generator
 ) -> Recording:
-    """A recording without its missing periods, and with some stamps repeated or set back.
-
-    Parameters
-    ----------
-    recording
-        All rows, with sound stamps.
-    rates
-        How often things go wrong.
-    hours
-        Length of the log, [h].
-    rng
-        Source of randomness.
-    """
+    """A recording without its missing periods, and with some stamps repeated or set back."""
     rows = recording.time_us.size
     absent = _stretches(rows, hours, rates.missing_periods, (20.0, 180.0), rng)
     absent[[0, -1]] = False

@@ -1,4 +1,4 @@
-"""How the gaps of a simulated motor grow over its nights."""
+"""Growth of the gaps of a simulated motor over its nights."""
 
 from __future__ import annotations
 

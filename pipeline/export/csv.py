@@ -1,7 +1,7 @@
-"""Tables as CSV, for spreadsheets and whatever else does not read Parquet.
+"""Tables as CSV, for spreadsheets and other programs that do not read Parquet.
 
-Text from logs and file names can be made to look like a formula, which a spreadsheet would run
-when it opens the file; it is written so that it stays text.
+Text from logs and file names that looks like a formula is written so that a spreadsheet does not
+run it.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from pipeline.store.tables import existing_tables, read_table, table_folder
 BYTE_ORDER_MARK = "\ufeff"
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
 
-# What makes a cell a formula for Excel, LibreOffice or Google Sheets, full-width forms included:
-# OWASP, "CSV Injection"; ASVS 5, requirement 1.2.10.
+# Characters that begin a formula for Excel, LibreOffice or Google Sheets, full-width forms
+# included: OWASP, "CSV Injection"; ASVS 5, requirement 1.2.10.
 _FORMULA_START = "=+\\-@＝＋－＠"
 _UNSAFE_START = rf"^([{_FORMULA_START}\t\r\n\x00])"
 # The same within a text, where a spreadsheet with another separator would begin a cell.
@@ -34,7 +34,7 @@ _UNSAFE_WITHIN = rf"([;\t\r\n\x00])([{_FORMULA_START}])"
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which rows are exported.
+    """Selection of rows.
 
     Attributes
     ----------
@@ -93,9 +93,9 @@ def export_csv(
     output
         Output folder of the runs.
     folder
-        Where the files go, ``<table>.csv``; it is made.
+        Folder of the files ``<table>.csv``; it is made.
     selection
-        What is exported. Rows come in the order of nights, within a night in the table's order.
+        Rows to export. They come night by night, within a night in the table's order.
     byte_order_mark
         Begin each file with one: Excel then takes it for UTF-8.
 

@@ -1,8 +1,4 @@
-"""Tables as Delta Lake tables, for engines that read those: one line, and a version each time.
-
-What is written is the tables as they are, night after night in one transaction a table; a reader
-sees the export before or this one.
-"""
+"""Tables as Delta Lake tables: each export is one transaction and a new version of a table."""
 
 from __future__ import annotations
 
@@ -22,7 +18,7 @@ from pipeline.store.tables import existing_tables, read_table, table_folder
 
 @dataclass(frozen=True, slots=True)
 class ExportedTable:
-    """A Delta table that was written: where, its version, and how many rows it has."""
+    """A Delta table that was written."""
 
     place: str
     version: int
@@ -39,9 +35,9 @@ def export_delta(
     output
         Output folder of the runs.
     place
-        Folder or URL that the tables are written below.
+        Folder or URL below which the tables are written.
     tables
-        Which.
+        Tables.
 
     Yields
     ------

@@ -100,7 +100,7 @@ def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArr
     return None if states is None else states[rows]
 
 
-class Table:
+class RawTable:
     """Rows of a log, gathered in the order of the file; each piece is given up once joined."""
 
     def __init__(self, path: Path, logs: Logs, channels: Channels, latest_us: int | None) -> None:

@@ -1,4 +1,4 @@
-"""A motor's log files: where they are, what is known of each, and the ledger of what was read.
+"""A motor's log files: their places, records and nights, and the ledger.
 
 Imports `ingest`, `store`, `config` and what lies below.
 """

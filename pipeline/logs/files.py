@@ -1,4 +1,4 @@
-"""A motor's log files: which there are, what is known of each, and the samples of a night."""
+"""A motor's log files: finding them, their records, and the samples of a night."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ from pipeline.workers.process import asking, reading, told_alive
 # a wrong time format.
 LONGEST_LOG_DAYS = 750
 DAY_US = 86_400_000_000
-# A night that only a file's name or time tells lies this near to those of the motor's other logs.
+# A night known from a file's name or time alone lies this near to those of the motor's other logs.
 FARTHEST_NIGHT = 31 * DAY
-# How a message ends that says by what a file's night is told.
+# End of a message on how a file's night is known.
 TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 LONGEST_PATH = 4096
@@ -49,7 +49,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
             found |= set() if is_glob else {named}
             continue
         with asking(pattern):
-            # A file may be called `a[1].csv`: what exists under its very name is no glob.
+            # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
             if named.exists():
                 found.add(named)
             elif is_glob:
@@ -67,7 +67,7 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
 
 
 def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
-    """A path leads to a folder; one that did not answer is taken for a file."""
+    """True for a folder; a path that did not answer is taken for a file."""
     if not path.is_symlink():
         return path.is_dir()
     name = legible(path.relative_to(root).as_posix())
@@ -77,7 +77,7 @@ def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
 
 
 def require_answer(name: str, path: Path) -> None:
-    """Open a log that is about to be read, if it is one: where it hangs, this is told of it."""
+    """Open a log that is about to be read: if that hangs, the log is named."""
     with asking(name), suppress(OSError):  # which its reader tells
         if path.is_file():
             with path.open("rb", buffering=0) as log:
@@ -85,7 +85,7 @@ def require_answer(name: str, path: Path) -> None:
 
 
 def without_match(spec: MotorSpec) -> tuple[str, ...]:
-    """What to say of the globs of a motor's logs that match no file."""
+    """Messages about globs of a motor's logs that match no file."""
     return tuple(
         f"no file matches {pattern} below {spec.log_root}"
         for pattern in spec.file.logs.files
@@ -96,21 +96,21 @@ def without_match(spec: MotorSpec) -> tuple[str, ...]:
 
 
 def legible(text: str) -> str:
-    """Text that tables, terminals and pages can show: what does not print becomes its escape."""
+    """Text for tables, terminals and pages: characters that do not print become escapes."""
     return one_line(text, LONGEST_PATH)
 
 
 def inspect_log(
     name: str, path: Path, before: FileRecord | None, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
-    """What is known of a file: as before while its content is the same, else from a look at it.
+    """The record of a file: that of before while its content is the same, else a new one.
 
     Parameters
     ----------
     name, path
         Path relative to the log root, and where it is.
     before
-        What was known of it; None for a file not seen.
+        Its record in the run before; None for a new file.
     spec
         The motor.
     latest_us
@@ -120,7 +120,7 @@ def inspect_log(
     if record.status == "failed":
         return record
     same = before and (before.size, before.modified_ns) == (record.size, record.modified_ns)
-    # What could not be read has no hash: its permissions may be others by now.
+    # An unreadable file has no hash: its permissions may have changed.
     if before and before.sha256 and same:
         return before if before.inode == record.inode else replace(before, inode=record.inode)
     found = _inspected(record, path, before, spec, latest_us)
@@ -135,7 +135,7 @@ def _inspected(
     spec: MotorSpec,
     latest_us: int | None,
 ) -> FileRecord:
-    """What a look into a file of another size or time tells."""
+    """The record of a file whose size or time has changed."""
     try:
         with asking(record.path):
             record = replace(record, sha256=content_hash(path))
@@ -148,7 +148,7 @@ def _inspected(
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
-    """What is no more as it was when a file was looked at; None: nothing, or the file is gone."""
+    """The change of a file since it was looked at; None without one, or if the file is gone."""
     try:
         state = path.stat()
     except OSError:
@@ -161,7 +161,7 @@ def change_of(record: FileRecord, path: Path) -> LogError | None:
 
 
 def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | None:
-    """Why a file that was written to a moment ago is left to a later run; None: it is not."""
+    """Reason to leave a file that was just written to to a later run; None without one."""
     age_s = (time.time_ns() - record.modified_ns) / 1e9
     # A clock that is far ahead must not keep a file out for good.
     if abs(age_s) >= settle_s:
@@ -173,7 +173,7 @@ def _unsettled(record: FileRecord, path: Path, settle_s: float) -> LogError | No
 
 
 def growing(record: FileRecord, why: LogError) -> FileRecord:
-    """The record of a file that is left to the next run, as it is being written."""
+    """The record of a file that is being written, and left to the next run."""
     return replace(record, status="growing", error_code=why.code, message=legible(why.message))
 
 
@@ -187,14 +187,14 @@ def look_at(name: str, path: Path) -> FileRecord:
         )
     record = FileRecord(name, state.st_size, state.st_mtime_ns, None, inode=state.st_ino)
     if not stat.S_ISREG(state.st_mode):
-        # A pipe would keep whoever opens it waiting.
+        # Opening a pipe would block.
         fault = LogError("log_not_readable", path, "this is no file; name files in `logs.files`")
         return failed(record, fault)
     return record
 
 
 def _link_modified_ns(path: Path) -> int:
-    """When a link that leads nowhere was made; 0 where it is gone, too."""
+    """Time of a link that leads nowhere; 0 if it is gone, too."""
     try:
         return path.lstat().st_mtime_ns
     except OSError:
@@ -208,7 +208,7 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 def spanned(
     record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
 ) -> FileRecord:
-    """A file with the nights that its ends say it covers; ``failed`` where they cannot be told."""
+    """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
     try:
         first, last = time_span(path, file.logs, file.channels, latest_us)
@@ -230,7 +230,7 @@ def failed(record: FileRecord, error: LogError) -> FileRecord:
 
 
 def covered(record: FileRecord, log: RawLog, spec: MotorSpec) -> FileRecord:
-    """The record of a file that was read: its span, its nights, and what was left out of it.
+    """The record of a file that was read: its span, its nights, and notes on skipped cells.
 
     Raises
     ------
@@ -266,7 +266,7 @@ def _ends(stamps: Sequence[NDArray[np.int64]]) -> tuple[int, int]:
 
 
 def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.int64]:
-    """Stamps without those that lie over a year from most; a note says how many there were."""
+    """Stamps without those that lie over a year from most; a note counts them."""
     # A stamp that there is, not a mean of two: it is never far from itself.
     middle = np.partition(stamps, len(stamps) // 2)[len(stamps) // 2]
     far = np.abs(stamps - middle) > LONGEST_LOG_DAYS / 2 * DAY_US
@@ -280,14 +280,14 @@ def _near_the_others(stamps: NDArray[np.int64], notes: list[str]) -> NDArray[np.
 
 
 def _blank_channels(record: FileRecord, log: RawLog, spec: MotorSpec) -> list[str]:
-    """What there is to say of channels that are there, and neither have a value nor say why."""
+    """Messages about channels all of whose cells are blank."""
     cells = {name: len(part.missing) for name, part in log.channels.items() if len(part.missing)}
     blank = {name: n for name, n in cells.items() if _is_blank(log.channels[name])}
     told = [f"all {count} cells of {name} are blank" for name, count in blank.items()]
     if blank and len(blank) == len(cells):
         message = f"there is no sample: {', '.join(told)}"
         raise LogError("log_empty", Path(record.path), message, next(iter(blank)))
-    # What did not change has no value in a table of what did.
+    # An on-change channel is blank in every row of another channel.
     silent = {name for name, part in spec.file.channels.items() if part.sampling == "on_change"}
     return [note for name, note in zip(blank, told, strict=True) if name not in silent]
 
@@ -344,12 +344,12 @@ class PlausibleNights:
 
 
 def is_guess(record: FileRecord) -> bool:
-    """A file that cannot be read: its nights, if any, are told by its name or time alone."""
+    """True if a file's nights, if any, are known from its name or time alone."""
     return record.status != "ok" and record.first_us is None
 
 
 def is_newly_told(before: FileRecord, now: FileRecord) -> bool:
-    """The name or time of a file that is as it was tells a night that it did not tell before."""
+    """True if an unchanged file's name or time now gives a night that it did not before."""
     return is_guess(now) and not labels_of(now) <= labels_of(before)
 
 
@@ -361,10 +361,9 @@ def place_failed(
 ) -> dict[str, FileRecord]:
     """Give each unreadable file the night that it would have been of.
 
-    By what was known of it before, by the date in its name compared with those of its readable
-    neighbours, or by when it was last written: in that order, and the message says which. One
-    that vanished in between stays without a night, and so does one whose night is none that may
-    be told.
+    In this order: by its former record, by the date in its name compared with those of readable
+    files, or by the time of its last change; the message says which. A file that vanished, or
+    whose night is not plausible, stays without one.
     """
     lag = _lag_of_names(one for one in records.values() if one.status == "ok" and one.nights)
     return {
@@ -389,7 +388,7 @@ def _placed(
     placed = plausible.only_plausible(replace(record, nights=tuple(map(dt.date.isoformat, labels))))
     if placed.nights and placed.nights == record.nights:
         return record
-    # The night itself stands beside the message wherever that is shown.
+    # The night itself is always shown beside the message.
     how = f"night told {basis}"
     if not placed.nights:
         how = f"told {basis}, its night would lie {plausible.why_not(labels[0])}: it is of none"
@@ -399,7 +398,7 @@ def _placed(
 def _told(
     record: FileRecord, before: FileRecord | None, lag: dt.timedelta, spec: MotorSpec
 ) -> tuple[list[dt.date], str] | None:
-    """Nights that a file seems to be of, and by what they are told; None where nothing tells."""
+    """Nights that a file seems to be of, and how they are known; None if they are not."""
     if record.nights:  # as a run before has told
         said = TOLD.search(record.message or "")
         return sorted(labels_of(record)), said[1] if said else "by what it held before"
@@ -426,7 +425,7 @@ def _date_in(name: str) -> dt.date | None:
 
 
 def _lag_of_names(records: Iterable[FileRecord]) -> dt.timedelta:
-    """What lies between the date in a file's name and its first night, for most files."""
+    """Time from the date in a file's name to its first night, of most files."""
     lags = Counter(
         min(labels_of(record)) - date for record in records if (date := _date_in(record.path))
     )
@@ -460,7 +459,7 @@ def slice_night(
 
 
 def reaches_us(spec: MotorSpec) -> dict[str, int]:
-    """How long the last sample of each on-change channel may hold into the next night [µs]."""
+    """Longest time for which the last sample of each on-change channel holds [µs]."""
     return {
         name: round(channel.longest_silence_s * SECOND_US)
         for name, channel in spec.file.channels.items()

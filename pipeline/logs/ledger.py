@@ -1,7 +1,7 @@
-"""What a motor's task remembers: which files were read, and what came of which night.
+"""Ledger of a motor: the files that were read, and the outcome of each night.
 
-One JSON file a motor and month, beside the tables, so that a night writes no more however long the
-history is. It only saves work: without it everything is read again and the same tables come out.
+One sealed file for each motor and month, beside the tables: a night costs the same however long the
+history is. It only saves work: without it all logs are read again and give the same tables.
 """
 
 from __future__ import annotations
@@ -14,37 +14,36 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.store.atomic_files import put
-from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
+from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.workers.process import still_alive
 
-# Of a file that is read for its hash, at a time.
+# Read at a time for the hash of a file.
 PIECE_BYTES = 1 << 20
-# Where files of which no night is known are kept.
+# Stands for the month of files without a night.
 NO_MONTH = "unknown"
 
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """A log file as it was read.
+    """Record of a log file.
 
     Attributes
     ----------
     size, modified_ns
         While both stay, the content counts as unchanged.
     read_with
-        Hash of how its content was understood: dialect, channels, nights.
+        Hash of the settings of reading: dialect, channels, nights.
     sha256
         Hash of the content; None where it could not be read.
     first_us, last_us
         First and last sample, UTC microseconds; None where unknown.
     nights
-        Labels of the nights in which it has samples, or which its failure failed.
+        Labels of the nights in which it has samples, or which fail with it.
     status, error_code, message
-        ``ok``, ``failed``, or ``growing`` for one that is changed while it is read, and why; of an
-        ``ok`` file what was left out.
+        ``ok``, ``failed``, or ``growing`` for one that is changed while it is read, and the reason;
+        of an ``ok`` file the rows left out.
     inode
-        Number of the file on its disk: another one has taken its name where this differs.
+        Of the file: it differs if another one has taken its name.
     """
 
     path: str
@@ -64,7 +63,7 @@ class FileRecord:
 
 @dataclass(frozen=True, slots=True)
 class NightRecord:
-    """What came of a night.
+    """Outcome of a night.
 
     Attributes
     ----------
@@ -75,8 +74,8 @@ class NightRecord:
     judged_with
         Hash of the model before that the night was judged with.
     statistics_hash, figures_hash
-        Hashes of the settings that shaped its statistics, and of those that shaped the figures
-        made from them; empty where none did.
+        Hashes of the settings of its statistics, and of the figures made from them; empty without
+        any.
     """
 
     status: str
@@ -88,7 +87,7 @@ class NightRecord:
 
 @dataclass(frozen=True, slots=True)
 class Ledger:
-    """All that is remembered of a motor.
+    """Files and nights of a motor.
 
     Attributes
     ----------
@@ -107,10 +106,10 @@ class Ledger:
         return self.nights[max(earlier)].model if earlier else {}
 
     def without(self, nights: Collection[dt.date], refit: Collection[dt.date] = ()) -> Ledger:
-        """A ledger with which some nights are made anew: it knows no file that has samples of them.
+        """A ledger without the files that have samples of some nights: these are made anew.
 
-        What came of a night with a fit is kept: where its log is gone, the night after is still
-        judged with its model. Those of `refit` are then fitted anew from their statistics.
+        Nights with a fit are kept: if their log is gone, the night after is still judged with their
+        model. Those of `refit` are then fitted anew from their statistics.
         """
         labels = {night.isoformat() for night in nights}
         return Ledger(
@@ -123,7 +122,7 @@ class Ledger:
         )
 
     def by_month(self) -> dict[str, Ledger]:
-        """What is kept in each month's file: a night by its label, a file by its first night."""
+        """Content of each month's file: a night goes by its label, a file by its first night."""
         files: defaultdict[str, dict[str, FileRecord]] = defaultdict(dict)
         nights: defaultdict[str, dict[dt.date, NightRecord]] = defaultdict(dict)
         for path, record in self.files.items():
@@ -134,7 +133,7 @@ class Ledger:
 
 
 def changed_months(before: Ledger, after: Ledger) -> dict[str, Ledger]:
-    """The months of which something else is to be remembered; an empty one has nothing left."""
+    """Months that have changed; an empty one has no content left."""
     old, new = before.by_month(), after.by_month()
     return {
         month: new.get(month, Ledger())
@@ -144,12 +143,12 @@ def changed_months(before: Ledger, after: Ledger) -> dict[str, Ledger]:
 
 
 def ledger_folder(output: Path, motor_id: str) -> Path:
-    """Where a motor's ledger lies."""
+    """Folder of a motor's ledger."""
     return output / "ledger" / motor_id
 
 
 def read_ledger(output: Path, motor_id: str) -> Ledger:
-    """A motor's ledger, without the months that are absent or damaged."""
+    """A motor's ledger, without damaged months."""
     files: dict[str, FileRecord] = {}
     nights: dict[dt.date, NightRecord] = {}
     for path in sorted(ledger_folder(output, motor_id).glob("*.json")):
@@ -160,7 +159,7 @@ def read_ledger(output: Path, motor_id: str) -> Ledger:
 
 
 def _read_month(path: Path) -> Ledger:
-    document = read_sealed(path, unseal)
+    document = read_if_whole(path, unseal)
     if document is None:
         return Ledger()
     try:
@@ -180,13 +179,7 @@ def _read_month(path: Path) -> Ledger:
 
 
 def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> None:
-    """Replace what is remembered of some months of a motor.
-
-    Raises
-    ------
-    StoreError
-        If a file cannot be written.
-    """
+    """Write some months of a motor's ledger; raises as `put_sealed`."""
     for month, ledger in months.items():
         document: dict[str, Any] = {
             "files": {path: asdict(record) for path, record in sorted(ledger.files.items())},
@@ -194,28 +187,22 @@ def write_months(output: Path, motor_id: str, months: Mapping[str, Ledger]) -> N
                 label.isoformat(): asdict(record) for label, record in sorted(ledger.nights.items())
             },
         }
-        put(ledger_folder(output, motor_id) / f"{month}.json", seal(document))
+        put_sealed(ledger_folder(output, motor_id) / f"{month}.json", document)
 
 
 def settings_file(output: Path, motor_id: str) -> Path:
-    """Where the settings lie that a motor's last run had."""
+    """File of the settings of a motor's last run."""
     return ledger_folder(output, motor_id) / "settings"
 
 
 def read_settings(output: Path, motor_id: str) -> dict[str, str]:
-    """Settings of a motor's last run by dotted key; empty where they are not known."""
-    document = read_sealed(settings_file(output, motor_id), unseal) or {}
+    """Settings of a motor's last run by dotted key; empty without a record."""
+    document = read_if_whole(settings_file(output, motor_id), unseal) or {}
     return {str(key): str(value) for key, value in document.items()}
 
 
 def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:
-    """Remember the settings of a motor's run, to name what changed in the next.
-
-    Raises
-    ------
-    StoreError
-        If they cannot be written.
-    """
+    """Keep the settings of a motor's run, to name changes in the next; raises as `put_sealed`."""
     put_sealed(settings_file(output, motor_id), settings)
 
 
@@ -225,7 +212,7 @@ def forget_nights(
     keep: Collection[str] = (),
     refit: Collection[dt.date] = (),
 ) -> dict[str, set[dt.date]]:
-    """Let the next run make some nights anew for all motors but some.
+    """Let the next run make some nights anew, for all motors but some.
 
     Parameters
     ----------
@@ -236,12 +223,12 @@ def forget_nights(
     keep
         Ids of motors whose rows of these nights are published.
     refit
-        Those of the nights that may be fitted from their statistics where their logs are gone.
+        Nights that may be fitted from their statistics if their logs are gone.
 
     Returns
     -------
     dict of str to set
-        By motor, those of the nights that it had a fit of.
+        By motor, those of the nights with a fit.
 
     Raises
     ------

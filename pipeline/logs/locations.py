@@ -1,6 +1,6 @@
-"""Where a motor's logs are: in a folder, or in an object store, a copy of each while it is read.
+"""Sources of a motor's logs: a folder, or an object store, with a copy of each log that is read.
 
-A listing tells of every object its size, tag and last change: one that is known so is not opened.
+A listing gives size, tag and last change of every object: a known one is not opened.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import tempfile
 import weakref
 from collections import OrderedDict
 from collections.abc import Collection, Mapping
-from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
@@ -53,7 +52,7 @@ class LogSource(Protocol):
     absent: list[str]
 
     def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
-        """What is known of a log; one that is as it was before is not opened."""
+        """The record of a log; an unchanged one is not opened."""
 
     def path(self, name: str) -> Path:
         """A file with its content.
@@ -65,13 +64,10 @@ class LogSource(Protocol):
         """
 
     def change_of(self, record: FileRecord) -> LogError | None:
-        """What is no more as it was when a log was looked at; None: nothing."""
+        """The change of a log since it was looked at; None without one."""
 
     def unmatched(self) -> tuple[str, ...]:
-        """What to say of the globs that match none."""
-
-    def sizes(self) -> dict[str, int]:
-        """Sizes of those that are there, by name; none is opened [bytes]."""
+        """Messages about globs that match no log."""
 
 
 class FolderLogs:
@@ -108,14 +104,6 @@ class FolderLogs:
     def unmatched(self) -> tuple[str, ...]:
         """As `LogSource`."""
         return without_match(self._spec)
-
-    def sizes(self) -> dict[str, int]:
-        """As `LogSource`."""
-        found = {}
-        for name, path in self._paths.items():
-            with suppress(OSError):  # gone, or not to be read: told when it is looked at
-                found[name] = path.stat().st_size
-        return found
 
 
 class StoredLogs:
@@ -195,10 +183,6 @@ class StoredLogs:
         """As `LogSource`."""
         url = self._spec.log_url
         return tuple(f"no object matches {pattern} below {url}" for pattern in self._unmatched)
-
-    def sizes(self) -> dict[str, int]:
-        """As `LogSource`."""
-        return {name: found.size for name, found in self._found.items()}
 
 
 def _changed(path: Path) -> LogError:
@@ -289,5 +273,5 @@ def _translated(part: str) -> str:
 def logs_of(
     spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
 ) -> LogSource:
-    """A motor's logs, wherever its config says they are."""
+    """A motor's logs at the place in its config."""
     return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -1,11 +1,11 @@
-"""A motor's log files while its task works through them: what each is, and what is new of it."""
+"""A motor's log files during its task: the record of each, and its news."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,18 +32,8 @@ from pipeline.workers.process import Loss, reading, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
-# What may come of a file in a run: read; unchanged since a run before; growing while it is read;
-# failed; or left to another run, as one of its nights was not done.
+# Outcomes of a file in a run: left is left to another run, as one of its nights was not done.
 FATES = ("read", "unchanged", "growing", "failed", "left")
-
-
-@dataclass(frozen=True, slots=True)
-class Sight:
-    """What a task knew of a file before it used it and after, and whether it could read it."""
-
-    before: FileRecord
-    after: FileRecord
-    was_read: bool
 
 
 class LogShelf:
@@ -54,7 +44,7 @@ class LogShelf:
     spec
         The motor.
     before
-        What was known of its files.
+        Former records of its files.
     latest_us
         Samples after this time are refused [µs since 1970].
     silent
@@ -65,13 +55,13 @@ class LogShelf:
     Attributes
     ----------
     files
-        What is known of each file by now, by path relative to the log root.
+        Present record of each file, by path relative to the log root.
     before
-        What was known of them, without nights that are no longer told.
+        Former records, without nights that are no longer plausible.
     absent
         Those that are named in the config and absent.
     unmatched
-        Tells of the globs that match none.
+        Gives messages about globs that match no log.
     read
         Paths of those whose content was read.
     plausible
@@ -126,18 +116,18 @@ class LogShelf:
         return failed(replace(record, sha256=None), error)
 
     def _known(self, name: str) -> FileRecord | None:
-        """What was known of a file, if it was understood as it is now."""
+        """The former record of a file, if it was read with the same settings."""
         record = self.before.get(name)
         return record if record and record.read_with == self._read_with else None
 
     def news_of(self, name: str) -> str | None:
-        """What is new of a file that no run has finished with, in words; None: nothing."""
+        """The news of a file that no run has finished with, as text; None without any."""
         before, known, now = self.before.get(name), self._known(name), self.files[name]
         if before is None:
             return f"new file {name}"
         if known is None:
             return f"{name} is to be read with other settings"
-        # What could not be read has no hash: it may be legible by now.
+        # An unreadable file has no hash: it may be readable by now.
         if now.sha256 is None or known.sha256 != now.sha256:
             return f"changed file {name}"
         return f"the night of {name} is told now" if is_newly_told(known, now) else None
@@ -235,17 +225,18 @@ class LogShelf:
             if max(self.touched(name) | self.reached(name), default=label) <= label:
                 del self._open[name]
 
-    def recall(self, here: Night, known: Mapping[str, Sight], used: tuple[str, ...]) -> bool:
-        """Take over what another task saw when it read a night's files.
+    def used_by(self, here: Night) -> tuple[str, ...]:
+        """Files that a night is made from, in order."""
+        return (*self.before_night(here), *self.of_night(here.date))
 
-        Parameters
-        ----------
-        here
-            The night.
-        known
-            What it knew of each file before and after.
-        used
-            Files that it used, in order.
+    def take_over(
+        self,
+        here: Night,
+        before: Mapping[str, FileRecord],
+        after: Mapping[str, FileRecord],
+        read: Collection[str],
+    ) -> bool:
+        """Take over a night's files as another task knew them before and after it made the night.
 
         Returns
         -------
@@ -253,13 +244,12 @@ class LogShelf:
             False, and nothing is taken over, where this task would use other files, or knows
             something else of one.
         """
-        if (*self.before_night(here), *self.of_night(here.date)) != used:
+        if self.used_by(here) != tuple(before):
             return False
-        if any(self.files[name] not in (one.before, one.after) for name, one in known.items()):
+        if any(self.files[name] not in (before[name], after[name]) for name in before):
             return False
-        for name, one in known.items():
-            self.files[name] = one.after
-            (self.read.add if one.was_read else self.read.discard)(name)
+        self.files.update(after)
+        self.read = (self.read - before.keys()) | set(read)
         return True
 
     def finished(self, done: Collection[dt.date]) -> dict[str, FileRecord]:
@@ -276,13 +266,7 @@ class LogShelf:
         }
 
     def counts(self, done: Collection[dt.date]) -> Counter[str]:
-        """Files by what came of them in this run.
-
-        Returns
-        -------
-        Counter of str
-            By those of `FATES`.
-        """
+        """Number of files by outcome, one of `FATES`."""
         finished = self.finished(done)
         return Counter(self._fate(name, finished) for name in self.files)
 
@@ -294,7 +278,7 @@ class LogShelf:
         return "read" if name in self.read else "unchanged"
 
     def growing(self) -> list[str]:
-        """What there is to say of each file that changes while it is read."""
+        """Messages about files that change while they are read."""
         records = (record for _, record in sorted(self.files.items()))
         return [record.message or "" for record in records if record.status == "growing"]
 

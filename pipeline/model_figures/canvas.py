@@ -1,7 +1,6 @@
-"""Paper and pens: figures without global state, that look and are the same wherever they are made.
+"""Empty figures, pens and files, the same bytes on every machine.
 
-matplotlib's object interface is used throughout, never pyplot, so nothing needs a screen and
-nothing outlives a figure.
+Only matplotlib's object interface is used, never pyplot: no screen, no global state.
 """
 
 from __future__ import annotations
@@ -14,14 +13,17 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeAlias
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from numpy.typing import NDArray
 
 from pipeline.store.atomic_files import put
 
 ImageFormat = Literal["png", "svg"]
+Array: TypeAlias = NDArray[np.float64]
 Dashes: TypeAlias = str | tuple[int, tuple[int, ...]]
 
 # Of Okabe and Ito, "Color universal design", 2008: told apart with any kind of colour vision.
@@ -117,8 +119,22 @@ def new_figure(title: str, panels: int, *, note: str, mark: str = "") -> tuple[F
 
 
 def _wrapped(text: str, letters: float) -> str:
-    """A text in lines of so many letters; its own line breaks stay."""
+    """A text in lines of at most some letters; its own line breaks stay."""
     return "\n".join(textwrap.fill(line, max(20, int(letters))) for line in text.splitlines())
+
+
+def line(
+    axes: Axes, x: Array, y: Array, place: int, name: str | None = None, dashes: str | None = None
+) -> None:
+    """Draw a curve with the pen of the n-th path; `dashes` instead of its own."""
+    style = pen(place)
+    axes.plot(x, y, color=style.colour, linestyle=dashes or style.dashes, label=name)
+
+
+def dots(axes: Axes, x: Array, y: Array, place: int, name: str | None = None) -> None:
+    """Draw points with the pen of the n-th path."""
+    style = pen(place)
+    axes.plot(x, y, color=style.colour, marker=style.mark, linestyle="", label=name)
 
 
 def label(axes: Axes, title: str, x: str, y: str) -> None:
@@ -137,13 +153,7 @@ def plain_ticks(axes: Axes, which: Literal["x", "y"]) -> None:
 
 
 def save(figure: Figure, path: Path, image_format: ImageFormat) -> None:
-    """Write a figure whole or not at all; the same figure gives the same bytes.
-
-    Raises
-    ------
-    StoreError
-        ``store_write``, if it cannot be written.
-    """
-    # What stands in the file by default: date, and version of matplotlib.
+    """Write a figure whole or not at all; the same figure gives the same bytes."""
+    # By default the file holds the date and the version of matplotlib.
     metadata = {"Software": None} if image_format == "png" else {"Date": None, "Creator": None}
     put(path, lambda stream: figure.savefig(stream, format=image_format, metadata=metadata))

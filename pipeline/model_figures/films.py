@@ -8,16 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from leakage import AnnularGap, film_thickness_ratio
 from leakage.film import REGIME_TABLES, RegimeTable
 from pipeline.config.motor_types import BAR, MICROMETRE
-from pipeline.model_figures.canvas import QUIET, label, new_figure, pen, plain_ticks
+from pipeline.model_figures.canvas import QUIET, Array, label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.gaps import PRESSURE
 from pipeline.model_figures.subject import ModelSubject, stated
-
-Array = NDArray[np.float64]
 
 RATIO = "Film thickness ratio Λ"
 TABLE: RegimeTable = "[12]"
@@ -29,7 +26,7 @@ _REGIME_COLOURS = ("#bd5d38", "#d9a441", "#7fb6c9", "#3f6f8f")
 
 
 def films_figure(subject: ModelSubject, gaps: Sequence[AnnularGap]) -> Figure:
-    """Film thickness ratio of each gap, where the regimes lie, and how pressure moves it.
+    """Film thickness ratio of each gap over pressure, with the lubrication regimes.
 
     The ratio is that of the tables: at the narrowest place, h (1 − e), with the height without
     deformation at 0 bar and h exp(−ΔP/X) above.
@@ -49,8 +46,7 @@ def films_figure(subject: ModelSubject, gaps: Sequence[AnnularGap]) -> Figure:
     limits = _axis(ratios)
     _stribeck(stribeck, subject, gaps, limits)
     for place, (path, ratio) in enumerate(zip(gaps, ratios, strict=True)):
-        style = pen(place)
-        pressure.plot(bars, ratio, color=style.colour, linestyle=style.dashes, label=path.name)
+        line(pressure, bars, ratio, place, path.name)
     for limit in sorted({end for ends in REGIME_TABLES[TABLE].values() for end in ends}):
         if limits[0] < limit < limits[1]:
             pressure.axhline(limit, color=QUIET, linewidth=0.8, linestyle=":")
@@ -95,17 +91,14 @@ def _stribeck(
     for place, path in enumerate(gaps):
         row = len(regimes) + place
         ends_bar = np.array([0.0, subject.pressure_bar])
-        free, pressed = _ratios(subject, path, ends_bar)
-        style = pen(place)
-        axes.plot([free, pressed], [row, row], color=style.colour, linewidth=1.2)
-        axes.plot(
-            free, row, color=style.colour, marker="o", markerfacecolor="white", linestyle="",
-            label="0 bar" if place == 0 else None,
-        )  # fmt: skip
-        axes.plot(
-            pressed, row, color=style.colour, marker="o", linestyle="",
-            label=f"{subject.pressure_bar:g} bar" if place == 0 else None,
-        )  # fmt: skip
+        ends = _ratios(subject, path, ends_bar)
+        colour = pen(place).colour
+        axes.plot(ends, [row, row], color=colour, linewidth=1.2)
+        for ratio, bar, fill in zip(ends, ends_bar, ("white", colour), strict=True):
+            name = f"{bar:g} bar" if place == 0 else None
+            axes.plot(
+                ratio, row, color=colour, marker="o", markerfacecolor=fill, linestyle="", label=name
+            )
     axes.set_xscale("log")
     axes.set_xlim(*limits)
     plain_ticks(axes, "x")

@@ -5,15 +5,12 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from leakage import Laminar, SpeedCurve
 from pipeline.config.motor_types import BAR
-from pipeline.model_figures.canvas import QUIET, label, new_figure, pen
+from pipeline.model_figures.canvas import QUIET, Array, dots, label, line, new_figure, pen
 from pipeline.model_figures.gaps import DIFFERENCE, MILLILITRES, ONE_INTERFACE, PRESSURE
 from pipeline.model_figures.subject import ModelSubject
-
-Array = NDArray[np.float64]
 
 SPEED = "Speed ω / rpm"
 
@@ -42,10 +39,7 @@ def speed_curve_figure(subject: ModelSubject, path: SpeedCurve) -> Figure:
     curve = axes[0]
     _speed_curve(curve, path)
     if points is not None:
-        curve.plot(
-            points[:, 0], MILLILITRES * points[:, 1], color=pen(1).colour, marker=pen(1).mark,
-            linestyle="", label="points of the simulation",
-        )  # fmt: skip
+        dots(curve, points[:, 0], MILLILITRES * points[:, 1], 1, "points of the simulation")
         _deviations(axes[1], path, points)
     curve.legend(loc="best")
     return figure
@@ -53,15 +47,14 @@ def speed_curve_figure(subject: ModelSubject, path: SpeedCurve) -> Figure:
 
 def _speed_curve(axes: Axes, path: SpeedCurve) -> None:
     low, high = path.speed_minimum_rpm, path.speed_maximum_rpm
-    style = pen(0)
     inside = np.linspace(low, high, _SPEED_STEPS)
-    axes.plot(inside, _curve(path, inside), color=style.colour, label="f(ω)")
+    line(axes, inside, _curve(path, inside), 0, "f(ω)")
     beyond = [np.array([high, _BEYOND_RANGE * high])]
     if low > 0.0:
         beyond.append(np.array([0.0, low]))
     for place, speed in enumerate(beyond):
         name = "end value, held beyond the range" if place == 0 else None
-        axes.plot(speed, _curve(path, speed), color=style.colour, linestyle=":", label=name)
+        line(axes, speed, _curve(path, speed), 0, name, ":")
         axes.axvspan(speed[0], speed[1], color=QUIET, alpha=0.12, linewidth=0.0)
     axes.set_xlim(0.0, _BEYOND_RANGE * high)
     axes.set_ylim(bottom=0.0)
@@ -72,7 +65,7 @@ def _deviations(axes: Axes, path: SpeedCurve, points: Array) -> None:
     """Curve minus points."""
     difference = _curve(path, points[:, 0]) - MILLILITRES * points[:, 1]
     axes.vlines(points[:, 0], 0.0, difference, color=pen(1).colour, linewidth=1.0)
-    axes.plot(points[:, 0], difference, color=pen(1).colour, marker=pen(1).mark, linestyle="")
+    dots(axes, points[:, 0], difference, 1)
     axes.axhline(0.0, color="black", linewidth=0.8)
     rms = float(np.sqrt(np.mean(difference**2)))
     label(axes, f"(b) curve minus points, {rms:.3g} ml/min rms", SPEED, DIFFERENCE)
@@ -98,6 +91,6 @@ def laminar_figure(subject: ModelSubject, path: Laminar) -> Figure:
         subject.film_drive_per_s(pressure), pressure * BAR, np.zeros_like(pressure)
     )
     flow = path.configured_coefficient / path.count * regressor
-    axes.plot(pressure, MILLILITRES * flow, color=pen(0).colour)
+    line(axes, pressure, MILLILITRES * flow, 0)
     label(axes, "", PRESSURE, ONE_INTERFACE)
     return figure

@@ -1,8 +1,6 @@
-"""Figures of an annular gap: leakage over pressure and gap height, and what deformation does."""
+"""Figures of an annular gap: leakage over pressure and gap height, effect of deformation."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -10,7 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm
 from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from leakage import (
     AnnularGap,
@@ -19,10 +16,8 @@ from leakage import (
 )
 from leakage.simulated_curves import FittedDeformation
 from pipeline.config.motor_types import BAR, MICROMETRE
-from pipeline.model_figures.canvas import MAP_COLOURS, label, new_figure, pen
+from pipeline.model_figures.canvas import MAP_COLOURS, Array, dots, label, line, new_figure, pen
 from pipeline.model_figures.subject import ModelSubject, stated
-
-Array = NDArray[np.float64]
 
 PRESSURE = "Pressure difference ΔP / bar"
 GAP = "Gap height h, not deformed / µm"
@@ -106,16 +101,12 @@ def _stated_deformation(subject: ModelSubject, path: AnnularGap) -> Figure:
     closing = np.exp(-3.0 * pressure * BAR / path.deformation_pressure_pa)
     for place, gap in enumerate(_GAPS_OF_CURVES * np.array(path.gap.value)):
         (deformed,) = _flows(path, pressure, np.array([gap]), drive)
-        style = pen(place)
-        flow.plot(pressure, deformed, color=style.colour, label=f"h = {gap:.3g} µm")
-        flow.plot(pressure, deformed / closing, color=style.colour, linestyle="--")
+        line(flow, pressure, deformed, place, f"h = {gap:.3g} µm", "-")
+        line(flow, pressure, deformed / closing, place, dashes="--")
     label(flow, "(a) solid deformed, dashed not", PRESSURE, ONE_INTERFACE)
     flow.legend(loc="upper left")
-    loss.plot(pressure, 100.0 * (closing - 1.0), color=pen(0).colour, label="leakage")
-    loss.plot(
-        pressure, 100.0 * (np.cbrt(closing) - 1.0), color=pen(1).colour, linestyle="--",
-        label="gap height",
-    )  # fmt: skip
+    line(loss, pressure, 100.0 * (closing - 1.0), 0, "leakage")
+    line(loss, pressure, 100.0 * (np.cbrt(closing) - 1.0), 1, "gap height")
     x_bar = path.deformation_pressure_pa / BAR
     label(loss, f"(b) what deformation takes away, X = {x_bar:.4g} bar", PRESSURE, "Change / %")
     loss.legend(loc="best")
@@ -139,18 +130,18 @@ def _fitted_deformation(subject: ModelSubject, path: AnnularGap, points: Array) 
     drawn = gaps[np.unique(np.linspace(0, gaps.size - 1, _MOST_CURVES).round().astype(int))]
     pressure = np.linspace(0.0, points[:, 0].max(), _STEPS)
     for place, gap in enumerate(drawn):
-        style = pen(place)
-        deformed, not_deformed = _simulated(fitted, pressure, np.full_like(pressure, gap))
-        flow.plot(pressure, deformed, color=style.colour)
-        flow.plot(pressure, not_deformed, color=style.colour, linestyle="--")
+        style, name = pen(place), f"h = {gap:.4g} µm"
         own = points[points[:, 1] == gap]
         own = own[own[:, 0].argsort()]
-        name = f"h = {gap:.4g} µm"
-        dots: dict[str, Any] = {"color": style.colour, "marker": style.mark, "label": name}
-        flow.plot(own[:, 0], MILLILITRES * own[:, 2], linestyle="", **dots)
-        deformed, not_deformed = _simulated(fitted, own[:, 0], own[:, 1])
-        without.plot(own[:, 0], not_deformed - MILLILITRES * own[:, 2], **dots)
-        with_.plot(own[:, 0], deformed - MILLILITRES * own[:, 2], **dots)
+        dots(flow, own[:, 0], MILLILITRES * own[:, 2], place, name)
+        curves = _simulated(fitted, pressure, np.full_like(pressure, gap))
+        at_points = _simulated(fitted, own[:, 0], own[:, 1])
+        for curve, there, axes, dashes in zip(
+            curves, at_points, (with_, without), ("-", "--"), strict=True
+        ):
+            line(flow, pressure, curve, place, dashes=dashes)
+            difference = there - MILLILITRES * own[:, 2]
+            axes.plot(own[:, 0], difference, color=style.colour, marker=style.mark, label=name)
     label(flow, "(a) points; solid deformed, dashed not", PRESSURE, ONE_INTERFACE)
     flow.legend(loc="upper left")
     for axes, name in ((without, "(b) not deformed"), (with_, "(c) deformed")):
@@ -181,7 +172,7 @@ def _curves(axes: Axes, subject: ModelSubject, path: AnnularGap, pressure: Array
         ):
             (flow,) = _flows(path, pressure, np.array([gap]), drive)
             name = f"h = {gap:.3g} µm" if dashes == "-" else None
-            axes.plot(pressure, flow, color=style.colour, linestyle=dashes, label=name)
+            line(axes, pressure, flow, place, name, dashes)
             if bar is not None and bar <= pressure[-1]:
                 axes.plot(
                     bar, flow[pressure == bar], marker=style.mark, color=style.colour,

@@ -1,4 +1,4 @@
-"""Figure of the whole motor: which path the leakage goes through, over pressure."""
+"""Figure of the whole motor: leakage by path over pressure."""
 
 from __future__ import annotations
 
@@ -7,14 +7,11 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from leakage import AnnularGap, leakage_l_per_min, path_flows_l_per_min
-from pipeline.model_figures.canvas import label, new_figure, pen
+from pipeline.model_figures.canvas import Array, label, new_figure, pen
 from pipeline.model_figures.gaps import PRESSURE
 from pipeline.model_figures.subject import ModelSubject, stated
-
-Array = NDArray[np.float64]
 
 _STEPS = 350
 _MOST_STATED = 6
@@ -25,11 +22,13 @@ def shares_figure(subject: ModelSubject) -> Figure:
     motor = subject.motor
     gaps = [path for path in motor.paths if isinstance(path, AnnularGap)]
     named = "; ".join(f"{path.name} {stated(path)}" for path in gaps[:_MOST_STATED])
+    charge = subject.charge_over_case_bar
+    sides = "" if charge is None else f", both sides at {charge:g} bar charge over case"
     figure, (flow, share) = new_figure(
         f"{motor.motor_type}: leakage by path over pressure",
         2,
         note=f"{subject.oil_name} at {subject.temperature_c:g} °C, {subject.speed_rpm:g} rpm, "
-        f"{subject.film_words()}{_sides(subject)}; all interfaces of a path together, as "
+        f"{subject.film_words()}{sides}; all interfaces of a path together, as "
         f"configured, not fitted.\n{named}",
         mark=subject.marks(*motor.paths, oil=True),
     )
@@ -81,9 +80,3 @@ def _stack(axes: Axes, pressure: Array, layers: Mapping[str, Array]) -> None:
         )  # fmt: skip
         below = below + layer
     axes.set_ylim(bottom=0.0)
-
-
-def _sides(subject: ModelSubject) -> str:
-    if subject.charge_over_case_bar is None:
-        return ""
-    return f", both sides at {subject.charge_over_case_bar:g} bar charge over case"

@@ -1,4 +1,4 @@
-"""What the figures of a motor type are drawn from: its model, and where its values come from."""
+"""Subject of the figures of a motor type: its model, and the source of its values."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class ModelSubject:
     motor
         The declared paths with the oil; gap heights and eccentricities are the configured ones.
     oil_name
-        The oil, as its file calls itself.
+        Name in the oil's file.
     reference_viscosities
         Data-sheet points (temperature, [°C]; kinematic viscosity, [mm²/s]).
     roughness_m
@@ -57,15 +57,15 @@ class ModelSubject:
     pressure_bar, temperature_c, speed_rpm
         Reference conditions.
     charge_over_case_bar
-        Charge above case pressure, where leakage is two-sided; None: one-sided.
+        Charge above case pressure for two-sided leakage; None: one-sided.
     deformation_points
         Points (ΔP, [bar]; h, [µm]; Q, [l/min]) by path to which X is fitted.
     speed_points
         Points (ω, [rpm]; Q, [l/min]) by path to which the curve is fitted.
     placeholders
-        Paths whose values are placeholders.
+        Paths with placeholder values.
     oil_is_placeholder
-        Whether the oil's are.
+        The oil has placeholder values.
     """
 
     motor: Motor
@@ -105,7 +105,7 @@ class ModelSubject:
         return pressure_bar * BAR / dynamic_viscosity_pa_s(self.temperature_c, 0.0, self.motor.oil)
 
     def marks(self, *paths: LeakagePath, oil: bool = False) -> str:
-        """What a figure of these paths has to say of placeholders; empty: nothing."""
+        """Note on placeholders for a figure of these paths; empty without one."""
         strange = [path for path in paths if path.name in self.placeholders]
         kinds = ["curve" if isinstance(path, SpeedCurve) else "geometry" for path in strange]
         if oil and self.oil_is_placeholder:
@@ -140,7 +140,7 @@ def stated(path: LeakagePath) -> str:
 def subject_of(
     motor_type: MotorTypeFile, oil: OilFile, settings: Settings, motor: Motor | None = None
 ) -> ModelSubject:
-    """Bring together what the files of a motor type and an oil say."""
+    """Subject from the files of a motor type and an oil."""
     model, reference = settings.model, settings.reference
     charge = model.charge_pressure_bar - model.case_pressure_bar
     film_pressure = FilmPressure(model.film_pressure, model.film_pressure_share)
@@ -175,16 +175,7 @@ def subject_of(
 
 
 def choose(fleet: Fleet, motor_type: str, oil: str | None = None) -> ModelSubject:
-    """Find a motor type and its oil in a fleet's config.
-
-    Parameters
-    ----------
-    fleet
-        The fleet.
-    motor_type
-        Name of the type.
-    oil
-        Name of the oil; None: that of the fleet's first motor of the type.
+    """Find a motor type and its oil, by default that of the fleet's first motor of the type.
 
     Raises
     ------
@@ -201,6 +192,6 @@ def choose(fleet: Fleet, motor_type: str, oil: str | None = None) -> ModelSubjec
     )
     if named is None or named not in fleet.oils:
         known = ", ".join(sorted(fleet.oils))
-        what = f"no oil {named!r}" if named else f"no motor of type {motor_type} tells its oil"
+        what = f"no oil {named!r}" if named else f"no motor of type {motor_type} names an oil"
         raise UsageError("unknown_oil", f"{what}; name one with --oil: {known}")
     return subject_of(fleet.motor_types[motor_type], fleet.oils[named], fleet.settings)

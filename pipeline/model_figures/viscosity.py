@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from leakage import density_kg_per_m3, dynamic_viscosity_pa_s
 from pipeline.config.motor_types import BAR
-from pipeline.model_figures.canvas import label, new_figure, pen, plain_ticks
+from pipeline.model_figures.canvas import label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.subject import ModelSubject
 
 VISCOSITY = "Dynamic viscosity η / mPa·s"
@@ -32,23 +32,21 @@ def viscosity_figure(subject: ModelSubject) -> Figure:
         mark=subject.marks(oil=True),
     )
     oil = subject.motor.oil
-    lowest, highest = _temperatures(subject)
-    celsius = np.linspace(lowest, highest, _TEMPERATURE_STEPS)
+    # The usual axis, stretched to the temperatures of data sheet and config.
+    named = [subject.temperature_c, *(at_c for at_c, _ in subject.reference_viscosities)]
+    ends = min(_LOWEST_C, *named), max(_HIGHEST_C, *named)
+    celsius = np.linspace(*ends, _TEMPERATURE_STEPS)
     for place, bar in enumerate(_PRESSURES_BAR):
         eta = _MILLIPASCAL * dynamic_viscosity_pa_s(celsius, bar * BAR, oil)
-        style = pen(place)
-        temperature.plot(
-            celsius, eta, color=style.colour, linestyle=style.dashes, label=f"{bar:g} bar"
-        )
+        line(temperature, celsius, eta, place, f"{bar:g} bar")
     _data_sheet(temperature, subject)
     label(temperature, "(a) over temperature", "Oil temperature T / °C", VISCOSITY)
     bars = np.linspace(0.0, subject.highest_pressure_bar, _STEPS)
     chosen = sorted({*_TEMPERATURES_C, subject.temperature_c})
     for place, at_c in enumerate(chosen):
         eta = _MILLIPASCAL * dynamic_viscosity_pa_s(at_c, bars * BAR, oil)
-        style = pen(place)
-        pressure.plot(bars, eta, color=style.colour, linestyle=style.dashes, label=f"{at_c:g} °C")
-        pressure.text(bars[-1], eta[-1], f" {at_c:g} °C", color=style.colour, va="center")
+        line(pressure, bars, eta, place, f"{at_c:g} °C")
+        pressure.text(bars[-1], eta[-1], f" {at_c:g} °C", color=pen(place).colour, va="center")
     label(pressure, "(b) over pressure", "Pressure in the film / bar", VISCOSITY)
     for axes in (temperature, pressure):
         axes.set_yscale("log")
@@ -56,12 +54,6 @@ def viscosity_figure(subject: ModelSubject) -> Figure:
         axes.grid(visible=True, which="minor", axis="y", linewidth=0.3)
     temperature.legend(loc="upper right")
     return figure
-
-
-def _temperatures(subject: ModelSubject) -> tuple[float, float]:
-    """The axis of temperature: the usual one, stretched to what the data sheet and config name."""
-    named = [subject.temperature_c, *(at_c for at_c, _ in subject.reference_viscosities)]
-    return min(_LOWEST_C, *named), max(_HIGHEST_C, *named)
 
 
 def _data_sheet(axes: Axes, subject: ModelSubject) -> None:

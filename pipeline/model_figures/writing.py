@@ -1,4 +1,4 @@
-"""Which figures a motor type has, and their files."""
+"""Figures of a motor type, and their files."""
 
 from __future__ import annotations
 
@@ -22,11 +22,9 @@ Draw = Callable[[], Figure]
 
 
 def model_figures(subject: ModelSubject) -> Mapping[str, Draw]:
-    """The figures of a motor type, by name; each is drawn when it is called.
+    """The figures of a motor type by name: of each path by its law, oil, shares and films.
 
-    Every path has those of its law, in declared order; then come the oil, the shares of the
-    paths and, where there are gaps, the regime of their films. A constant flow has none of its
-    own: it is a layer among the shares.
+    A figure is drawn when it is called. A constant flow has none of its own.
     """
     figures: dict[str, Draw] = {}
     for path in subject.motor.paths:
@@ -53,21 +51,9 @@ def _of_path(subject: ModelSubject, path: LeakagePath) -> Iterator[tuple[str, Dr
 def write_model_figures(
     subject: ModelSubject, folder: Path, image_format: ImageFormat = "png"
 ) -> list[Path]:
-    """Draw all figures of a motor type into a folder.
+    """Draw all figures of a motor type into a folder as ``<motor type>_<figure>.<format>``.
 
-    Parameters
-    ----------
-    subject
-        What is drawn.
-    folder
-        Where; it is made. Files of the same names are replaced, others stay.
-    image_format
-        ``"png"`` or ``"svg"``.
-
-    Returns
-    -------
-    list of Path
-        The files, ``<motor type>_<figure>.<format>``.
+    The folder is made; files of the same names are replaced, others stay.
 
     Raises
     ------

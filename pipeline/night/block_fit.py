@@ -1,4 +1,4 @@
-"""A fit from the statistics of blocks, with verdicts and intervals: what needs no samples."""
+"""The one fit, from stored blocks: of a night just read, of one fitted anew, of nights together."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from leakage import Fit, OperatingConditions, SearchSettings, fit
 from leakage.block_statistics import merge
@@ -19,15 +18,40 @@ from leakage.identifiability import (
     identify,
     judge_leakage,
 )
+from leakage.sensitivities import ErrorBudget
 from leakage.uncertainty import Bootstrap, block_bootstrap, lengthened
 from pipeline.config import MotorSpec
+from pipeline.night.residuals import PartResiduals
+from pipeline.night.stored_blocks import StoredBlocks
 
-Array = NDArray[np.float64]
+NO_BUDGET = ErrorBudget(())
+
+
+@dataclass(frozen=True, slots=True)
+class SampleFacts:
+    """Facts of the training samples that their blocks do not hold.
+
+    Attributes
+    ----------
+    minutes
+        Kept samples, as time [min].
+    own
+        Mean pressure difference [bar], temperature [°C] and speed [rpm].
+    charge_bar
+        Mean charge above case pressure; None in a model of one side.
+    inflation
+        Factor on standard errors that robust weights ask for; 1 without them.
+    """
+
+    minutes: float
+    own: tuple[float, float, float]
+    charge_bar: float | None
+    inflation: float
 
 
 @dataclass(frozen=True, slots=True)
 class BlockFit:
-    """The fit under one mode of flushing, and all that its blocks say of it.
+    """The fit under one mode of flushing.
 
     Attributes
     ----------
@@ -36,13 +60,18 @@ class BlockFit:
     fit, identification
         Estimates; verdicts and intervals.
     excitation
-        What the training samples saw.
-    reference_conditions
-        Where the reference leakage is evaluated.
+        Range that the training samples saw.
+    reference_conditions, own_conditions
+        Conditions at which the two leakages are evaluated.
     reference, own
         Leakage at the reference conditions, and at the night's own mean conditions.
     bootstrap
         Percentile limits, a cross-check.
+    budget
+        Effects of the stated tolerances on θ and both leakages. It needs samples; empty without
+        them, without a stated tolerance, or where one leads beyond the model's validity.
+    residuals
+        Residual analyses of training and validation samples; empty without samples.
     """
 
     name: str
@@ -50,52 +79,46 @@ class BlockFit:
     identification: Identification
     excitation: Excitation
     reference_conditions: OperatingConditions
+    own_conditions: OperatingConditions
     reference: LeakageJudgement
     own: LeakageJudgement
     bootstrap: Bootstrap
+    budget: ErrorBudget = NO_BUDGET
+    residuals: tuple[PartResiduals, ...] = ()
 
 
-def fit_blocks(
+def fit_stored_blocks(
     spec: MotorSpec,
     night: dt.date,
     mode: str,
-    training: Array,
-    excite: Callable[[Fit], Excitation],
-    at: tuple[OperatingConditions, OperatingConditions],
-    inflation: float = 1.0,
+    training: StoredBlocks,
+    facts: SampleFacts,
+    memory_s: Callable[[Fit], float],
     *,
     search: bool = True,
     bootstrap: bool = True,
 ) -> BlockFit:
-    """Fit a motor to blocks of training samples.
+    """Fit a motor to blocks of training samples, with verdicts and intervals.
 
     Parameters
     ----------
     spec, night, mode
-        Whose paths, with which oil and which mode of flushing.
-    training
-        Triangular factors of the blocks in time order, shape (b, c, c).
-    excite
-        What the samples saw, and how long the fit's errors remember.
-    at
-        Reference conditions, and the night's own.
-    inflation
-        Factor on standard errors that robust weights ask for.
+        Motor, night (it tells the oil) and mode of flushing.
+    training, facts
+        Blocks of the training samples, and facts of these.
+    memory_s
+        Gives the time over which the errors of a fit forget [s].
     search
-        Whether to make the starts of the search, too; the estimate does not depend on them.
+        Make the starts of the search, too; the estimate does not depend on them.
     bootstrap
-        Whether to make the block bootstrap, which nothing but its own columns depends on.
-
-    Returns
-    -------
-    BlockFit
+        Make the block bootstrap, on which nothing but its own columns depends.
 
     Raises
     ------
     EstimationError
         If there are fewer samples than free coefficients.
     """
-    estimation = spec.settings.estimation
+    estimation, reference = spec.settings.estimation, spec.settings.reference
     settings = SearchSettings(
         starting_points=estimation.starting_points,
         gradient_type=estimation.gradient_type,
@@ -104,31 +127,46 @@ def fit_blocks(
         maximum_iterations=estimation.maximum_iterations,
     )
     settings = settings if search else replace(settings, starting_points=0)
-    generator = np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, mode))
-    fitted = fit(merge(training), spec.motor(night, mode), settings, generator)
-    excitation = excite(fitted)
-    identification = identify(fitted, training, excitation, inflation)
+
+    def generator(purpose: str) -> np.random.Generator:
+        return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
+
+    fitted = fit(merge(training.factors), spec.motor(night, mode), settings, generator(mode))
+    excitation = _excitation(training, facts.minutes, memory_s(fitted))
+    identification = identify(fitted, training.factors, excitation, facts.inflation)
+    at_reference = OperatingConditions.from_bar(
+        reference.pressure_bar, reference.temperature_c, reference.speed_rpm, facts.charge_bar
+    )
+    at_own = OperatingConditions.from_bar(*facts.own, facts.charge_bar)
     return BlockFit(
         name=mode,
         fit=fitted,
         identification=identification,
         excitation=excitation,
-        reference_conditions=at[0],
-        reference=judge_leakage(fitted, identification, excitation, at[0]),
-        own=judge_leakage(fitted, identification, excitation, at[1]),
+        reference_conditions=at_reference,
+        own_conditions=at_own,
+        reference=judge_leakage(fitted, identification, excitation, at_reference),
+        own=judge_leakage(fitted, identification, excitation, at_own),
         bootstrap=block_bootstrap(
-            lengthened(training, excitation.blocks_to_merge),
+            lengthened(training.factors, excitation.blocks_to_merge),
             fitted.coefficients,
             ~fitted.certificate.fixed,
-            _resampling(estimation.seed, spec.motor_id, night, mode),
+            # A source of its own: limits do not depend on whether the search was made.
+            generator(f"{mode}|bootstrap"),
             resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
     )
 
 
-def _resampling(seed: int, motor_id: str, night: dt.date, mode: str) -> np.random.Generator:
-    """A source of its own, so that limits do not depend on whether the search was made."""
-    return np.random.default_rng(night_seed(seed, motor_id, night, f"{mode}|bootstrap"))
+def _excitation(training: StoredBlocks, minutes: float, memory_s: float) -> Excitation:
+    return Excitation(
+        minutes=minutes,
+        pressure_bar=training.span("pressure_bar"),
+        temperature_c=training.span("temperature_c"),
+        speed_rpm=training.span("speed_rpm"),
+        correlation_time_s=memory_s,
+        block_s=training.length_s,
+    )
 
 
 def night_seed(seed: int, motor_id: str, night: dt.date, purpose: str) -> int:

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Fit, LeakageError, OperatingConditions, regressors
 from leakage.correlation import slowest_correlation_time
-from leakage.identifiability import (
-    Excitation,
-)
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import BlockFit, fit_blocks
-from pipeline.night.residuals import ROUNDING, PartResiduals, night_residuals
-from pipeline.night.statistics import NightStatistics, condition
+from pipeline.night.block_fit import NO_BUDGET, BlockFit, SampleFacts, fit_stored_blocks
+from pipeline.night.residuals import ROUNDING, night_residuals
+from pipeline.night.statistics import NightStatistics, mean_charge_bar
+from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.transport_delay import estimated_delay_s
 from pipeline.night.windows import TRAINING
 
@@ -31,90 +29,45 @@ MEMORY_CELL_S = 30.0
 PA_PER_BAR = 1e5
 
 
-@dataclass(frozen=True, slots=True)
-class FittedMode(BlockFit):
-    """The fit under one mode of flushing, and all that the night's samples say of it.
-
-    Attributes
-    ----------
-    error
-        Prediction errors of the training samples, shape (n,) [l/min].
-    budget
-        Effects of the stated tolerances on θ, the reference leakage and the own leakage; empty
-        where none is stated, or one leads where the model does not hold.
-    residuals
-        Residual analyses of training and validation samples; empty until :func:`with_residuals`.
-    """
-
-    error: Array
-    budget: ErrorBudget
-    residuals: tuple[PartResiduals, ...] = ()
-
-    @classmethod
-    def of(cls, found: BlockFit, *, error: Array, budget: ErrorBudget) -> FittedMode:
-        """A fit from blocks with what samples add to it."""
-        shared = {field.name: getattr(found, field.name) for field in fields(found)}
-        return cls(**shared, error=error, budget=budget)
-
-
-def own_conditions(statistics: NightStatistics) -> tuple[float, float, float]:
-    """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the training samples."""
+def sample_facts(spec: MotorSpec, statistics: NightStatistics) -> SampleFacts:
+    """Facts of the training samples, and of the charge pressure over the night."""
     samples, rows = statistics.samples, statistics.rows_of(TRAINING)
-    return (
-        float(np.abs(samples.pressure_difference_bar[rows]).mean()),
-        float(samples.oil_temperature_c[rows].mean()),
-        float(np.abs(samples.speed_rpm[rows]).mean()),
+    return SampleFacts(
+        minutes=int(rows.sum()) * (samples.period_us / 1e6) / 60.0,
+        own=(
+            float(np.abs(samples.pressure_difference_bar[rows]).mean()),
+            float(samples.oil_temperature_c[rows].mean()),
+            float(np.abs(samples.speed_rpm[rows]).mean()),
+        ),
+        charge_bar=mean_charge_bar(spec, samples),
+        inflation=statistics.inflation,
     )
 
 
 def fit_modes(
-    spec: MotorSpec, night: dt.date, statistics: NightStatistics
-) -> tuple[FittedMode, ...]:
-    """A fit for each mode of flushing, the primary one first; all over the same statistics.
+    spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
+) -> tuple[BlockFit, ...]:
+    """A fit for each mode of flushing, the primary one first; all over the same blocks.
 
     Raises
     ------
     EstimationError
         If there are fewer samples than free coefficients.
     """
-    reference = spec.settings.reference
-    samples = statistics.samples
-    at = (
-        condition(
-            spec, samples, reference.pressure_bar, reference.temperature_c, reference.speed_rpm
-        ),
-        condition(spec, samples, *own_conditions(statistics)),
-    )
-    return tuple(_fit_mode(spec, night, statistics, mode, at) for mode in spec.file.flushing.modes)
+    training, facts = blocks.part(TRAINING), sample_facts(spec, statistics)
 
+    def fit_mode(mode: str) -> BlockFit:
+        found = fit_stored_blocks(
+            spec, night, mode, training, facts, lambda fitted: _memory_s(statistics, fitted)
+        )
+        return replace(found, budget=_budget(spec, statistics, found, night))
 
-def _fit_mode(
-    spec: MotorSpec,
-    night: dt.date,
-    statistics: NightStatistics,
-    mode: str,
-    at: tuple[OperatingConditions, OperatingConditions],
-) -> FittedMode:
-    training = statistics.factors_of(TRAINING)
-    rows = statistics.rows_of(TRAINING)
-
-    errors: list[Array] = []
-
-    def excite(fitted: Fit) -> Excitation:
-        errors.append(_error(statistics, rows, fitted))
-        return _excitation(statistics, rows, errors[0])
-
-    found = fit_blocks(spec, night, mode, training, excite, at, statistics.inflation)
-    return FittedMode.of(
-        found,
-        error=errors[0],
-        budget=_budget(spec, statistics, found.fit, rows, night, at),
-    )
+    return tuple(fit_mode(mode) for mode in spec.file.flushing.modes)
 
 
 def with_residuals(
-    spec: MotorSpec, statistics: NightStatistics, modes: tuple[FittedMode, ...]
-) -> tuple[FittedMode, ...]:
+    spec: MotorSpec, statistics: NightStatistics, modes: tuple[BlockFit, ...]
+) -> tuple[BlockFit, ...]:
     """Fits with the analyses of what they leave unexplained."""
     smoothing = spec.settings.smoothing
     return tuple(
@@ -131,13 +84,21 @@ def with_residuals(
     )
 
 
-def _error(statistics: NightStatistics, rows: NDArray[np.bool_], fitted: Fit) -> Array:
-    error: Array = statistics.z[rows] @ -np.concatenate([fitted.coefficients, (1.0, -1.0)])
-    return error
+def _memory_s(statistics: NightStatistics, fitted: Fit) -> float:
+    """Time over which the prediction errors of the training samples forget [s]."""
+    samples, error = statistics.samples, statistics.training_error(fitted.coefficients)
+    period_s = samples.period_us / 1e6
+    longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
+    # Without noise the errors are rounding, and what rounding remembers is nothing.
+    noisy = float(np.abs(error).max()) > ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
+    if longest <= 1 or not noisy:
+        return 0.0
+    index, cell = samples.index[statistics.rows_of(TRAINING)], round(MEMORY_CELL_S / period_s)
+    return slowest_correlation_time(error, index, longest, cell) * period_s
 
 
 def transport_delays_s(
-    spec: MotorSpec, statistics: NightStatistics, mode: FittedMode
+    spec: MotorSpec, statistics: NightStatistics, mode: BlockFit
 ) -> tuple[float | None, float | None]:
     """Mean delay of the kept samples as configured, and the one estimated; None where it is off."""
     samples = statistics.samples
@@ -173,41 +134,14 @@ def transport_delays_s(
     return float(delay.delay_s[rows].mean()), estimate
 
 
-def _excitation(statistics: NightStatistics, rows: NDArray[np.bool_], error: Array) -> Excitation:
-    samples = statistics.samples
-    period_s = samples.period_us / 1e6
-    longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
-    memory = 0.0
-    # Without noise the errors are rounding, and what rounding remembers is nothing.
-    noisy = float(np.abs(error).max()) > ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
-    if longest > 1 and noisy:
-        cell = round(MEMORY_CELL_S / period_s)
-        memory = slowest_correlation_time(error, samples.index[rows], longest, cell) * period_s
-
-    def limits(values: Array) -> tuple[float, float]:
-        return float(values.min()), float(values.max())
-
-    blocks = [block for block in statistics.blocks if block.part == TRAINING]
-    return Excitation(
-        minutes=len(error) * period_s / 60.0,
-        pressure_bar=limits(np.abs(samples.pressure_difference_bar[rows])),
-        temperature_c=limits(samples.oil_temperature_c[rows]),
-        speed_rpm=limits(np.abs(samples.speed_rpm[rows])),
-        correlation_time_s=memory,
-        block_s=float(np.median([block.end_us - block.start_us for block in blocks])) / 1e6,
-    )
-
-
 def _budget(
     spec: MotorSpec,
     statistics: NightStatistics,
-    fitted: Fit,
-    rows: NDArray[np.bool_],
+    found: BlockFit,
     night: dt.date,
-    at: tuple[OperatingConditions, OperatingConditions],
 ) -> ErrorBudget:
     """The stated tolerances carried through evenly thinned training samples."""
-    places = np.flatnonzero(rows)
+    places = np.flatnonzero(statistics.rows_of(TRAINING))
     wanted = min(spec.settings.estimation.sensitivity_samples, len(places))
     chosen = places[np.linspace(0, len(places) - 1, wanted).round().astype(np.int64)]
     conditions = statistics.conditions
@@ -220,9 +154,10 @@ def _budget(
     )
     flow = statistics.samples.leakage_l_per_min[chosen]
     try:
-        return error_budget(fitted.motor, thinned, flow, tolerances(spec, night), at)
+        at = found.reference_conditions, found.own_conditions
+        return error_budget(found.fit.motor, thinned, flow, tolerances(spec, night), at)
     except LeakageError:
-        return ErrorBudget(())
+        return NO_BUDGET
 
 
 def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:

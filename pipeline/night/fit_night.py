@@ -34,6 +34,7 @@ from pipeline.night.rows import (
 )
 from pipeline.night.sampling import means_too_long
 from pipeline.night.statistics import NightStatistics, night_statistics
+from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
 from pipeline.night.windows import TRAINING, left_out, too_uniform
@@ -130,7 +131,8 @@ def fit_night(
             rows["block_statistics"] = statistics_rows(spec.motor_id, night.date, motor, statistics)
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
-            modes = fit_modes(spec, night.date, statistics)
+            blocks = StoredBlocks.of_tonight(rows["block_statistics"], statistics.factors)
+            modes = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
             modes = with_residuals(spec, statistics, modes)
         with _timed(seconds, "fit_s"):

@@ -21,7 +21,7 @@ from leakage import (
 from leakage.identifiability import Judgement
 from leakage.sensitivities import Effect
 from pipeline.config import MotorSpec
-from pipeline.night.fit import FittedMode
+from pipeline.night.block_fit import BlockFit
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -31,7 +31,7 @@ MICROMETRE = 1e-6
 WIDEST_SHARE = 0.02
 
 
-def parameter_rows(spec: MotorSpec, mode: FittedMode) -> list[Row]:
+def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     """Rows of `parameters`: coefficients, what they say of gaps, and shares of the leakage."""
     fit = mode.fit
     places = {path.name: place for place, path in enumerate(_columns(fit)) if path}
@@ -50,7 +50,7 @@ def _columns(fit: Fit) -> tuple[LeakagePath | None, ...]:
 
 
 def _coefficient_row(
-    mode: FittedMode, path: LeakagePath, place: int | None, spreads: Mapping[str, float]
+    mode: BlockFit, path: LeakagePath, place: int | None, spreads: Mapping[str, float]
 ) -> Row:
     """The row of a coefficient: of a known path its configured value, else estimate and verdict."""
     row: Row = {"parameter": path.coefficient_name, "unit": path.coefficient_unit}
@@ -168,7 +168,7 @@ def _spreads(fit: Fit) -> dict[str, float]:
     return spreads | dict(zip(free, np.ptp(finals, axis=0).tolist(), strict=True))
 
 
-def _share_rows(mode: FittedMode) -> list[Row]:
+def _share_rows(mode: BlockFit) -> list[Row]:
     """Share of each path in the reference leakage, where the data determine it.
 
     With L = Σ K_i φ_i + known, the share Q_j / L has the gradient φ_i (δ_ij L − Q_j) / L².
@@ -197,7 +197,7 @@ def _share_rows(mode: FittedMode) -> list[Row]:
     return rows
 
 
-def _share_row(mode: FittedMode, path: LeakagePath, share: float, gradient: Array) -> Row:
+def _share_row(mode: BlockFit, path: LeakagePath, share: float, gradient: Array) -> Row:
     row: Row = {"parameter": f"share_{path.name}", "unit": "1", "value": share}
     if mode.reference.verdict == "fixed":
         return row | {"verdict": "fixed", "reason": mode.reference.reason}
@@ -211,12 +211,12 @@ def _share_row(mode: FittedMode, path: LeakagePath, share: float, gradient: Arra
     return row | {"verdict": "identified"} | _interval(share, interval.half_width)
 
 
-def sensitivity_rows(mode: FittedMode) -> list[Row]:
+def sensitivity_rows(mode: BlockFit) -> list[Row]:
     """Rows of `sensitivities`: what each stated tolerance does to each figure."""
     return [row for effect in mode.budget.effects for row in _effect_rows(mode, effect)]
 
 
-def _effect_rows(mode: FittedMode, effect: Effect) -> list[Row]:
+def _effect_rows(mode: BlockFit, effect: Effect) -> list[Row]:
     source: Row = {
         "source": effect.source.name,
         "tolerance": effect.source.tolerance,

@@ -21,7 +21,7 @@ from leakage.validation import (
 from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit
-from pipeline.night.fit import PA_PER_BAR, FittedMode, own_conditions, transport_delays_s
+from pipeline.night.fit import sample_facts, transport_delays_s
 from pipeline.night.operation_rows import coarse_histogram
 from pipeline.night.parameter_rows import parameter_rows, sensitivity_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
@@ -119,7 +119,7 @@ def fit_rows(
     spec: MotorSpec,
     night: dt.date,
     statistics: NightStatistics,
-    modes: Sequence[FittedMode],
+    modes: Sequence[BlockFit],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
     """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
@@ -156,7 +156,8 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
     used = np.flatnonzero(training | validation)
     reference = spec.settings.reference
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
-    pressure, temperature, speed = own_conditions(statistics)
+    facts = sample_facts(spec, statistics)
+    pressure, temperature, speed = facts.own
     return {
         "motor_type": spec.file.motor_type,
         "window_start": utc(samples.time_us[used[0]]),
@@ -182,15 +183,10 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "night_factor": upper_triangle(statistics.judged_on()),
         "n_kept": len(samples.index),
         "sample_period_s": samples.period_us / 1e6,
-        "mean_charge_over_case_bar": _mean_charge_bar(statistics),
-        "weight_inflation": statistics.inflation,
+        "mean_charge_over_case_bar": facts.charge_bar,
+        "weight_inflation": facts.inflation,
         "is_refitted": False,
     }
-
-
-def _mean_charge_bar(statistics: NightStatistics) -> float | None:
-    charge = statistics.conditions.charge_over_case_pa
-    return None if charge is None else float(charge.mean()) / PA_PER_BAR
 
 
 def _covariance(mode: BlockFit) -> list[float] | None:
@@ -212,20 +208,21 @@ def upper_triangle(matrix: Array) -> list[float]:
 def _mode_columns(
     spec: MotorSpec,
     statistics: NightStatistics,
-    mode: FittedMode,
+    mode: BlockFit,
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
     chosen = statistics.rows_of(TRAINING)
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    phi = lag_one_autocorrelation(mode.error, consecutive)
+    error = statistics.training_error(mode.fit.coefficients)
+    phi = lag_one_autocorrelation(error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
         **search_columns(mode.fit),
         "correlation_time_s": mode.excitation.correlation_time_s,
-        "n_effective": effective_sample_count(len(mode.error), phi),
+        "n_effective": effective_sample_count(len(error), phi),
         "lag_one_autocorrelation": phi,
         **agreement_columns(spec, statistics.judged_on, mode),
         **previous_model_columns(spec, statistics.judged_on(), previous),
@@ -335,7 +332,7 @@ def mark_modes(rows: Sequence[Row], primary: str) -> None:
         )
 
 
-def leakage_columns(mode: FittedMode) -> Row:
+def leakage_columns(mode: BlockFit) -> Row:
     """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
     reference, own = mode.reference, mode.own
     identified = reference.verdict in ("identified", "fixed")
@@ -391,7 +388,7 @@ def start_rows(fit: Fit) -> list[Row]:
 
 
 def prediction_rows(
-    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[FittedMode]
+    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[BlockFit]
 ) -> list[Row]:
     """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
     samples = statistics.samples

@@ -61,16 +61,6 @@ class NightStatistics:
     inflation: float
     model_hash: str
 
-    def factors_of(self, part: str) -> Array:
-        """Factors of the blocks of a part, as stored and in time order."""
-        chosen = [block.part == part for block in self.blocks]
-        found: Array = self.factors[np.array(chosen, dtype=bool)]
-        return found
-
-    def factor_of(self, part: str) -> Array:
-        """Factor of all blocks of a part."""
-        return merge(self.factors_of(part))
-
     def judged_on(self, part: str | None = None) -> Array:
         """Factor of the samples of a part as they are, or of the whole night."""
         chosen = [part is None or block.part == part for block in self.blocks]
@@ -85,6 +75,11 @@ class NightStatistics:
         """Which of the kept samples belong to a part, shape (n,)."""
         chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
         return np.repeat(chosen, [block.n for block in self.blocks])
+
+    def training_error(self, coefficients: Array) -> Array:
+        """Prediction errors of the training samples [l/min], shape (n,)."""
+        error: Array = self.z[self.rows_of(TRAINING)] @ -np.concatenate([coefficients, (1.0, -1.0)])
+        return error
 
 
 def night_statistics(
@@ -145,14 +140,11 @@ def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditio
     )
 
 
-def condition(
-    spec: MotorSpec, samples: Samples, bar: float, celsius: float, rpm: float
-) -> OperatingConditions:
-    """One condition at which a leakage is asked for; charge and case pressure as in the night."""
-    charge = None
-    if spec.settings.model.two_sided:
-        charge = float(np.mean(_charge_over_case_bar(spec, samples)))
-    return OperatingConditions.from_bar(bar, celsius, rpm, charge)
+def mean_charge_bar(spec: MotorSpec, samples: Samples) -> float | None:
+    """Mean charge above case pressure; None in a model of one side."""
+    if not spec.settings.model.two_sided:
+        return None
+    return float(np.mean(_charge_over_case_bar(spec, samples)))
 
 
 def _charge_over_case_bar(spec: MotorSpec, samples: Samples) -> Array:

@@ -1,14 +1,17 @@
-"""The published blocks of a motor's nights, as arrays."""
+"""Blocks of samples as `block_statistics` holds them: tonight's, or those of nights before."""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from pipeline.night.windows import TRAINING
+from leakage.block_statistics import merge
+from pipeline.schema import BLOCK_STATISTICS
 
 Array = NDArray[np.float64]
 
@@ -28,38 +31,70 @@ BLOCK_COLUMNS = (
 )
 
 
-def have_columns(blocks: pl.DataFrame, columns: Collection[str]) -> bool:
-    """Whether all blocks are of a model with these columns."""
-    names = "\0".join(columns)
-    return bool((blocks["columns"].list.join("\0") == names).all())
+@dataclass(frozen=True, slots=True)
+class StoredBlocks:
+    """Blocks in order of time.
 
+    Attributes
+    ----------
+    rows
+        Their `BLOCK_COLUMNS`.
+    factors
+        Their triangular factors, shape (b, c, c).
+    """
 
-def of_part(blocks: pl.DataFrame, part: str) -> pl.DataFrame:
-    """Blocks of the training or the validation samples."""
-    return blocks.filter(pl.col("part") == part)
+    rows: pl.DataFrame
+    factors: Array
 
+    @classmethod
+    def of(cls, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
+        """Blocks of rows; None where one is of a model with other columns."""
+        names = "\0".join(columns)
+        if not (rows["columns"].list.join("\0") == names).all():
+            return None
+        size = len(columns)
+        factors = np.zeros((rows.height, size, size))
+        if rows.height:
+            upper = rows["statistics"].explode().to_numpy().reshape(rows.height, -1)
+            factors[(slice(None), *np.triu_indices(size))] = upper
+        return cls(rows, factors)
 
-def triangular_factors(blocks: pl.DataFrame, size: int) -> Array:
-    """Triangular factors of blocks in their order, shape (b, size, size)."""
-    factors = np.zeros((blocks.height, size, size))
-    if blocks.height:
-        upper = blocks["statistics"].explode().to_numpy().reshape(blocks.height, -1)
-        factors[(slice(None), *np.triu_indices(size))] = upper
-    return factors
+    @classmethod
+    def of_tonight(cls, rows: Sequence[dict[str, Any]], factors: Array) -> StoredBlocks:
+        """Blocks that are about to be stored."""
+        schema = BLOCK_STATISTICS.schema
+        wanted = {name: schema[name] for name in BLOCK_COLUMNS}
+        return cls(pl.DataFrame(rows, schema=wanted), factors)
 
+    def part(self, part: str) -> StoredBlocks:
+        """Blocks of the training or the validation samples."""
+        chosen = self.rows["part"] == part
+        return StoredBlocks(self.rows.filter(chosen), self.factors[chosen.to_numpy()])
 
-def span(blocks: pl.DataFrame, channel: str) -> tuple[float, float]:
-    """Lowest and highest reading of a channel."""
-    low, high = blocks[f"minimum_{channel}"].to_numpy(), blocks[f"maximum_{channel}"].to_numpy()
-    return float(low.min()), float(high.max())
+    def factor_of(self, part: str) -> Array:
+        """Factor of all blocks of a part, shape (c, c)."""
+        return merge(self.part(part).factors)
 
+    @property
+    def n_samples(self) -> int:
+        return int(self.rows["n"].sum())
 
-def block_length_s(blocks: pl.DataFrame) -> float:
-    """Median length of blocks [s]."""
-    lengths = (blocks["block_end"] - blocks["block_start"]).dt.total_microseconds().to_numpy()
-    return float(np.median(lengths)) / 1e6
+    @property
+    def length_s(self) -> float:
+        """Median length of a block [s]."""
+        lengths = (self.rows["block_end"] - self.rows["block_start"]).dt.total_microseconds()
+        return float(np.median(lengths.to_numpy())) / 1e6
 
+    def span(self, channel: str) -> tuple[float, float]:
+        """Lowest and highest reading of a channel."""
+        low = self.rows[f"minimum_{channel}"].to_numpy().min()
+        return float(low), float(self.rows[f"maximum_{channel}"].to_numpy().max())
 
-def training_of(blocks: pl.DataFrame) -> pl.DataFrame:
-    """Blocks of the training samples."""
-    return of_part(blocks, TRAINING)
+    def means(self) -> tuple[float, float, float]:
+        """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the samples."""
+        weights = self.rows["n"].cast(pl.Float64).to_numpy()
+        pressure, temperature, speed = (
+            float(np.average(self.rows[f"mean_{name}"].to_numpy(), weights=weights))
+            for name in CHANNELS
+        )
+        return pressure, temperature, speed

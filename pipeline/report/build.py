@@ -18,20 +18,20 @@ from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
-    Manifest,
-    content_hash,
+    ReportManifest,
     is_as_left,
-    read_manifest,
+    read_report_manifest,
     remove_stale,
+    short_hash,
     write_changed,
-    write_manifest,
+    write_report_manifest,
 )
 from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
-from pipeline.report.tables import SHOWN_TABLES, History, read_history, read_night
-from pipeline.report.trends import standings
+from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
+from pipeline.report.trends import motor_states
 from pipeline.schema import FITS, SCHEMA_VERSION
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
@@ -48,7 +48,7 @@ Entries = dict[str, tuple[str, int]]
 
 @dataclass(frozen=True, slots=True)
 class KnownMotor:
-    """What a config says of a motor, and no table.
+    """Facts on a motor that only the config has.
 
     Attributes
     ----------
@@ -61,15 +61,10 @@ class KnownMotor:
     motor_type: str
     events: tuple[Mapping[str, Any], ...] = ()
 
-    @property
-    def event_dates(self) -> list[dt.date]:
-        """Dates at which a new baseline starts."""
-        return [event["date"] for event in self.events]
-
 
 @dataclass(frozen=True, slots=True)
 class ReportRequest:
-    """What is asked for.
+    """Request for a report.
 
     Attributes
     ----------
@@ -100,7 +95,7 @@ class ReportRequest:
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
-    """What came of it.
+    """Result of a report.
 
     Attributes
     ----------
@@ -164,23 +159,23 @@ def build_report(request: ReportRequest) -> ReportResult:
     if not table_folder(request.output, FITS).is_dir():
         raise StoreError(
             "report_tables",
-            f"{request.output} holds no table of fits; run fit-fleet first; where it has run and "
-            "found no log, check says why",
+            f"{request.output} holds no table of fits; run fit-fleet first; if it found no log, "
+            "run check",
         )
-    before = read_manifest(request.folder)
+    before = read_report_manifest(request.folder)
     if before is None:
-        before = Manifest("")
-        write_manifest(request.folder, before)
+        before = ReportManifest("")
+        write_report_manifest(request.folder, before)
     remove_leftovers([request.folder])
-    history = read_history(request.output)
+    history = read_tables(request.output)
     names = _names(request, history)
     nights = _nights_by_motor(history.fits, names)
-    now = Manifest(_program_hash())
+    now = ReportManifest(_program_hash())
     made, faults = _make_nights(request, _wanted(nights, request.nights), names, before, now)
     n_motors = _make_pages(request, history, names, faults, before, now)
     n_written = sum(1 for name, entry in now.files.items() if before.files.get(name) != entry)
     n_removed = remove_stale(request.folder, before, now)
-    write_manifest(request.folder, now)
+    write_report_manifest(request.folder, now)
     return ReportResult(
         index=request.folder / INDEX,
         n_motors=n_motors,
@@ -191,7 +186,7 @@ def build_report(request: ReportRequest) -> ReportResult:
     )
 
 
-def _names(request: ReportRequest, history: History) -> dict[str, str]:
+def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
     """Names of the pages of all motors that are shown."""
     ids = {*request.known, *history.fits["motor_id"].unique()}
     strangers = sorted(set(request.motors) - ids)
@@ -225,8 +220,8 @@ def _make_nights(
     request: ReportRequest,
     nights: Mapping[dt.date, list[str]],
     names: Mapping[str, str],
-    before: Manifest,
-    now: Manifest,
+    before: ReportManifest,
+    now: ReportManifest,
 ) -> tuple[int, list[str]]:
     """Make the files of nights that are new or changed; enter all into the new manifest."""
     states = _table_states(request.output, nights)
@@ -289,33 +284,32 @@ def make_night(task: NightTask) -> tuple[dt.date, Entries, list[str]]:
 
 def _make_pages(
     request: ReportRequest,
-    history: History,
+    history: ReportTables,
     names: Mapping[str, str],
     faults: Sequence[str],
-    before: Manifest,
-    now: Manifest,
+    before: ReportManifest,
+    now: ReportManifest,
 ) -> int:
     """Make the fleet's page, the motors' pages, and what they share."""
 
     def write(name: str, content: bytes) -> None:
         now.files[name] = write_changed(request.folder, name, content, before.files.get(name))
 
-    motors = list(motor_histories(history, list(names), _new_baselines(request, history)))
+    motors = list(motor_histories(history, list(names)))
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    rows = fleet_rows(motors, names, types, standings(history))
+    rows = fleet_rows(motors, names, types, motor_states(history, names))
     facts = FleetFacts(
         name=request.fleet or history.fleet or "Fleet",
         first=span[0] if span else None,
         newest=span[1] if span else None,
-        has_trends="trends" in history.trends,
         faults=(*history.faults, *faults),
     )
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
     _write_chart_library(request.folder, before, now)
     write(INDEX, fleet_html(facts, rows).encode())
-    by_id: dict[str, FleetRow] = {row.motor_id: row for row in rows}
+    by_id = {row.state.motor_id: row for row in rows}
     for motor in motors:
         name = names[motor.motor_id]
         page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)
@@ -323,23 +317,14 @@ def _make_pages(
     return len(motors)
 
 
-def _new_baselines(request: ReportRequest, history: History) -> dict[str, list[dt.date]]:
-    """Dates by motor at which a new baseline starts: events, and resets that somebody asked for."""
-    dates = {motor_id: one.event_dates for motor_id, one in request.known.items()}
-    for one in history.decisions:
-        if one.kind == "baseline_reset":
-            dates.setdefault(one.motor_id, []).append(one.night)
-    return dates
-
-
 def _motor_page(
     request: ReportRequest,
-    history: History,
+    history: ReportTables,
     motor: MotorHistory,
     name: str,
     row: FleetRow,
     facts: FleetFacts,
-    now: Manifest,
+    now: ReportManifest,
 ) -> str:
     detailed = {night for night in motor.nights if night_file_name(name, night) in now.files}
     known = request.known.get(motor.motor_id, KnownMotor(""))
@@ -351,7 +336,7 @@ def _motor_page(
     return motor_html(facts, row, motor, payload)
 
 
-def _write_chart_library(folder: Path, before: Manifest, now: Manifest) -> None:
+def _write_chart_library(folder: Path, before: ReportManifest, now: ReportManifest) -> None:
     """One copy of the chart library for all pages; it is read only where it has to be written."""
     entry = before.files.get(CHART_LIBRARY)
     if before.program == now.program and entry and is_as_left(folder, CHART_LIBRARY, entry):
@@ -367,4 +352,4 @@ def _program_hash() -> str:
     sources = sorted(path for path in Path(__file__).parent.rglob("*") if path.is_file())
     own = [path.read_bytes() for path in sources if "__pycache__" not in path.parts]
     packages = [version(name).encode() for name in ("motor-leakage", "jinja2", "plotly")]
-    return content_hash(b"|".join((*own, *packages, str(SCHEMA_VERSION).encode())))
+    return short_hash(b"|".join((*own, *packages, str(SCHEMA_VERSION).encode())))

@@ -1,4 +1,4 @@
-"""What goes from Python into a page: numbers in few bytes, and JSON that no name can break out of.
+"""Payloads of pages: numbers in few bytes, and JSON that no name can break out of.
 
 A page may be opened from a file, so its data are scripts; what stands in them came out of files
 of others and is never trusted.

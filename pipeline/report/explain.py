@@ -1,6 +1,6 @@
-"""`motor-leakage explain`: why a motor's night has the figures it has, or none, in words.
+"""`motor-leakage explain`: the figures of a motor's night, or their absence, in words.
 
-Everything said comes from the published tables.
+All figures come from the published tables.
 """
 
 from __future__ import annotations
@@ -38,19 +38,7 @@ FITS_OF_A_NIGHT = {
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
-    """Say in words what came of a motor's night.
-
-    Parameters
-    ----------
-    output
-        Output folder.
-    motor_id, night
-        Which.
-
-    Returns
-    -------
-    list of str
-        Lines.
+    """Explain a motor's night in words, line by line.
 
     Raises
     ------

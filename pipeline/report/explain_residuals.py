@@ -1,4 +1,4 @@
-"""What the residual analysis of a fit found, in words."""
+"""Findings of the residual analysis of a fit, in words."""
 
 from __future__ import annotations
 

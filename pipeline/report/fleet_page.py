@@ -8,24 +8,15 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pipeline.report.attention import (
-    GOOD,
-    RECENT_NIGHTS,
-    STALE_AFTER,
-    Attention,
-    Changes,
-    attention,
-    changes,
-)
-from pipeline.report.history import LAST_NIGHTS, Course, MotorHistory
+from pipeline.report.history import OWN_REFERENCE, REFERENCE, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
-from pipeline.report.trends import Standing
-from pipeline.report.words import SENSORS, STATUSES, plain
+from pipeline.report.status import MotorState, urgency
+from pipeline.report.words import SENSORS, STATUSES
 
 Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)
+RECENT_NIGHTS = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,40 +25,25 @@ class FleetRow:
 
     Attributes
     ----------
-    attention
-        How it stands, and why.
+    state
+        As `motor-leakage status` prints it.
     leakage_kind
-        Conditions of the leakage: `reference`, `frozen` or `own`; see `MotorHistory.leakage`.
-    leakage
-        Newest value with its interval, l/min; None where nothing says what it is now.
-    leakage_night
-        Last night with a value; None where there never was one.
-    leakage_change, gap_change
-        Percent from the baseline, or since the first good nights where there is none; None where
-        that cannot be told.
-    gap_path
-        Path of the gap that has changed most.
-    last_good
-        Newest night with a fit.
-    sensors
-        What the readings at halts say of the sensors' zeros, in words; empty where unknown.
+        Conditions of the leakage that is drawn: `reference`, `frozen` or `own`.
+    validation_fit, previous_fit
+        Of the last good night, percent.
     kept_percent
         Median share of samples kept in the recent fitted nights.
     strip, strip_words
-        What came of the recent nights of the fleet's calendar, as pictures and as words.
+        Outcomes of the recent nights of the fleet's calendar, as pictures and as words.
+    sensors
+        Zeros of the sensors at halts, in words; empty where unknown.
     """
 
-    motor_id: str
+    state: MotorState
     page: str
     motor_type: str
-    attention: Attention
     leakage_kind: str
-    leakage: tuple[float, float | None, float | None] | None
-    leakage_night: dt.date | None
     line: Sparkline | None
-    leakage_change: float | None
-    gap_change: float | None
-    gap_path: str
     validation_fit: float | None
     previous_fit: float | None
     kept_percent: float | None
@@ -76,7 +52,6 @@ class FleetRow:
     strip: Mapping[str, str]
     strip_width: int
     strip_words: str
-    last_good: dt.date | None
     sensors: str
 
 
@@ -84,15 +59,14 @@ def fleet_rows(
     motors: Sequence[MotorHistory],
     pages: Mapping[str, str],
     types: Mapping[str, str],
-    standings: Mapping[str, Standing],
+    states: Mapping[str, MotorState],
 ) -> list[FleetRow]:
     """All motors, the most urgent first."""
     span = fleet_span(motors)
     rows = [
-        _row(motor, pages[motor.motor_id], types, standings.get(motor.motor_id), span)
-        for motor in motors
+        _row(motor, pages[motor.motor_id], types, states[motor.motor_id], span) for motor in motors
     ]
-    return sorted(rows, key=lambda row: (*row.attention.rank, row.motor_id))
+    return sorted(rows, key=lambda row: urgency(row.state))
 
 
 def fleet_span(motors: Iterable[MotorHistory]) -> Span | None:
@@ -105,96 +79,41 @@ def _row(
     motor: MotorHistory,
     page: str,
     types: Mapping[str, str],
-    standing: Standing | None,
+    state: MotorState,
     span: Span | None,
 ) -> FleetRow:
-    newest = span[1] if span else None
-    changed = changes(motor)
-    kind, course, is_now = _leakage(motor, standing, newest)
-    good = motor.fits.filter(status=GOOD)
+    kind, course, baseline = _drawn(motor, state)
+    good = motor.fits.filter(status="ok")
     last = good.row(-1, named=True) if good.height else {}
-    known = np.flatnonzero(course.is_known)
     days = np.array([night.toordinal() for night in motor.nights], dtype=np.int64)
-    recent = _calendar(motor, newest)
-    told = [status for status in recent if status is not None]
-    path, gap = _gap_change(motor, changed, standing, newest)
+    recent = _calendar(motor, span[1] if span else None)
+    known = [status for status in recent if status is not None]
+    ends = (span[0].toordinal(), span[1].toordinal()) if span else None
     kept = good["kept_share"].tail(RECENT_NIGHTS).median() if good.height else None
     return FleetRow(
-        motor_id=motor.motor_id,
+        state=state,
         page=page,
         motor_type=_motor_type(motor, types),
-        attention=attention(motor, changed, standing, newest),
         leakage_kind=kind,
-        leakage=_newest(course, known) if is_now else None,
-        leakage_night=motor.nights[known[-1]] if len(known) else None,
-        line=sparkline(days, course, *(night.toordinal() for night in span)) if span else None,
-        leakage_change=_leakage_change(changed, standing) if is_now else None,
-        gap_change=gap,
-        gap_path=plain(path),
+        line=sparkline(days, course, ends, baseline) if ends else None,
         validation_fit=last.get("validation_fit_percent"),
         previous_fit=last.get("previous_model_fit_percent"),
         kept_percent=100.0 * kept if isinstance(kept, float) else None,
-        n_recent_good=told.count(GOOD),
-        n_recent=len(told),
+        n_recent_good=known.count("ok"),
+        n_recent=len(known),
         strip=strip(recent),
         strip_width=STEP * RECENT_NIGHTS,
-        strip_words=_in_words(told),
-        last_good=last.get("night"),
-        sensors=SENSORS.get(standing.sensor_health, "") if standing else "",
+        strip_words=_in_words(known),
+        sensors=SENSORS.get(state.sensor_health or "", ""),
     )
 
 
-def _leakage(
-    motor: MotorHistory, standing: Standing | None, newest: dt.date | None
-) -> tuple[str, Course, bool]:
-    """The leakage that stands for a motor, its kind, and whether it is known now."""
-    courses = {"reference": motor.reference, "frozen": motor.frozen}
-    for kind, course in courses.items():
-        if _is_known_now(motor, course, standing, newest):
-            return kind, course, True
-    kind, course = motor.leakage
-    return kind, course, kind == "own" and _is_known_now(motor, course, None, newest)
-
-
-def _is_known_now(
-    motor: MotorHistory, course: Course, standing: Standing | None, newest: dt.date | None
-) -> bool:
-    """Whether a leakage has a figure that says what it is now: as the trends say, if there are."""
-    known = np.flatnonzero(course.is_known)
-    if not len(known):
-        return False
-    night = motor.nights[known[-1]]
-    if standing is not None and standing.leakage_night is not None:
-        return standing.leakage_is_known and bool(night >= standing.leakage_night)
-    return _is_recent(night, newest)
-
-
-def _is_recent(night: dt.date, newest: dt.date | None) -> bool:
-    """Whether a night is one of the fleet's last, so that its figures are of now."""
-    return (newest or night) - night <= STALE_AFTER
-
-
-def _leakage_change(changed: Changes, standing: Standing | None) -> float | None:
-    if standing is not None and standing.deviation_percent is not None:
-        return standing.deviation_percent
-    return changed.leakage.percent if changed.leakage else None
-
-
-def _gap_change(
-    motor: MotorHistory, changed: Changes, standing: Standing | None, newest: dt.date | None
-) -> tuple[str, float | None]:
-    """The path whose gap has changed most, and how much in percent, by nights that tell of now."""
-    if not motor.baselines:
-        return (changed.gap[0], changed.gap[1].gap_percent) if changed.gap else ("", None)
-    begin = (standing.change_start if standing else None) or dt.date.min
-    medians = {}
-    for name, course in motor.gap_changes().items():
-        known = [place for place in np.flatnonzero(course.is_known) if motor.nights[place] >= begin]
-        is_told = bool(motor.baselines.get(f"K_{name}")) and bool(known)
-        if is_told and _is_recent(motor.nights[known[-1]], newest):
-            medians[name] = float(np.median(course.value[known[-LAST_NIGHTS:]]))
-    path = max(medians, key=lambda name: abs(medians[name]), default="")
-    return path, medians.get(path)
+def _drawn(motor: MotorHistory, state: MotorState) -> tuple[str, Course, float | None]:
+    """Kind and course of the leakage to draw, and its baseline: that of the state if it has one."""
+    kinds = {REFERENCE: "reference", OWN_REFERENCE: "frozen"}
+    kind = kinds.get(state.leakage_indicator or "") or motor.leakage_kind
+    baselines = next((motor.baselines.get(name) for name in kinds if kinds[name] == kind), None)
+    return kind, motor.leakages[kind], baselines[-1][1] if baselines else None
 
 
 def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:
@@ -202,21 +121,8 @@ def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:
     return types.get(motor.motor_id) or (named[-1] if len(named) else "")
 
 
-def _newest(
-    course: Course, known: NDArray[np.int64]
-) -> tuple[float, float | None, float | None] | None:
-    if not len(known):
-        return None
-    place = known[-1]
-    lower, upper = (
-        float(end[place]) if np.isfinite(end[place]) else None
-        for end in (course.lower, course.upper)
-    )
-    return float(course.value[place]), lower, upper
-
-
 def _calendar(motor: MotorHistory, newest: dt.date | None) -> list[str | None]:
-    """What came of each of the fleet's recent nights; None where the motor has no row."""
+    """Outcome of each of the fleet's recent nights; None where the motor has no row."""
     if newest is None:
         return []
     by_night = dict(zip(motor.nights, motor.statuses, strict=True))
@@ -225,7 +131,7 @@ def _calendar(motor: MotorHistory, newest: dt.date | None) -> list[str | None]:
 
 
 def _in_words(statuses: list[str]) -> str:
-    """How many nights came to what.
+    """Number of nights by outcome.
 
     Examples
     --------

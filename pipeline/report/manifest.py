@@ -1,4 +1,4 @@
-"""What a report's folder holds: a run writes only what has changed and removes only its own.
+"""Files of a report's folder: a run writes only what has changed and removes only its own.
 
 A night is made anew when its table files or the program have; a file is written when its content
 has changed or it is not there as it was left.
@@ -7,22 +7,20 @@ has changed or it is not there as it was left.
 from __future__ import annotations
 
 import hashlib
-import json
-from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_all, put, read
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, flush_all, put
+from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 
 FILE = "manifest.json"
-FORMAT = 1
 
 
 @dataclass(slots=True)
-class Manifest:
-    """What was rendered.
+class ReportManifest:
+    """Pages and data files that a run has written.
 
     Attributes
     ----------
@@ -39,18 +37,18 @@ class Manifest:
     files: dict[str, tuple[str, int]] = field(default_factory=dict)
 
 
-def content_hash(content: bytes) -> str:
+def short_hash(content: bytes) -> str:
     """Short hash of a file's content.
 
     Examples
     --------
-    >>> content_hash(b"")
+    >>> short_hash(b"")
     'e3b0c44298fc1c14'
     """
     return hashlib.sha256(content).hexdigest()[:16]
 
 
-def read_manifest(folder: Path) -> Manifest | None:
+def read_report_manifest(folder: Path) -> ReportManifest | None:
     """The manifest of a report's folder; None where there is none that can be used.
 
     Raises
@@ -68,12 +66,11 @@ def read_manifest(folder: Path) -> Manifest | None:
             )
         return None
     try:
-        document = json.loads(read(path))
-        if document["format"] != FORMAT:
-            return Manifest("", files=_files(document))
-        return Manifest(document["program"], dict(document["nights"]), _files(document))
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        # Without it everything is made anew, over what is there.
+        document = read_if_whole(path, unseal) or {}
+        files = {name: (str(one[0]), int(one[1])) for name, one in document["files"].items()}
+        return ReportManifest(document["program"], dict(document["nights"]), files)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        # Without it all files are made anew, over the present ones.
         return None
 
 
@@ -85,22 +82,11 @@ def _entries(folder: Path) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def _files(document: Mapping[str, Mapping[str, list[str | int]]]) -> dict[str, tuple[str, int]]:
-    return {name: (str(one[0]), int(one[1])) for name, one in document["files"].items()}
-
-
-def write_manifest(folder: Path, manifest: Manifest) -> None:
-    """Leave the manifest; last, so that what it lists is there."""
-    document = {
-        "format": FORMAT,
-        "program": manifest.program,
-        "nights": dict(sorted(manifest.nights.items())),
-        "files": dict(sorted(manifest.files.items())),
-    }
-    text = json.dumps(document, separators=(",", ":"))
-    # One flush for all pages, not one for each: first they, then what tells that they are there.
+def write_report_manifest(folder: Path, manifest: ReportManifest) -> None:
+    """Write the manifest last: the files in it are then there."""
+    # One flush for all pages, not one for each.
     flush_all()
-    put(folder / FILE, text.encode())
+    put_sealed(folder / FILE, asdict(manifest))
 
 
 def write_changed(
@@ -113,26 +99,26 @@ def write_changed(
     StoreError
         If it cannot be written.
     """
-    entry = (content_hash(content), len(content))
+    entry = (short_hash(content), len(content))
     if entry != before or not is_as_left(folder, name, entry):
         put(folder / name, content, durable=False)
     return entry
 
 
 def is_as_left(folder: Path, name: str, entry: tuple[str, int]) -> bool:
-    """Whether a file has the size that it was written with."""
+    """True if a file has the size that it was written with."""
     try:
         return (folder / name).stat().st_size == entry[1]
     except OSError:
         return False
 
 
-def remove_stale(folder: Path, before: Manifest, now: Manifest) -> int:
+def remove_stale(folder: Path, before: ReportManifest, now: ReportManifest) -> int:
     """Remove files that the report had and has no more, and no others; returns how many."""
     stale = sorted(before.files.keys() - now.files.keys())
     for name in stale:
         path = folder / name
-        # A manifest is a file like others: what it names must lie in the report.
+        # Nothing outside the report is removed, whatever the manifest lists.
         if path.resolve().is_relative_to(folder.resolve()):
             with suppress(OSError):
                 path.unlink()

@@ -1,4 +1,4 @@
-"""What a motor's page holds: its course over all nights, as a plain payload."""
+"""Payload of a motor's page: its course over all nights."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from leakage.validation import POOR_FIT_PERCENT
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import Course, MotorHistory
-from pipeline.report.tables import History
+from pipeline.report.tables import ReportTables
 from pipeline.report.trends import trend_payload
 from pipeline.report.words import for_scripts
 from pipeline.thinning import keep_extremes
@@ -44,7 +44,7 @@ def motor_payload(
     motor: MotorHistory,
     page: str,
     detailed: set[dt.date],
-    history: History,
+    history: ReportTables,
     events: Sequence[Payload],
 ) -> Payload:
     """The payload of a motor's page."""
@@ -81,7 +81,10 @@ def _plotted(motor: MotorHistory) -> NDArray[np.int64]:
     """Places of the nights that charts show: all, or those with the extremes among them."""
     if len(motor.nights) <= PLOTTED_NIGHTS:
         return np.arange(len(motor.nights))
-    columns = [motor.leakage[1].value, *(course.value for course in motor.coefficients.values())]
+    columns = [
+        motor.leakages[motor.leakage_kind].value,
+        *(course.value for course in motor.coefficients.values()),
+    ]
     return keep_extremes(np.column_stack(columns), PLOTTED_NIGHTS)
 
 

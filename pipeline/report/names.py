@@ -1,4 +1,4 @@
-"""Names of pages and folders, one a motor, on any file system, whatever the motor is called."""
+"""Names of pages and folders, one per motor, valid on any file system and for any id."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pages show of one night: a plain payload for each motor, made from that night's rows.
+"""Payload of one night for each motor, from that night's rows.
 
 Samples are already thinned in `predictions`; nothing is computed here but sums and shares of what
 the tables hold. Every step is done for all motors at once: a fleet's year has 36 500 nights.

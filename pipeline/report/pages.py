@@ -13,12 +13,12 @@ from typing import Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from leakage.validation import is_poor
-from pipeline.report.attention import STATES
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
-from pipeline.report.words import ABSENT, LEAKAGE_KINDS, STATUSES, figure, signed
+from pipeline.report.status import ORDER
+from pipeline.report.words import ABSENT, LEAKAGE_KINDS, STATES, STATUSES, figure, plain, signed
 
 FOLDER = Path(__file__).parent
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
@@ -26,14 +26,12 @@ ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
 
 @dataclass(frozen=True, slots=True)
 class FleetFacts:
-    """What all pages say of the fleet.
+    """Facts on the fleet that all pages show.
 
     Attributes
     ----------
     first, newest
         The fleet's first and newest night.
-    has_trends
-        Whether a run has judged trends.
     faults
         Table files that could not be read.
     """
@@ -41,20 +39,19 @@ class FleetFacts:
     name: str
     first: dt.date | None
     newest: dt.date | None
-    has_trends: bool
     faults: tuple[str, ...]
 
 
 def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow]) -> str:
     """The fleet's page."""
-    counts = Counter(row.attention.code for row in rows)
+    found = Counter(row.state.state for row in rows)
     return (
         _environment()
         .get_template("fleet.html")
         .render(
             facts=facts,
             rows=rows,
-            states=[(code, words, counts[code]) for code, words in STATES.items() if counts[code]],
+            counts=[(code, found[code]) for code in ORDER if found[code]],
             types=sorted({row.motor_type for row in rows if row.motor_type}),
         )
     )
@@ -89,10 +86,16 @@ def _environment() -> Environment:
         lstrip_blocks=True,
     )
     environment.tests["poor"] = is_poor
-    environment.filters |= {"figure": figure, "signed": signed, "status": _status}
+    environment.filters |= {
+        "figure": figure,
+        "plain": plain,
+        "signed": signed,
+        "status": _status,
+    }
     environment.globals |= {
         "absent": ABSENT,
         "kinds": LEAKAGE_KINDS,
+        "states": STATES,
         "spark_width": WIDTH,
         "spark_height": HEIGHT,
         "strip_height": STRIP_HEIGHT,

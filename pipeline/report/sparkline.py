@@ -1,4 +1,4 @@
-"""Small pictures of a motor's nights, as SVG paths: its leakage, and what came of each night."""
+"""Small pictures of a motor's nights, as SVG paths: its leakage, and each night's outcome."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.report.history import FIRST_NIGHTS, Course
+from pipeline.report.history import Course
 from pipeline.thinning import keep_extremes
 
 Array = NDArray[np.float64]
@@ -17,7 +17,7 @@ WIDTH, HEIGHT, MARGIN = 150.0, 30.0, 2.5
 POINTS = 90
 # The picture is at least this share of the median high each way, so that noise looks like noise.
 LEAST_REACH = 0.15
-# Height of a night's bar by what came of it, and of the whole strip.
+# Height of a night's bar by its outcome, and of the whole strip.
 STRIP_HEIGHTS = {
     "ok": 10,
     "stood_still": 4,
@@ -36,8 +36,8 @@ class Sparkline:
     ----------
     line, band
         The values, broken where nights have none, and their intervals.
-    first
-        Level of the first good nights.
+    baseline
+        Level of the baseline; empty without one.
     last
         Place of the newest value.
     smallest, largest
@@ -46,23 +46,22 @@ class Sparkline:
 
     line: str
     band: str
-    first: str
+    baseline: str
     last: tuple[float, float]
     smallest: float
     largest: float
 
 
-def sparkline(days: NDArray[np.int64], course: Course, first: int, newest: int) -> Sparkline | None:
+def sparkline(
+    days: NDArray[np.int64],
+    course: Course,
+    ends: tuple[int, int],
+    baseline: float | None = None,
+) -> Sparkline | None:
     """A course over the nights as a small picture; None without a value.
 
-    Parameters
-    ----------
-    days
-        Place of each night in time, in days, shape (n,).
-    course
-        What is drawn.
-    first, newest
-        Days at the edges of the picture, one pair for all motors of a fleet.
+    `days` is the place of each night in time, `ends` the days at the edges of the picture, the same
+    for all motors of a fleet, `baseline` a level to draw across it.
     """
     known = np.flatnonzero(course.is_known)
     if not len(known):
@@ -70,6 +69,7 @@ def sparkline(days: NDArray[np.int64], course: Course, first: int, newest: int) 
     value = course.value[known]
     median = float(np.median(value))
     reach = max(float(np.abs(value - median).max()), LEAST_REACH * abs(median), 1e-9)
+    first, newest = ends
     span = max(newest - first, 1)
 
     def x(day: Array) -> Array:
@@ -81,14 +81,14 @@ def sparkline(days: NDArray[np.int64], course: Course, first: int, newest: int) 
 
     kept = keep_extremes(value[:, None], POINTS)
     drawn = known[kept]
-    # Beyond a week without a value the line is not drawn: nobody knows what it did.
+    # Beyond a week without a value the line is not drawn.
     breaks = np.concatenate([[True], np.diff(days[drawn]) > max(7, 3 * span / POINTS)])
     at = x(days[drawn].astype(float))
-    level = float(y(np.array([np.median(value[:FIRST_NIGHTS])]))[0])
+    level = "" if baseline is None else f"M{MARGIN:g} {float(y(np.array(baseline))):.1f}"
     return Sparkline(
         line=_line(at, y(value[kept]), breaks),
         band=_band(at, y(course.lower[drawn]), y(course.upper[drawn]), breaks),
-        first=f"M{MARGIN:g} {level:.1f}H{WIDTH - MARGIN:g}",
+        baseline=f"{level}H{WIDTH - MARGIN:g}" if level else "",
         last=(round(float(at[-1]), 1), round(float(y(value[-1:])[0]), 1)),
         smallest=float(value.min()),
         largest=float(value.max()),
@@ -120,7 +120,7 @@ def _band(x: Array, low: Array, high: Array, breaks: NDArray[np.bool_]) -> str:
 
 
 def strip(statuses: Sequence[str | None]) -> dict[str, str]:
-    """A bar a night by what came of it, as one SVG path each; a night without a row has none.
+    """One SVG path by outcome, a bar a night; a night without a row has none.
 
     Examples
     --------

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import polars as pl
 
@@ -16,15 +17,18 @@ from pipeline.schema import ALARMS, FITS, TRENDS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.manifest import manifest_keys
 from pipeline.store.tables import read_rows
-from pipeline.store.verification import TableFault, look_at_published
+from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
+
+Row = dict[str, Any]
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
 ORDER = (*CHANGED, "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage")
+GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
@@ -34,45 +38,63 @@ TOLD = (*RAISED, "stale")
 
 @dataclass(frozen=True, slots=True)
 class MotorState:
-    """A motor as it stands.
+    """A motor's state in its newest night.
 
     Attributes
     ----------
     state
         The worst of its indicators.
     indicator, reason
-        Of that one: which, and why in words; of a motor that is ok, that a sensor drifts.
+        That indicator and its reason in words; of a motor that is ok, the drift of a sensor.
     leakage_l_per_min, deviation_percent
-        Reference leakage now, and how far from its baseline; of the motor's own conditions where
-        the fleet's is not known. None where neither is: nights before the change that stands told
-        do not count, nor do those before the figure went stale.
+        Reference leakage now, and its deviation from the baseline; at the motor's own conditions
+        where it is not known at the fleet's. None where neither is known: a figure counts neither
+        if it is older than the change in force, nor if it is stale.
     sensor_health
         ok, drifted or unknown.
     last_night, last_good_night
         Last night with a row, and with a fit; None without one.
     acknowledged
-        What somebody said of it since the state began; empty for nothing.
+        Note of the last acknowledgement since the state began; empty without one.
     leakage_night
-        Last night with a reference leakage; None where there never was one.
+        Last night with a reference leakage; None without one.
     change_start
-        First night of the newest change that stands told; None where none does.
-    poor_fit
-        That the model of the last good night describes it poorly, in words; empty where not.
+        First night of the newest change in force; None without one.
+    poor_fit, failure
+        Sentence on a poor fit of the last good night, and on the last night if it failed; else
+        empty.
+    leakage_indicator, leakage_lower, leakage_upper
+        Indicator that the leakage is from, and its 95 % interval.
+    gap_path, gap_change_percent
+        Path with the largest gap change now, and that change; None where no gap is known.
     """
 
     motor_id: str
     state: str
-    indicator: str | None
-    reason: str | None
-    leakage_l_per_min: float | None
-    deviation_percent: float | None
-    sensor_health: str | None
-    last_night: dt.date | None
-    last_good_night: dt.date | None
-    acknowledged: str
+    indicator: str | None = None
+    reason: str | None = None
+    leakage_l_per_min: float | None = None
+    deviation_percent: float | None = None
+    sensor_health: str | None = None
+    last_night: dt.date | None = None
+    last_good_night: dt.date | None = None
+    acknowledged: str = ""
     leakage_night: dt.date | None = None
     change_start: dt.date | None = None
     poor_fit: str = ""
+    failure: str = ""
+    leakage_indicator: str | None = None
+    leakage_lower: float | None = None
+    leakage_upper: float | None = None
+    gap_path: str | None = None
+    gap_change_percent: float | None = None
+
+    @property
+    def why(self) -> str:
+        """The state in words, with a failure, a poor fit and an acknowledgement."""
+        parts = (self.reason or "no change of external leakage", self.failure, self.poor_fit)
+        words = "; ".join(part for part in parts if part)
+        return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +108,11 @@ class FleetStatus:
     last_good_run
         When the last run ended that went through all motors; None where none did.
     findings_confirmed, findings
-        Alarms whose inspection found wear, and all that were inspected.
+        Alarms with wear found at the inspection, and all inspected alarms.
     beat
-        What the run that is under way, or the last one, says of itself; None before the first.
+        Heartbeat of the current or the last run; None before the first.
     receivers
-        What each receiver of changes of state has not been told.
+        Changes of state not yet delivered, by receiver.
     damage
         Published files that are gone, or were written to since and are not what was published.
     """
@@ -107,7 +129,7 @@ class FleetStatus:
 def fleet_status(
     output: Path, motor_ids: Sequence[str], receivers: Sequence[Receiver] = (), fleet: str = ""
 ) -> FleetStatus:
-    """The state of some motors, and what receivers of the fleet's alarms have yet to be told.
+    """The state of some motors, and undelivered changes by receiver.
 
     Raises
     ------
@@ -115,7 +137,7 @@ def fleet_status(
         If a table is damaged.
     """
     trends = read_rows(output, TRENDS, motor_ids)
-    columns = ("motor_id", "night", "status", "is_primary", *TONIGHTS_FITS)
+    columns = ("motor_id", "night", "status", "reason", "is_primary", *TONIGHTS_FITS)
     fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
     motors = [
@@ -129,18 +151,18 @@ def fleet_status(
     ]
     findings = last_findings(decisions)
     return FleetStatus(
-        tuple(sorted(motors, key=_urgency)),
+        tuple(sorted(motors, key=urgency)),
         last_good_run(output),
         findings.count("confirmed"),
         len(findings),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
-        look_at_published(output, manifest_keys(output), lambda _: False).faults,
+        compare_published(output, manifest_keys(output), lambda _: False).faults,
     )
 
 
 def last_findings(decisions: Sequence[Decision]) -> list[str]:
-    """What was found of each alarm that was inspected; said again, the last word counts."""
+    """Finding of each alarm that was inspected; of several the last."""
     found = {
         (one.motor_id, one.indicator, one.night): one.finding
         for one in decisions
@@ -149,29 +171,29 @@ def last_findings(decisions: Sequence[Decision]) -> list[str]:
     return list(found.values())
 
 
-def _urgency(motor: MotorState) -> tuple[int, float, str]:
-    return ORDER.index(motor.state), -(motor.deviation_percent or 0.0), motor.motor_id
+def urgency(motor: MotorState) -> tuple[int, float, str]:
+    """Sort key of motors; a failed night ranks no later than a stale motor."""
+    place = ORDER.index(motor.state)
+    if motor.failure:
+        place = min(place, ORDER.index("stale"))
+    return place, -(motor.deviation_percent or 0.0), motor.motor_id
 
 
 def motor_state(
     motor_id: str, trends: pl.DataFrame, fits: pl.DataFrame, decisions: Sequence[Decision]
 ) -> MotorState:
-    """The state of one motor, from its own rows of `trends` and `fits` and what was said of it."""
-    last_night, good = _last(fits), _last(fits.filter(status="ok"))
+    """The state of one motor, from its own rows of `trends` and `fits` and its decisions."""
+    state = MotorState(
+        motor_id=motor_id,
+        state="insufficient",
+        reason="no night yet" if fits.is_empty() else "no trends yet",
+        last_night=_last(fits),
+        last_good_night=_last(fits.filter(status="ok")),
+        poor_fit=_poor_fit(fits),
+        failure=_failure(fits),
+    )
     if trends.is_empty():
-        return MotorState(
-            motor_id=motor_id,
-            state="insufficient",
-            indicator=None,
-            reason="no trends yet",
-            leakage_l_per_min=None,
-            deviation_percent=None,
-            sensor_health=None,
-            last_night=last_night,
-            last_good_night=good,
-            acknowledged="",
-            poor_fit=_poor_fit(fits),
-        )
+        return state
     tonight = trends.filter(pl.col("night") == pl.col("night").max())
     watched = tonight.filter(pl.col("n_slope").is_not_null())
     worst = min(
@@ -181,24 +203,28 @@ def motor_state(
     # A motor that never sees the fleet's conditions is judged by its other indicators.
     if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
         worst = worst | {"state": "ok"}
+    is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
-    leakage = _leakage(trends, began)
-    return MotorState(
-        motor_id=motor_id,
+    leakage_night, leakage = _leakage(trends, began)
+    gap = _largest_gap_change(trends, began)
+    return replace(
+        state,
         state=worst["state"],
-        indicator=worst["indicator"] if worst["state"] != "ok" else None,
-        reason=worst["state_reason"] if worst["state"] != "ok" else next(iter(drifts), None),
-        leakage_l_per_min=leakage.l_per_min,
-        deviation_percent=leakage.deviation_percent,
+        indicator=None if is_ok else worst["indicator"],
+        reason=next(iter(drifts), None) if is_ok else worst["state_reason"],
+        leakage_l_per_min=leakage.get("value"),
+        deviation_percent=leakage.get("deviation_percent"),
         sensor_health=worst["sensor_health"],
-        last_night=last_night,
-        last_good_night=good,
         acknowledged=_acknowledged(worst, trends, decisions),
-        leakage_night=leakage.night,
+        leakage_night=leakage_night,
         change_start=began,
-        poor_fit=_poor_fit(fits),
+        leakage_indicator=leakage.get("indicator"),
+        leakage_lower=leakage.get("lower"),
+        leakage_upper=leakage.get("upper"),
+        gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
+        gap_change_percent=gap.get("value"),
     )
 
 
@@ -209,39 +235,45 @@ def _last(rows: pl.DataFrame) -> dt.date | None:
     return night
 
 
-@dataclass(frozen=True, slots=True)
-class _Leakage:
-    """A reference leakage: figures where they hold now, and the night of the last there was."""
-
-    l_per_min: float | None = None
-    deviation_percent: float | None = None
-    night: dt.date | None = None
+def _leakage(trends: pl.DataFrame, change_start: dt.date | None) -> tuple[dt.date | None, Row]:
+    """Last night and row of the reference leakage, of the fleet's conditions or the motor's own."""
+    found = [one for name in REFERENCES if (one := _newest(trends, name, change_start))]
+    return next((one for one in found if one[1]), found[0] if found else (None, {}))
 
 
-def _leakage(trends: pl.DataFrame, change_start: dt.date | None) -> _Leakage:
-    """The reference leakage now, of the fleet's conditions or else of the motor's."""
-    last = [one for name in REFERENCES if (one := _last_leakage(trends, name, change_start))]
-    now = [one for one in last if one.l_per_min is not None]
-    return next(iter(now or last), _Leakage())
+def _largest_gap_change(trends: pl.DataFrame, change_start: dt.date | None) -> Row:
+    """Row of the gap that has changed most; empty without one."""
+    names = sorted(name for name in trends["indicator"].unique() if name.startswith(GAP))
+    found = [_newest(trends, name, change_start) for name in names]
+    rows = [one[1] for one in found if one and one[1]]
+    return max(rows, key=lambda row: abs(row["value"]), default={})
 
 
-def _last_leakage(trends: pl.DataFrame, name: str, change_start: dt.date | None) -> _Leakage | None:
-    """A reference leakage that was ever known; without figures where they say nothing of now."""
-    own = trends.filter(indicator=name).sort("night")
+def _newest(
+    trends: pl.DataFrame, indicator: str, change_start: dt.date | None
+) -> tuple[dt.date, Row] | None:
+    """Night and row of an indicator's newest figure; the row is empty where it no longer holds."""
+    own = trends.filter(indicator=indicator).sort("night")
     known = own.filter(pl.col("value").is_not_null())
     if known.is_empty():
         return None
     last, tonight = known.row(-1, named=True), own.row(-1, named=True)
     night = last["night"]
     # Without a baseline nothing says when a figure is stale.
-    held = night == tonight["night"] or tonight["state"] not in ("stale", "insufficient")
-    if not held or (change_start is not None and night < change_start):
-        return _Leakage(night=night)
-    return _Leakage(last["value"], last["deviation_percent"], night)
+    holds = night == tonight["night"] or tonight["state"] not in ("stale", "insufficient")
+    is_now = holds and (change_start is None or night >= change_start)
+    return night, last if is_now else {}
+
+
+def _failure(fits: pl.DataFrame) -> str:
+    """Sentence on a motor's last night if it failed; else empty."""
+    for row in fits.sort("night").tail(1).filter(status="failed").iter_rows(named=True):
+        return f"night of {row['night']} failed: {row['reason']}"
+    return ""
 
 
 def _poor_fit(fits: pl.DataFrame) -> str:
-    """That the fit of a motor's last good night is poor, in words; empty where it is not."""
+    """Sentence on the fit of a motor's last good night if it is poor; else empty."""
     last = fits.filter("is_primary", status="ok").sort("night").tail(1)
     for row in last.iter_rows(named=True):
         poor = [
@@ -273,30 +305,23 @@ def _acknowledged(
 def last_alarm(
     output: Path, motor_id: str, name: str, states: Collection[str]
 ) -> tuple[str, dt.date]:
-    """The indicator that a name stands for, and the night in which it was last raised.
+    """The indicator of a name, and the night of its last alarm in one of some states.
 
-    Parameters
-    ----------
-    output, motor_id
-        Whose.
-    name
-        Of the indicator, in the tables (``K_piston_ring``) or in words (piston ring leakage).
-    states
-        States that count.
+    The name is that in the tables (``K_piston_ring``) or in words (piston ring leakage).
 
     Raises
     ------
     UsageError
-        ``no_alarm``: there was none; the message names those that there were.
+        ``no_alarm``: there was none; the message lists the alarms so far.
     """
     rows = read_rows(output, ALARMS, [motor_id], ("motor_id", "night", "indicator", "to_state"))
     raised = rows.filter(pl.col("to_state").is_in(list(states)))
     known = sorted(raised["indicator"].unique())
     indicator = name if name in known else _in_words(known).get(_plain(name))
     if indicator is None:
-        named = ", ".join(known) or "none at all"
+        named = ", ".join(known) or "none"
         raise UsageError(
-            "no_alarm", f"{motor_id} has had no alarm of {name!r}; there were of: {named}"
+            "no_alarm", f"{motor_id} has had no alarm of {name!r}; alarms so far: {named}"
         )
     night = _last(raised.filter(indicator=indicator))
     assert night is not None

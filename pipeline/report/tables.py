@@ -59,7 +59,7 @@ class Read:
 
 
 @dataclass(frozen=True, slots=True)
-class History:
+class ReportTables:
     """All nights of all motors.
 
     Attributes
@@ -71,7 +71,7 @@ class History:
     trends
         Tables of trends and alarms by name, as far as they are there.
     decisions
-        What people said of the motors, the oldest first.
+        Acknowledgements, findings and resets, the oldest first.
     fleet
         Name of the fleet in the newest run; empty where there is none.
     faults
@@ -115,7 +115,7 @@ def _children(rows: pl.DataFrame, fits: pl.DataFrame) -> pl.DataFrame:
     return rows.join(fits, on=FIT_KEY_NAMES, how="semi", maintain_order="left")
 
 
-def read_history(output: Path) -> History:
+def read_tables(output: Path) -> ReportTables:
     """All that is known of all nights, but for what only one night's figures need.
 
     Raises
@@ -133,7 +133,7 @@ def read_history(output: Path) -> History:
     }
     primary = fits.rows.filter("is_primary").sort("motor_id", "night")
     newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
-    return History(
+    return ReportTables(
         fits=primary,
         parameters=parameters.rows.join(
             primary.select(FIT_KEY_NAMES), on=FIT_KEY_NAMES, how="semi"
@@ -145,6 +145,11 @@ def read_history(output: Path) -> History:
             fault for read in (fits, parameters, runs, *trends.values()) for fault in read.faults
         ),
     )
+
+
+def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
+    """Rows of a table by motor."""
+    return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}
 
 
 def _all_files(output: Path, table: Table) -> list[Path]:

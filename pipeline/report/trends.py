@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import datetime as dt
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
-from pipeline.report.status import ORDER, motor_state
-from pipeline.report.tables import History
+from pipeline.report.status import ORDER, MotorState, motor_state
+from pipeline.report.tables import ReportTables, by_motor
+from pipeline.schema import TRENDS, frame
 from pipeline.thinning import keep_extremes
 from pipeline.trends.decisions import Decision
 from pipeline.trends.words import name_of
@@ -21,7 +21,6 @@ Payload = dict[str, Any]
 
 # A motor has some fifteen indicators; of each no more nights are drawn than that, extremes kept.
 PLOTTED_NIGHTS = 600
-WITHIN = "all indicators within their limits"
 # Of the newest night of an indicator, beside its course.
 LATEST = (
     "baseline_mean",
@@ -58,64 +57,24 @@ COURSES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class Standing:
-    """How a motor stands by the alarm rules.
-
-    Attributes
-    ----------
-    state
-        One of `pipeline.report.status.ORDER`.
-    reason
-        Why, in words, and what somebody said of it.
-    sensor_health
-        ok, drifted or unknown.
-    deviation_percent
-        How far the leakage is from its baseline; None where there is none.
-    leakage_is_known, leakage_night
-        Whether the reference leakage is known now, and the last night that it was.
-    change_start
-        First night of the newest change that stands told; None where none does.
-    """
-
-    state: str
-    reason: str
-    sensor_health: str = "unknown"
-    deviation_percent: float | None = None
-    leakage_is_known: bool = False
-    leakage_night: dt.date | None = None
-    change_start: dt.date | None = None
-
-
-def standings(history: History) -> dict[str, Standing]:
-    """The standing of each motor that has trends, the same that `motor-leakage status` prints."""
-    trends = history.trends.get("trends")
-    if trends is None:
-        return {}
-    fits = {part["motor_id"][0]: part for part in history.fits.partition_by("motor_id")}
-    found = {}
-    for rows in trends.partition_by("motor_id"):
-        motor_id = rows["motor_id"][0]
-        said = [one for one in history.decisions if one.motor_id == motor_id]
-        own_fits = fits.get(motor_id, history.fits.clear())
-        state = motor_state(motor_id, rows, own_fits, said)
-        reason = state.reason or (WITHIN if state.state == "ok" else "")
-        if state.acknowledged:
-            reason += f" (acknowledged: {state.acknowledged})"
-        found[motor_id] = Standing(
-            state=state.state,
-            reason=reason,
-            sensor_health=state.sensor_health or "unknown",
-            deviation_percent=state.deviation_percent,
-            leakage_is_known=state.leakage_l_per_min is not None,
-            leakage_night=state.leakage_night,
-            change_start=state.change_start,
+def motor_states(history: ReportTables, motors: Iterable[str]) -> dict[str, MotorState]:
+    """The state of each motor, the same that `motor-leakage status` prints."""
+    trends = by_motor(history.trends.get(TRENDS.name, frame(TRENDS, [])))
+    fits = by_motor(history.fits)
+    no_trends, no_fits = frame(TRENDS, []), history.fits.clear()
+    return {
+        motor_id: motor_state(
+            motor_id,
+            trends.get(motor_id, no_trends),
+            fits.get(motor_id, no_fits),
+            [one for one in history.decisions if one.motor_id == motor_id],
         )
-    return found
+        for motor_id in motors
+    }
 
 
-def trend_payload(motor_id: str, history: History) -> Payload:
-    """What a motor's page shows of its trends; empty lists where there is nothing."""
+def trend_payload(motor_id: str, history: ReportTables) -> Payload:
+    """Trends of a motor for its page; empty lists where there are none."""
     own = {
         name: rows.filter(motor_id=motor_id).drop("run_id", "motor_id")
         for name, rows in history.trends.items()

@@ -1,4 +1,4 @@
-"""What codes, names and units of the tables are called on the pages. The only place."""
+"""Words on the pages for codes, names and units of the tables. The only place."""
 
 from __future__ import annotations
 
@@ -70,25 +70,25 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
-# Which leakage stands for a motor, if not that at the reference conditions.
+# Conditions of a leakage other than the reference conditions.
 LEAKAGE_KINDS: Final[Mapping[str, str]] = {
     "frozen": "at the motor's own conditions",
     "own": "at each night's conditions",
 }
 SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
-INDICATOR_STATES: Final[Mapping[str, str]] = {
+STATES: Final[Mapping[str, str]] = {
     "ok": "no change",
     "warning": "warning",
     "alarm": "alarm",
     "common_cause": "common cause",
     "stale": "no recent figure",
-    "insufficient": "too little to tell",
+    "insufficient": "too little data",
 }
 TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
     "no_trend": "no trend towards it",
     "already_crossed": "already crossed",
     "beyond_horizon": "beyond the horizon",
-    "unbounded": "cannot be told: the trend may be none",
+    "unbounded": "unknown: there may be no trend",
     "insufficient": "too few nights",
 }
 DECISIONS: Final[Mapping[str, str]] = {
@@ -127,7 +127,7 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "rules": RULES,
         "flushing": FLUSHING,
         "tests": TESTS,
-        "indicatorStates": INDICATOR_STATES,
+        "states": STATES,
         "timesToLimit": TIMES_TO_LIMIT,
         "decisions": DECISIONS,
         "events": EVENTS,

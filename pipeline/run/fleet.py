@@ -15,10 +15,9 @@ import secrets
 import socket
 import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
-from functools import partial
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -26,29 +25,21 @@ from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
-from pipeline.config.nights import night_of
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.files import legible
-from pipeline.logs.ledger import Ledger, forget_nights, read_settings, write_months, write_settings
+from pipeline.logs.ledger import read_settings
 from pipeline.logs.motor_logs import FATES
 from pipeline.night.fit_night import FAILED
+from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motor_task import plan_motor, run_motor
-from pipeline.run.parts import run_motors
+from pipeline.run.publishing import publish_motors, publish_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.schema import (
-    ALARMS,
-    DATA_DICTIONARY,
-    DECISIONS,
     MOTOR_OUTCOMES,
-    NIGHT_TABLES,
     RUNS,
     SCHEMA_VERSION,
-    TREND_TABLES,
-    TRENDS,
-    data_dictionary,
-    frame,
 )
 from pipeline.store.atomic_files import (
     make_folders,
@@ -70,24 +61,11 @@ from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.decisions import read_decisions
 from pipeline.trends.record import (
-    forget_records,
-    note_touched,
     read_record,
     trend_hash,
-    write_record,
 )
-from pipeline.trends.stage import (
-    TrendOutcome,
-    lost_trends,
-    run_trends,
-    trend_tasks,
-    with_q_values,
-    without_lost_motor,
-)
-from pipeline.trends.tonight import Tonight, tonight_of
 from pipeline.versions import own_version, versions
-from pipeline.workers.engine import RunTasks, nights_a_part, open_engine, results_of
-from pipeline.workers.local import Crew
+from pipeline.workers.engine import RunTasks, nights_a_chunk, open_engine
 from pipeline.workers.process import Loss
 
 log = logging.getLogger(__name__)
@@ -106,13 +84,11 @@ MOTOR_STAGES = (
 )
 STAGES = ("motors_s", "publish_s", "trends_s")
 PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
-# A task of trends reads the tables of all its motors at once.
-MOTORS_A_TREND_TASK = 32
 
 
 @dataclass(frozen=True, slots=True)
 class RunRequest:
-    """What a run is asked to do.
+    """Request of a run.
 
     Attributes
     ----------
@@ -152,7 +128,7 @@ class RunRequest:
 
 @dataclass(frozen=True, slots=True)
 class RunResult:
-    """What came of a run.
+    """Result of a run.
 
     Attributes
     ----------
@@ -197,9 +173,7 @@ class RunResult:
         return tuple(outcome for outcome in self.outcomes if outcome.status == FAILED)
 
 
-def run_fleet(
-    request: RunRequest, progress: Progress = lambda _: None, crew: Crew | None = None
-) -> RunResult:
+def run_fleet(request: RunRequest, progress: Progress = lambda _: None) -> RunResult:
     """Fit every new night of a fleet's motors and publish the tables.
 
     A motor whose task hangs or dies is done by a second run, when the first has published what the
@@ -210,9 +184,7 @@ def run_fleet(
     request
         Fleet, and which part of it.
     progress
-        Called with each motor's outcome as it finishes.
-    crew
-        Workers that were started before; None: there are none.
+        Called with the outcome of each motor, and of each chunk of one, as it finishes.
 
     Returns
     -------
@@ -229,13 +201,13 @@ def run_fleet(
         If there is nothing that tasks could run on.
     """
     # One motor holds up no other.
-    result = _run_once(request, progress, crew, first=len(request.specs) > 1)
+    result = _run_once(request, progress, first=len(request.specs) > 1)
     late = [outcome for outcome in result.outcomes if outcome.is_set_aside]
     if not late or result.interrupted:
         return result
     again = replace(request, motors=tuple(outcome.motor_id for outcome in late))
     try:
-        return _joined(result, _run_once(again, progress, None, first=False))
+        return _joined(result, _run_once(again, progress, first=False))
     except (LockedError, EngineError) as error:
         log.warning("%s; the next run does what is left", error)
     for outcome in late:
@@ -262,16 +234,13 @@ def _joined(first: RunResult, second: RunResult) -> RunResult:
     )
 
 
-def _run_once(
-    request: RunRequest, progress: Progress, crew: Crew | None, *, first: bool
-) -> RunResult:
+def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunResult:
     """Do a run; the first of two sets motors aside that hang or die."""
     fleet, output = request.fleet, request.fleet.output
     receivers = receivers_of(fleet.settings.alarms)
     if fleet.log_url:
         _require_logs(fleet.log_url)
-    if not fleet.object_store:
-        require_space(output, request.specs, fleet.execution, crew)
+    require_space(output, fleet.execution.minimum_free_mib)
     with (
         locked(output),
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
@@ -280,13 +249,11 @@ def _run_once(
         remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
         with working_copy(fleet.object_store, output) as restore, staging_folder(output) as staging:
             if fleet.object_store:
-                # A working copy knows its logs only once it is up to date.
-                require_space(output, request.specs, fleet.execution, crew)
                 heartbeat.say(last_good_run=_last_good_run(output))
             folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
             stores = (fleet.log_url,) if fleet.log_url else ()
             open_outbox(output, [one.name for one in receivers], fleet.name)
-            with open_engine(fleet.execution, folders, stores, crew) as run_tasks:
+            with open_engine(fleet.execution, folders, stores) as run_tasks:
                 damage = Damage(output, restore)
                 result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
             _take_up(fleet)
@@ -341,7 +308,7 @@ def refresh(fleet: Fleet) -> int:
 
 
 def plan_fleet(request: RunRequest) -> Iterator[tuple[str, Mapping[dt.date, Step]]]:
-    """What a run would do now, motor by motor; nothing is read of a log but its ends, or written.
+    """The plan of a run, motor by motor; of logs only the ends are read, and nothing is written.
 
     Raises
     ------
@@ -382,7 +349,7 @@ def _task(request: RunRequest, spec: MotorSpec, staging: Path) -> MotorTask:
         force=request.force,
         retry=request.retry,
         with_starts=request.with_starts,
-        nights_a_part=nights_a_part(request.fleet.execution, len(request.specs)),
+        nights_a_chunk=nights_a_chunk(request.fleet.execution, len(request.specs)),
         latest_us=latest_us(request.clock),
     )
 
@@ -414,6 +381,9 @@ def _run(
     interrupted = False
     try:
         for outcome in _motors(run_tasks, tasks, first=first):
+            if outcome.chunk:
+                progress(outcome)
+                continue
             outcomes[outcome.motor_id] = outcome
             if not outcome.is_set_aside:
                 heartbeat.motor_done()
@@ -428,7 +398,7 @@ def _run(
     publisher = Publisher(fleet.output, staging, run_id)
     with interrupts_held() as came:
         damage.look_into(_keys_of(finished))
-        n_nights = _publish(publisher, finished, {task.spec.motor_id: task.spec for task in tasks})
+        n_nights = publish_motors(publisher, finished, {one.motor_id: one for one in request.specs})
     interrupted = interrupted or bool(came)
     ends.append(time.perf_counter())
     heartbeat.say(stage="trends")
@@ -436,7 +406,9 @@ def _run(
     alarms: Sequence[Mapping[str, Any]] = ()
     if not interrupted:
         try:
-            failures, alarms, interrupted = _publish_trends(request, publisher, finished, run_tasks)
+            failures, alarms, interrupted = publish_trends(
+                fleet, request.clock, publisher, finished, run_tasks
+            )
         except KeyboardInterrupt:
             interrupted = True
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
@@ -475,11 +447,12 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
 def _motors(
     run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
 ) -> Iterator[MotorOutcome]:
-    """Outcomes of the motors; those for which there was no engine any more have failed."""
+    """Outcomes of motors and chunks; a motor for which no engine is left has failed."""
     left = {task.spec.motor_id: task for task in tasks}
     try:
         for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
-            del left[outcome.motor_id]
+            if not outcome.chunk:
+                del left[outcome.motor_id]
             yield outcome
     except EngineError as error:
         if len(left) == len(tasks):
@@ -543,109 +516,12 @@ def staging_folder(output: Path) -> Iterator[Path]:
         remove_all(root)
 
 
-def _publish(
-    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
-) -> int:
-    """Publish what the motors' tasks have staged, then what was remembered of it."""
-    for outcome in outcomes:
-        if outcome.nights:
-            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
-    # Of a motor without a new night there may be the row of a log that is of none.
-    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
-    publisher.nights(NIGHT_TABLES, staged, forget_nights)
-    publisher.whole(DATA_DICTIONARY, data_dictionary())
-    for outcome in outcomes:
-        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
-        if outcome.finished:
-            spec = specs[outcome.motor_id]
-            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
-    return sum(len(outcome.nights) for outcome in outcomes)
-
-
-def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
-    """What is to be remembered of a motor, but for nights whose published rows were lost."""
-    months = dict(outcome.ledger)
-    for night, kept in publisher.lost.items():
-        if outcome.motor_id not in kept:
-            months = {month: ledger.without({night}) for month, ledger in months.items()}
-    return months
-
-
-def _publish_trends(
-    request: RunRequest,
-    publisher: Publisher,
-    outcomes: Sequence[MotorOutcome],
-    run_tasks: RunTasks,
-) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
-    """Make and publish the trends of the run's motors.
-
-    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
-    """
-    fleet = request.fleet
-    decisions = read_decisions(fleet.output)
-    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
-    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
-    changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
-    try:
-        tonight = fleets_tonight(fleet, request.clock)
-    except StoreError as error:
-        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
-    if tonight is None:
-        return {}, [], False
-    tasks = trend_tasks(
-        fleet.motors,
-        fleet.output,
-        publisher.staging,
-        changed,
-        tonight,
-        decisions,
-        MOTORS_A_TREND_TASK,
-    )
-    made: list[TrendOutcome] = []
-    try:
-        made += results_of(run_tasks, run_trends, tasks, lost_trends, without_lost_motor)
-    except EngineError as error:  # the nights are published: the next run makes the trends
-        log.warning("%s; the next run makes the trends", error)
-        made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
-    failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
-    # All tasks first: a night's q-values are over the slopes of the whole fleet.
-    with interrupts_held() as came:
-        alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
-    return failures, alarms, bool(came)
-
-
-def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
-    """Tonight, as `tonight_of`, by the clock of a run."""
-    latest = night_of(latest_us(clock), fleet.settings.nights)
-    return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
-
-
 def _with_trends(outcome: MotorOutcome, loss: Loss | None) -> MotorOutcome:
     """A motor's outcome; one whose trends failed has failed."""
     if loss is None or outcome.status == FAILED:
         return outcome
     how = f"trends: {legible(loss.how)}"
     return replace(outcome, status=FAILED, error_code=loss.code, message=how)
-
-
-def _publish_trend_rows(
-    publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
-) -> list[Mapping[str, Any]]:
-    """Publish what the tasks have staged; returns the new rows of `alarms`."""
-    fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
-    lost: list[Collection[str]] = []
-
-    def forget(output: Path, _: Collection[dt.date], keep: Collection[str]) -> None:
-        lost.append(keep)
-        forget_records(output, keep)
-
-    finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
-    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
-    for motor_id, record in [item for one in made for item in one.records.items()]:
-        if all(motor_id in keep for keep in lost):
-            write_record(publisher.output, motor_id, record)
-    new = [row for one in made for row in one.alarms]
-    return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))
 
 
 def _config_hash(tasks: Sequence[MotorTask]) -> str:

@@ -1,9 +1,8 @@
-"""Damage to what runs have left: how a run, or `check --tables --mend`, mends what can be mended.
+"""Mending of damaged output, by a run or by `check --tables --mend`.
 
-Nothing is mended in its place. What is damaged is put aside, and the nights that it was of are
-forgotten, so that a run makes them anew from logs or stored blocks. A manifest goes on listing a
-file that is gone until it is there again, so whatever becomes of a run, the next one sees it. Each
-step may be the last, and be done again.
+Nothing is mended in its place. A damaged file is put aside, and its nights are forgotten, so that a
+run makes them anew from logs or stored blocks. A manifest lists a missing file until it is there
+again: if a run is broken off, the next one sees it. Each step can be repeated.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ from pipeline.store.atomic_files import move, remove
 from pipeline.store.manifest import (
     WHOLE,
     Key,
-    key_of,
     manifest_file,
+    manifest_key,
     manifest_keys,
     read_manifest,
     renew_manifest,
@@ -37,8 +36,8 @@ from pipeline.store.verification import (
     OF_TRENDS,
     TABLE_OF,
     TableFault,
+    compare_published,
     fault_of,
-    look_at_published,
     proofs_of,
     unlisted_files,
 )
@@ -47,19 +46,19 @@ from pipeline.trends.record import note_touched
 
 log = logging.getLogger(__name__)
 
-# Brings back a file of the output, by its path below it, from where it is published as well.
+# Restores a file of the output, by its path below it, from the object store.
 Restore = Callable[[str], bool]
-# Rows of these are made anew from the night's stored blocks where its log is gone.
+# Rows of these are made anew from the night's stored blocks if its log is gone.
 FROM_BLOCKS = {"parameters"}
 LOST = ("table_altered", "table_missing")
 NEXT_RUN = "the next run makes it anew where the logs of that night are there"
 NO_LOGS = "the logs of that night are gone, or were not asked for"
-# So many faults are told one by one.
+# Faults that are logged one by one.
 FAULTS_TOLD = 20
 
 
 def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[Key], bool]:
-    """The share of the manifests whose files a run is to prove, so that all are within some days.
+    """Choice of the manifests whose files a run proves, so that all are proven within some days.
 
     Each day has its share, and a run takes those of all days since the run before. Of several runs
     on a day each takes the next share.
@@ -76,7 +75,7 @@ def share_due(output: Path, days: int, now: dt.datetime) -> Callable[[Key], bool
 
 
 def _turn(key: Key) -> int:
-    """The share that a manifest is of: nights and runs follow each other day by day."""
+    """Number of a manifest, by its day: shares are taken modulo the days."""
     _, name = key
     try:
         return dt.date.fromisoformat(name.partition("T")[0]).toordinal()
@@ -86,14 +85,14 @@ def _turn(key: Key) -> int:
 
 @dataclass(slots=True)
 class Damage:
-    """Damage to the published files that is found in a run, and mended where it can be.
+    """Damage to published files that a run finds, and mends as far as possible.
 
     Parameters
     ----------
     output
         Output folder, of which the caller holds the lock.
     restore
-        Brings a file back from where it is published as well.
+        Restores a file from the object store.
 
     Attributes
     ----------
@@ -104,36 +103,36 @@ class Damage:
     output: Path
     restore: Restore = lambda _: False
     found: dict[str, TableFault] = field(default_factory=dict)
-    # By motor, the nights with a fit of which rows were lost; and what was found when the motors
+    # By motor, the nights with a fit of which rows were lost; and faults found when the motors
     # had their turn.
     _fitted: defaultdict[str, set[dt.date]] = field(default_factory=lambda: defaultdict(set))
     _late: set[str] = field(default_factory=set)
 
     def look_around(self, due: Callable[[Key], bool]) -> None:
-        """Before the motors have their turn: look at all published files, and prove those due.
+        """Before the motors: check all published files, and prove those due.
 
         Raises
         ------
         StoreError
-            If something cannot be read or written; what was done till then holds.
+            If something cannot be read or written; what was done before then holds.
         """
         self.mend(self.named(rebuild_manifests(self.output, self.restore)))
         self._look(manifest_keys(self.output), due)
 
     def look_into(self, keys: Iterable[Key]) -> None:
-        """After that: prove the files of some manifests; raises as `look_around`."""
+        """After the motors: prove the files of some manifests; raises as `look_around`."""
         before = set(self.found)
         self._look(keys, lambda _: True)
         self._late |= self.found.keys() - before
 
     def _look(self, keys: Iterable[Key], due: Callable[[Key], bool]) -> None:
-        seen = look_at_published(self.output, keys, due)
+        seen = compare_published(self.output, keys, due)
         for key in seen.proven:
             renew_manifest(self.output, *key)
         self.mend(self.named(seen.faults))
 
     def named(self, faults: Iterable[TableFault]) -> list[TableFault]:
-        """Those of some faults that are new, after they were told."""
+        """Log faults that are new, and return them."""
         new = [one for one in faults if one.path not in self.found]
         for one in new[:FAULTS_TOLD]:
             log.warning("%s: %s: %s", one.code, one.path, one.message)
@@ -143,14 +142,14 @@ class Damage:
         return new
 
     def mend(self, faults: Sequence[TableFault]) -> None:
-        """Let what is damaged or gone be made anew.
+        """Let damaged and missing files be made anew.
 
         Raises
         ------
         StoreError
             If something cannot be written.
         """
-        lost = [one for one in faults if one.code in LOST and key_of(one.path)[0] != WHOLE]
+        lost = [one for one in faults if one.code in LOST and manifest_key(one.path)[0] != WHOLE]
         lost = [one for one in lost if not self.restore(f"tables/{one.path}")]
         self._forget([one.path for one in lost])
         for one in lost:
@@ -158,15 +157,15 @@ class Damage:
             if one.code == "table_altered":
                 move(path, path.with_suffix(PUT_ASIDE))
             if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
-                # What is told of a run cannot be made anew.
-                update_manifest(self.output, *key_of(one.path), {one.path: None})
+                # Tables of a run cannot be made anew.
+                update_manifest(self.output, *manifest_key(one.path), {one.path: None})
 
     def _forget(self, names: Iterable[str]) -> None:
         """Let the nights of some files be made anew."""
         nights: defaultdict[dt.date, set[str]] = defaultdict(set)
         trends: list[dt.date] = []
         for name in names:
-            table, label = name.split("/")[0], key_of(name)[1]
+            table, label = name.split("/")[0], manifest_key(name)[1]
             if table in OF_MOTORS:
                 nights[dt.date.fromisoformat(label)].add(table)
             elif table in OF_TRENDS:
@@ -180,16 +179,10 @@ class Damage:
                 note_touched(self.output, folder.name, min(trends))
 
     def left(self, made: Mapping[str, Collection[dt.date]]) -> Iterator[TableFault]:
-        """Faults that were found and are not mended.
-
-        Parameters
-        ----------
-        made
-            By motor, the nights that the run has made.
-        """
+        """Faults that were found and are not mended, given the nights made by motor."""
         mended: dict[dt.date, str] = {}
         for path, fault in self.found.items():
-            table, (month, label) = path.split("/")[0], key_of(path)
+            table, (month, label) = path.split("/")[0], manifest_key(path)
             if table not in TABLE_OF or (month != WHOLE and table not in OF_MOTORS | OF_TRENDS):
                 continue
             now = fault_of(self.output, path)
@@ -216,9 +209,7 @@ class Damage:
 
 
 def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
-    """Make manifests anew that are gone or damaged, from the files that can prove themselves.
-
-    Where the output is published elsewhere as well, they are brought back from there.
+    """Restore missing or damaged manifests, or make them anew from files that prove themselves.
 
     Raises
     ------
@@ -232,7 +223,7 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
         path = manifest_file(output, *key)
         place, was_there = path.relative_to(output).as_posix(), path.exists()
         kind = "manifest_damaged" if was_there else "manifest_missing"
-        if restore(place):
+        if restore(place) and read_manifest(output, *key) is not None:
             yield TableFault(place, kind, "brought back from the object store")
             continue
         names = [name for name in unlisted.get(key, ()) if _is_called_as_ours(name)]
@@ -248,8 +239,8 @@ def rebuild_manifests(output: Path, restore: Restore) -> Iterator[TableFault]:
 
 
 def _is_called_as_ours(name: str) -> bool:
-    """Whether a file has its place and name where a run puts such files."""
-    table, label = name.split("/")[0], key_of(name)[1]
+    """True if a run writes files of this name."""
+    table, label = name.split("/")[0], manifest_key(name)[1]
     if table not in TABLE_OF or not name.endswith(ENDING):
         return False
     try:
@@ -267,7 +258,7 @@ def _how_rebuilt(counts: Mapping[Proof, int]) -> str:
 
 
 def restore_decisions(output: Path) -> None:
-    """Put back what the journal has lost, from the table that the last run made of it.
+    """Put back lost lines of the journal, from the table `decisions` of the last run.
 
     Raises
     ------
@@ -289,12 +280,12 @@ def restore_decisions(output: Path) -> None:
 def mend_output(
     output: Path, restore: Restore
 ) -> tuple[tuple[TableFault, ...], tuple[TableFault, ...]]:
-    """Mend all that is damaged without a run; the caller holds the lock.
+    """Mend damage without a run; the caller holds the lock.
 
     Returns
     -------
     tuple of TableFault, tuple of TableFault
-        What was found, and what is left.
+        Faults that were found, and those that are left.
 
     Raises
     ------
@@ -306,8 +297,8 @@ def mend_output(
     damage.mend([*rebuild_manifests(output, restore), *found])
     for one in found:
         if one.code in LOST and not (output / "tables" / one.path).exists():
-            # What cannot be made anew is told no more.
-            update_manifest(output, *key_of(one.path), {one.path: None})
+            # It cannot be made anew, and is reported no more.
+            update_manifest(output, *manifest_key(one.path), {one.path: None})
         elif one.code in ("ledger_damaged", "history_damaged"):
             remove(output / one.path)
         elif one.path.endswith(PUT_ASIDE):

@@ -12,12 +12,12 @@ import pickle
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from typing import TypeVar
 
 import polars as pl
 from polars.exceptions import PanicException
@@ -36,7 +36,7 @@ from pipeline.logs.ledger import (
     read_ledger,
     read_settings,
 )
-from pipeline.logs.motor_logs import LogShelf, Sight
+from pipeline.logs.motor_logs import LogShelf
 from pipeline.messages import speak_as_told
 from pipeline.night.fit_night import (
     FAILED,
@@ -48,15 +48,13 @@ from pipeline.night.fit_night import (
     fit_night,
     unfitted,
 )
-from pipeline.night.refit import StoredNights, is_refit, judged
+from pipeline.night.refit import is_refit, judged
 from pipeline.night.rows import Row
+from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import (
-    MadeNight,
+    MOST_GIVEN_UP,
     MotorOutcome,
     MotorTask,
-    PartOutcome,
-    PartTask,
-    SplitMotor,
     Step,
     Work,
     lost,
@@ -68,15 +66,13 @@ from pipeline.workers.process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 
-Made = TypeVar("Made")
-
 # A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
 # motor stood in store.
 LONGEST_HOLE = dt.timedelta(days=366)
 
 
 def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
-    """What a run would do of a motor now, night by night, and why; nothing is read or written.
+    """The plan of a motor, night by night, with reasons; of logs only the ends are read.
 
     Raises
     ------
@@ -86,51 +82,18 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     return _Nights(task).plan()
 
 
-def run_motor(task: MotorTask) -> MotorOutcome | SplitMotor:
-    """Do everything that is new for a motor, and stage its rows.
+def run_motor(task: MotorTask) -> MotorOutcome:
+    """Do everything that is new for a motor, or a chunk of its nights, and stage its rows.
 
     Raises
     ------
     MemoryError
         If there is not enough memory for what all its nights need.
     """
-
-    def work() -> MotorOutcome | SplitMotor:
-        nights = _Nights(task)
-        return nights.split() or nights.run()
-
-    return _guarded(task, work)
-
-
-def run_part(task: PartTask) -> PartOutcome:
-    """Make some nights of a motor, and leave them in the staging folder; raises as `run_motor`."""
-    motor_id = task.motor.spec.motor_id
-
-    def work() -> PartOutcome:
-        nights = _Nights(task.motor)
-        made = nights.make(task.nights)
-        _leave(made, task.staging / task.name)
-        return PartOutcome(
-            motor_id,
-            task.name,
-            given_up=task.motor.given_up,
-            silent=task.motor.silent,
-            seconds=dict(nights.seconds),
-            peak_memory_mib=_peak_memory_mib(),
-        )
-
-    found = _guarded(task.motor, work)
-    if isinstance(found, MotorOutcome):
-        return PartOutcome(motor_id, task.name, failure=found)
-    return found
-
-
-def _guarded(task: MotorTask, work: Callable[[], Made]) -> Made | MotorOutcome:
-    """The edge of a motor's task: what is raised in it is the motor's failure."""
     speak_as_told()
     with threadpool_limits(1):
         try:
-            return work()
+            return _done(task)
         except StoreError as error:
             return lost(task, Loss(error.code, error.message))
         except MemoryError:  # a fresh worker may have what it takes
@@ -138,6 +101,37 @@ def _guarded(task: MotorTask, work: Callable[[], Made]) -> Made | MotorOutcome:
         except (Exception, PanicException) as error:
             log.exception("motor %s failed", task.spec.motor_id)
             return lost(task, loss_of(error))
+
+
+def _done(task: MotorTask) -> MotorOutcome:
+    """The outcome of a chunk, of a plan of chunks, or of a motor."""
+    if task.nights is not None:
+        return _make_chunk(task, task.nights)
+    # Written by this run, below a folder of its own.
+    chunks = [pickle.loads((task.staging / name).read_bytes()) for name in task.chunks]  # noqa: S301
+    given_up = dict.fromkeys((*task.given_up, *(one for part in chunks for one in part.given_up)))
+    task = replace(task, given_up=tuple(given_up))
+    if len(task.lost_nights) > MOST_GIVEN_UP:
+        # The loss at which a motor that is not done in chunks would have been given up.
+        return lost(task, task.lost_nights[sorted(task.lost_nights)[MOST_GIVEN_UP]])
+    nights = _Nights(task, chunks)
+    return nights.plan_of_chunks() or nights.run()
+
+
+def _make_chunk(task: MotorTask, labels: Sequence[dt.date]) -> MotorOutcome:
+    """Read and fit a chunk of nights, and leave them for the task that joins them."""
+    nights = _Nights(task)
+    made = nights.make(labels)
+    seconds, memory = dict(nights.seconds), _peak_memory_mib()
+    try:
+        with scratch(task.staging / task.chunk) as stream:
+            pickle.dump(_Chunk(made, task.given_up, seconds, memory), stream)
+    except OSError as error:
+        why = error.strerror or error
+        raise StoreError("store_write", f"{task.chunk} cannot be written: {why}") from error
+    return MotorOutcome(
+        task.spec.motor_id, OK, seconds=seconds, peak_memory_mib=memory, chunk=task.chunk
+    )
 
 
 def _peak_memory_mib() -> float:
@@ -148,25 +142,6 @@ def _peak_memory_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-def _leave(made: Mapping[dt.date, MadeNight], path: Path) -> None:
-    """Leave the nights of a part for the task that joins them."""
-    try:
-        with scratch(path) as stream:
-            pickle.dump(made, stream)
-    except OSError as error:
-        why = error.strerror or error
-        raise StoreError("store_write", f"{path.name} cannot be written: {why}") from error
-
-
-def _read_parts(task: MotorTask) -> dict[dt.date, MadeNight]:
-    """The nights that other tasks of this run have made."""
-    made: dict[dt.date, MadeNight] = {}
-    for name in task.parts:
-        # Written by this run, below a folder of its own.
-        made |= pickle.loads((task.staging / name).read_bytes())  # noqa: S301
-    return made
-
-
 def _hash_of_model(model: PreviousModel) -> str:
     return _hash_of_items(tuple(sorted((mode, tuple(theta)) for mode, theta in model.items())))
 
@@ -174,6 +149,26 @@ def _hash_of_model(model: PreviousModel) -> str:
 @lru_cache(maxsize=8192)
 def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
     return hash_of(dict(items))
+
+
+@dataclass(frozen=True, slots=True)
+class _ChunkNight:
+    """A night of a chunk, with its files, in order, as they were known before and after it."""
+
+    outcome: NightOutcome
+    before: Mapping[str, FileRecord]
+    after: Mapping[str, FileRecord]
+    read: frozenset[str]
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    """A chunk on its way to the task that joins it."""
+
+    nights: Mapping[dt.date, _ChunkNight]
+    given_up: tuple[Loss, ...]
+    seconds: Mapping[str, float]
+    peak_memory_mib: float
 
 
 def _still_published(ledger: Ledger, output: Path) -> Ledger:
@@ -205,10 +200,15 @@ def _without_failures(ledger: Ledger) -> Ledger:
 class _Nights:
     """A motor's nights while its task works through them."""
 
-    def __init__(self, task: MotorTask) -> None:
+    def __init__(self, task: MotorTask, chunks: Sequence[_Chunk] = ()) -> None:
         self.task = task
         self.spec = task.spec
+        self.made = {label: one for chunk in chunks for label, one in chunk.nights.items()}
+        self.memory_of_chunks = [chunk.peak_memory_mib for chunk in chunks]
         self.seconds: defaultdict[str, float] = defaultdict(float)
+        for chunk in chunks:
+            self._add(chunk.seconds)
+        self.lost_nights = task.lost_nights
         self.remembered = read_ledger(task.output, task.spec.motor_id)
         self.before = _still_published(self.remembered, task.output)
         if task.retry:
@@ -226,7 +226,6 @@ class _Nights:
                 if label not in self.withdrawn
             },
         )
-        self.made = _read_parts(task)
         self.hashes = SettingsHashes(self.spec)
         self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
         self.done: dict[dt.date, NightOutcome] = {}
@@ -248,33 +247,35 @@ class _Nights:
         none = {label for label in told if self.logs.plausible.why_not(label) is not None}
         return none - sure - self.logs.present()
 
-    def split(self) -> SplitMotor | None:
-        """The parts in which the motor's nights are to be made; None: here, in one."""
-        size = self.task.nights_a_part
+    def plan_of_chunks(self) -> MotorOutcome | None:
+        """The chunks in which the motor's nights are to be made; None: here, in one."""
+        size = self.task.nights_a_chunk
         if not size or self.task.looked_at is not None:
             return None
         labels = [label for label, step in self.plan().items() if step.work is Work.READ]
         if len(labels) <= size:
             return None
-        parts = tuple(tuple(labels[at : at + size]) for at in range(0, len(labels), size))
-        return SplitMotor(self.spec.motor_id, self.logs.files, parts)
+        planned = replace(self.task, looked_at=self.logs.files)
+        parts = [tuple(labels[at : at + size]) for at in range(0, len(labels), size)]
+        chunks = tuple(replace(planned, nights=nights) for nights in parts)
+        return MotorOutcome(self.spec.motor_id, OK, to_do=chunks)
 
-    def make(self, labels: tuple[dt.date, ...]) -> dict[dt.date, MadeNight]:
+    def make(self, labels: Sequence[dt.date]) -> dict[dt.date, _ChunkNight]:
         """Read and fit some nights, each on its own."""
         made = {}
         for label in labels:
-            if label in self.task.given_up:
+            if label in self.lost_nights:
                 continue
-            before = dict(self.logs.files)
-            here = night(label, self.spec.settings.nights)
-            used = (*self.logs.before_night(here), *self.logs.of_night(label))
+            known = dict(self.logs.files)
+            used = self.logs.used_by(night(label, self.spec.settings.nights))
             outcome = self._night(label, Work.READ, {})
             assert outcome is not None
-            seen = {
-                name: Sight(before[name], self.logs.files[name], name in self.logs.read)
-                for name in used
-            }
-            made[label] = MadeNight(outcome, seen, used)
+            made[label] = _ChunkNight(
+                outcome,
+                {name: known[name] for name in used},
+                {name: self.logs.files[name] for name in used},
+                frozenset(used) & self.logs.read,
+            )
         sign_of_life("")
         return made
 
@@ -289,8 +290,7 @@ class _Nights:
                 self.kept.add(label)
                 continue
             self._remember(outcome, before)
-            for stage_name, seconds in outcome.seconds.items():
-                self.seconds[stage_name] += seconds
+            self._add(outcome.seconds)
             # Also those that an earlier state of a file had been read for.
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
@@ -302,6 +302,10 @@ class _Nights:
         with self._timed("store_s"):
             self._stage()
         return self._outcome()
+
+    def _add(self, seconds: Mapping[str, float]) -> None:
+        for stage_name, taken in seconds.items():
+            self.seconds[stage_name] += taken
 
     @contextmanager
     def _timed(self, stage_name: str) -> Iterator[None]:
@@ -407,8 +411,8 @@ class _Nights:
         return sorted(label for label in between - told if self.task.wants(label))
 
     def _night(self, label: dt.date, work: Work, before: PreviousModel) -> NightOutcome | None:
-        """What comes of a night; None where it stays as published, for want of its log."""
-        if given_up := self.task.given_up.get(label):
+        """Outcome of a night; None where it stays as published, for want of its log."""
+        if given_up := self.lost_nights.get(label):
             return unfitted(self.spec, label, FAILED, legible(given_up.how), code=given_up.code)
         sign_of_life(label.isoformat())
         try:
@@ -429,7 +433,7 @@ class _Nights:
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
         made = self.made.get(label)
-        if made is not None and self.logs.recall(here, made.seen, made.used):
+        if made is not None and self.logs.take_over(here, made.before, made.after, made.read):
             return judged(self.spec, made.outcome, before)
         with self._timed("read_s"):
             names = self.logs.of_night(label)
@@ -494,7 +498,7 @@ class _Nights:
         return {label: rows[label] for label in sorted({*staged, *moved})}
 
     def _why_nothing(self, status: str) -> str | None:
-        """Why a motor has no fit although nothing failed; None: it has, or there was none to do."""
+        """The reason for no fit although nothing failed; None: there is one, or none was to do."""
         if not self.logs.files:
             return "; ".join(self.logs.unmatched()) or None
         if status != INSUFFICIENT_DATA:
@@ -554,5 +558,5 @@ class _Nights:
             growing=tuple(self.logs.growing()),
             ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
-            peak_memory_mib=_peak_memory_mib(),
+            peak_memory_mib=max([_peak_memory_mib(), *self.memory_of_chunks]),
         )

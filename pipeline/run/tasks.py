@@ -1,4 +1,4 @@
-"""What a motor's task is given, and what comes of it: plain data that processes exchange."""
+"""Task and outcome records: plain data that processes exchange."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.logs.files import legible
 from pipeline.logs.ledger import FileRecord, Ledger
-from pipeline.logs.motor_logs import Sight
-from pipeline.night.fit_night import FAILED, NightOutcome
+from pipeline.night.fit_night import FAILED
 from pipeline.workers.process import Loss
 
 # A motor of which more nights than this take their worker with them, or more logs than this do not
@@ -22,7 +21,7 @@ MOST_GIVEN_UP = 3
 
 
 class Work(Enum):
-    """How far a night is made anew: from its log, from its statistics, or the model before only."""
+    """Source of a night that is made anew: its log, its statistics, or the model before only."""
 
     READ = "read"
     REFIT = "refit"
@@ -39,7 +38,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class MotorTask:
-    """What a worker needs to do a motor: plain data, small enough to send.
+    """A motor for a worker, or a chunk of its nights: plain data, small enough to send.
 
     Attributes
     ----------
@@ -48,7 +47,7 @@ class MotorTask:
     output
         Output folder, for the ledger (read only).
     staging
-        Folder for this run's staged rows.
+        Folder for this run's staged rows and chunks.
     since, until
         Labels of the first and last night to do; None: no limit.
     force
@@ -59,15 +58,15 @@ class MotorTask:
         Whether nights that are, or were, fitted anew without their log get the starts of their
         search.
     given_up
-        Nights that this run's workers were lost in, each time.
-    silent
-        Logs that did not answer, and patterns of logs whose folders did not; none is opened.
-    nights_a_part
-        A motor with more nights to read than this is split into parts of so many; 0: never.
+        Losses of this run, each in a night that is not made, or at a log that is not opened.
+    nights_a_chunk
+        A motor with more nights to read than this is done in chunks of so many; 0: never.
+    nights
+        The chunk: nights to be read and fitted apart from the others; None: the whole motor.
     looked_at
-        What an earlier task of this run has seen of its logs; None: nothing.
-    parts
-        Files below the staging folder with nights that other tasks have made.
+        The motor's logs as the task that planned the chunks saw them; None: not looked at yet.
+    chunks
+        Files below the staging folder with the chunks to be joined.
     latest_us
         Samples after this time are refused [µs since 1970]: a day after the run's clock.
     """
@@ -80,15 +79,30 @@ class MotorTask:
     force: bool = False
     retry: bool = False
     with_starts: bool = False
-    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
-    silent: Mapping[str, Loss] = field(default_factory=dict)
-    nights_a_part: int = 0
+    given_up: tuple[Loss, ...] = ()
+    nights_a_chunk: int = 0
+    nights: tuple[dt.date, ...] | None = None
     looked_at: Mapping[str, FileRecord] | None = None
-    parts: tuple[str, ...] = ()
+    chunks: tuple[str, ...] = ()
     latest_us: int = field(default_factory=latest_us)
 
+    @property
+    def chunk(self) -> str:
+        """File of its chunk below the staging folder; empty for a whole motor."""
+        return f"chunks/{self.spec.motor_id}@{min(self.nights)}" if self.nights else ""
+
+    @property
+    def lost_nights(self) -> dict[dt.date, Loss]:
+        """Nights that this run's workers were lost in, each time."""
+        return {dt.date.fromisoformat(one.part): one for one in self.given_up if not one.log}
+
+    @property
+    def silent(self) -> dict[str, Loss]:
+        """Logs that did not answer, and patterns of logs whose folders did not."""
+        return {one.log: one for one in self.given_up if one.log}
+
     def wants(self, label: dt.date) -> bool:
-        """Whether a night lies within the asked-for range."""
+        """True where a night lies within the asked-for range."""
         return (self.since is None or label >= self.since) and (
             self.until is None or label <= self.until
         )
@@ -96,7 +110,7 @@ class MotorTask:
 
 @dataclass(frozen=True, slots=True)
 class MotorOutcome:
-    """What came of a motor in a run.
+    """The outcome of a motor's task, or of one of its chunks.
 
     Attributes
     ----------
@@ -129,6 +143,12 @@ class MotorOutcome:
         Largest memory of the worker so far.
     is_set_aside
         Whether its task was lost once, and is tried again when the others are published.
+    chunk
+        File of the chunk that was made or failed; empty for a whole motor.
+    chunks_done
+        Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
+    to_do
+        Chunks that are to be made first; empty: the motor is done.
     """
 
     motor_id: str
@@ -147,120 +167,29 @@ class MotorOutcome:
     seconds: Mapping[str, float] = field(default_factory=dict)
     peak_memory_mib: float | None = None
     is_set_aside: bool = False
+    chunk: str = ""
+    chunks_done: tuple[int, int] = (0, 0)
+    to_do: tuple[MotorTask, ...] = ()
 
     @property
     def finished(self) -> bool:
-        """Whether the task came to its end, whatever came of its nights."""
+        """True where the task came to its end, whatever came of its nights."""
         return self.peak_memory_mib is not None
 
 
-@dataclass(frozen=True, slots=True)
-class SplitMotor:
-    """A motor with so many nights to read that other tasks are to make them.
-
-    Attributes
-    ----------
-    looked_at
-        What was seen of its logs.
-    parts
-        Nights of each part, in order of time.
-    """
-
-    motor_id: str
-    looked_at: Mapping[str, FileRecord]
-    parts: tuple[tuple[dt.date, ...], ...]
-
-
-@dataclass(frozen=True, slots=True)
-class PartTask:
-    """Some nights of a motor, to be read and fitted apart from the others.
-
-    Attributes
-    ----------
-    motor
-        The motor's own task.
-    nights
-        Which nights.
-    staging
-        Folder in which they are left, as `name`.
-    """
-
-    motor: MotorTask
-    nights: tuple[dt.date, ...]
-    staging: Path
-
-    @property
-    def name(self) -> str:
-        """Its file below the staging folder."""
-        return f"parts/{self.motor.spec.motor_id}@{min(self.nights)}"
-
-
-@dataclass(frozen=True, slots=True)
-class PartOutcome:
-    """That a part is made, or why not.
-
-    Attributes
-    ----------
-    name
-        Its file below the staging folder.
-    failure
-        What then comes of the motor; None: the part is made.
-    given_up, silent
-        Nights that workers were lost in, each time, which are not made, and logs that did not
-        answer.
-    seconds
-        Time by stage.
-    peak_memory_mib
-        Largest memory of the worker so far.
-    """
-
-    motor_id: str
-    name: str
-    failure: MotorOutcome | None = None
-    given_up: Mapping[dt.date, Loss] = field(default_factory=dict)
-    silent: Mapping[str, Loss] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    peak_memory_mib: float | None = None
-
-
-@dataclass(frozen=True, slots=True)
-class MadeNight:
-    """A night as another task has made it, and what it saw of which logs.
-
-    Nights hang together by the model before alone, which is judged again when they are joined.
-    """
-
-    outcome: NightOutcome
-    seen: Mapping[str, Sight]
-    used: tuple[str, ...]
-
-
 def lost(task: MotorTask, loss: Loss) -> MotorOutcome:
-    """The outcome of a motor whose task was lost as a whole."""
-    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how))
+    """The outcome of a task that was lost as a whole."""
+    return MotorOutcome(task.spec.motor_id, FAILED, loss.code, legible(loss.how), chunk=task.chunk)
 
 
 def set_aside(task: MotorTask, loss: Loss) -> MotorOutcome:
-    """The outcome of a motor whose task was lost, and is to be tried again later."""
+    """The outcome of a task that was lost, and is to be tried again later."""
     how = f"{loss.how}; tried again when the other motors are published"
     return replace(lost(task, replace(loss, how=how)), is_set_aside=True)
 
 
 def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
-    """The task that gives up what it was lost in, a log or a night; None where that is not known.
-
-    Nor where it has given up too much already.
-    """
-    if MOST_GIVEN_UP in (len(task.given_up), len(task.silent)):
+    """The task that gives up the log or night it was lost in; None: unknown, or too many."""
+    if MOST_GIVEN_UP in (len(task.lost_nights), len(task.silent)) or not (loss.log or loss.part):
         return None
-    if loss.log:
-        return replace(task, silent={**task.silent, loss.log: loss})
-    if loss.part:
-        return replace(task, given_up={**task.given_up, dt.date.fromisoformat(loss.part): loss})
-    return None
-
-
-def part_without_lost_part(task: PartTask, loss: Loss) -> PartTask | None:
-    """As `without_lost_part`, of a part of a motor."""
-    motor = without_lost_part(task.motor, loss)
-    return None if motor is None else replace(task, motor=motor)
+    return replace(task, given_up=(*task.given_up, loss))

@@ -1,19 +1,16 @@
-"""`check --tables`: all files of an output, a run's own beside the published ones."""
+"""`check --tables`: all files of an output, those that only runs read among them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from pathlib import Path
 
 from pipeline.errors import StoreError
-from pipeline.store.atomic_files import TEMPORARY_PREFIX, read
-from pipeline.store.manifest import (
-    manifest_keys,
-)
-from pipeline.store.sealed import unseal, unseal_bytes
-from pipeline.store.verification import TableFault, look_at_published, verify_unlisted
-from pipeline.telling.outbox import OUTBOX_FILES, parsed
+from pipeline.store.atomic_files import TEMPORARY_PREFIX
+from pipeline.store.manifest import manifest_keys
+from pipeline.store.sealed import read_sealed, unseal, unseal_bytes
+from pipeline.store.verification import TableFault, compare_published, verify_unlisted
+from pipeline.telling.outbox import OUTBOX_FILES, read_outbox_file
 from pipeline.trends.decisions import damaged_lines, journal_file
 from pipeline.trends.kept_nights import kept_folder
 
@@ -21,16 +18,16 @@ ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run m
 
 
 def verify_tables(output: Path) -> Iterator[TableFault]:
-    """Compare every table file with its manifest, and look at what is remembered beside them.
+    """Compare every table file with its manifest, and check the sealed files beside them.
 
     A run may be publishing meanwhile.
 
     Yields
     ------
     TableFault
-        One for each file that differs, is absent, is in no manifest, or is damaged itself.
+        For each file that differs, is missing, is in no manifest, or is damaged.
     """
-    yield from look_at_published(output, manifest_keys(output)).faults
+    yield from compare_published(output, manifest_keys(output)).faults
     yield from verify_unlisted(output)
     yield from _verify_sealed(output)
     yield from _verify_journal(output)
@@ -46,10 +43,9 @@ def _verify_sealed(output: Path) -> Iterator[TableFault]:
         for path in sorted(folder.glob("*/*")):
             if path.name.startswith(TEMPORARY_PREFIX):
                 continue
-            with suppress(OSError):
-                if unsealed(read(path)) is not None:
-                    continue
-            if path.exists():
+            try:
+                read_sealed(path, unsealed)
+            except StoreError:
                 yield TableFault(path.relative_to(output).as_posix(), code, ONLY_WORK)
 
 
@@ -67,7 +63,7 @@ def _verify_journal(output: Path) -> Iterator[TableFault]:
 
 def _verify_outbox(output: Path) -> Iterator[TableFault]:
     there = [name for name in OUTBOX_FILES if (output / name).exists()]
-    damaged = [name for name in there if _is_damaged_outbox(output / name)]
+    damaged = [name for name in there if _is_damaged(output / name)]
     again = "the next run makes it anew from the other one"
     if len(damaged) == len(there):
         again = "what was not delivered is not known any more; the next run says what is not sent"
@@ -75,10 +71,9 @@ def _verify_outbox(output: Path) -> Iterator[TableFault]:
         yield TableFault(name, "outbox_damaged", again)
 
 
-def _is_damaged_outbox(path: Path) -> bool:
+def _is_damaged(outbox: Path) -> bool:
     try:
-        return parsed(read(path)) is None
-    except FileNotFoundError:
-        return False
-    except OSError:
+        read_outbox_file(outbox)
+    except StoreError:
         return True
+    return False

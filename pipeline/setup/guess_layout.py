@@ -43,7 +43,7 @@ _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
+class GuessedColumn:
     """A column of a table."""
 
     name: str
@@ -68,7 +68,7 @@ class Times:
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class GuessedSource:
     """The place of a channel, with some of its cells."""
 
     channel: str
@@ -83,7 +83,7 @@ class TableLayout:
     """Layout of the channels in a table."""
 
     kind: LogLayout
-    sources: tuple[Source, ...]
+    sources: tuple[GuessedSource, ...]
     unused: Mapping[str, tuple[str, ...]]  # samples by name that no channel was found for
     channel_column: str = ""
     value_column: str = ""
@@ -111,7 +111,7 @@ def kind_of(cells: Sequence[str]) -> Kind:
     return "text" if filled else "nothing"
 
 
-def find_times(columns: Sequence[Column], marks: Marks, path: Path, last: Scan) -> Times:
+def find_times(columns: Sequence[GuessedColumn], marks: Marks, path: Path, last: Scan) -> Times:
     """The column of the time, or those of date and time; `marks` are those of numbers.
 
     The last rows of the log help to tell day from month.
@@ -142,11 +142,11 @@ KINDS_OF_TIME: tuple[Kind, ...] = ("timestamp", "stamp", "date", "clock")
 
 
 def find_layout(
-    columns: Sequence[Column],
+    columns: Sequence[GuessedColumn],
     times: Times,
     path: Path,
     scan: Scan,
-    read: Callable[[Path], Sequence[Column]],
+    read: Callable[[Path], Sequence[GuessedColumn]],
 ) -> TableLayout:
     """Layout of a table, and the places of its channels.
 
@@ -177,7 +177,7 @@ def find_layout(
     return TableLayout("wide", sources, unused)
 
 
-def _value_column(numbers: Sequence[Column]) -> Column | None:
+def _value_column(numbers: Sequence[GuessedColumn]) -> GuessedColumn | None:
     """The column of values of a long table."""
     if len(numbers) == 1:
         return numbers[0]
@@ -185,7 +185,7 @@ def _value_column(numbers: Sequence[Column]) -> Column | None:
     return named[0] if len(named) == 1 else None
 
 
-def _long(value: Column, texts: Sequence[Column], scan: Scan) -> TableLayout | None:
+def _long(value: GuessedColumn, texts: Sequence[GuessedColumn], scan: Scan) -> TableLayout | None:
     units = [one for one in texts if _UNIT_COLUMNS & set(words_of(one.name))][:1]
     names = [one for one in texts if one not in units]
     if not names:
@@ -209,7 +209,7 @@ def _long(value: Column, texts: Sequence[Column], scan: Scan) -> TableLayout | N
 
 
 def _file_per_channel(
-    value: str, path: Path, read: Callable[[Path], Sequence[Column]]
+    value: str, path: Path, read: Callable[[Path], Sequence[GuessedColumn]]
 ) -> TableLayout | None:
     """The layout of a file a channel; None where the files are not all alike."""
     sources, files = [], []
@@ -219,7 +219,7 @@ def _file_per_channel(
             return None
         told = (unit_of(channel, text) for text in (column.unit, value, example.name) if text)
         unit = next((one for one in told if one), None)
-        sources.append(Source(channel, pattern, unit, column.filled[:SAMPLES]))
+        sources.append(GuessedSource(channel, pattern, unit, column.filled[:SAMPLES]))
         files.append(pattern)
     if not sources:
         return None
@@ -234,14 +234,14 @@ Candidate = tuple[str, str, str, tuple[str, ...]]
 
 def _assigned(
     candidates: Sequence[Candidate],
-) -> tuple[tuple[Source, ...], dict[str, tuple[str, ...]]]:
+) -> tuple[tuple[GuessedSource, ...], dict[str, tuple[str, ...]]]:
     """Channels among candidates, each once, and the samples of those that are none."""
     named = ((channel_of(one[0], one[2]), one) for one in candidates)
     best = best_by_channel(
         (channel, (preference(channel or "", one[0]),), one) for channel, one in named
     )
     sources = tuple(
-        Source(channel, one[1], _unit(channel, one), one[3]) for channel, one in best.items()
+        GuessedSource(channel, one[1], _unit(channel, one), one[3]) for channel, one in best.items()
     )
     used = {source.source for source in sources}
     return sources, {one[1]: one[3] for one in candidates if one[1] not in used}

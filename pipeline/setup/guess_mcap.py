@@ -18,7 +18,7 @@ from pipeline.setup.guess_channels import (
     unit_of,
     words_of,
 )
-from pipeline.setup.guess_layout import VALUE_WORDS, Source
+from pipeline.setup.guess_layout import VALUE_WORDS, GuessedSource
 from pipeline.setup.guess_times import (
     TimeGuess,
     guess_time,
@@ -51,7 +51,7 @@ class McapGuess:
     remark: str  # what speaks for another time
     stamp: str  # path of a stamp in all messages of the channels, or nothing
     stamp_format: TimeGuess | None  # None for a pair of seconds and nanoseconds
-    sources: tuple[Source, ...]
+    sources: tuple[GuessedSource, ...]
     unused: Mapping[str, tuple[str, ...]]  # samples of fields that no channel was found for
 
 
@@ -180,7 +180,7 @@ def _time(topics: Sequence[Topic]) -> tuple[str, str]:
     )
 
 
-def _source(reading: _Reading) -> Source:
+def _source(reading: _Reading) -> GuessedSource:
     topic, channel = reading.topic, reading.channel or ""
     text = path_text(reading.path)
     standard = _STANDARD_UNITS.get((topic.schema.split("/")[-1].split(".")[-1], text))
@@ -191,7 +191,7 @@ def _source(reading: _Reading) -> Source:
     ]
     told = (unit_of(channel, said) for said in (*beside, text, topic.name))
     unit = standard or next((one for one in told if one), None)
-    return Source(channel, topic.name, unit, reading.samples, text)
+    return GuessedSource(channel, topic.name, unit, reading.samples, text)
 
 
 def _listing(topics: Sequence[Topic]) -> Iterator[str]:

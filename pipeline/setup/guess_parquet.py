@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
 from pipeline.ingest.parquet.file import decoded, opened, place_of, text_paths, within
-from pipeline.setup.guess_layout import SAMPLES, Column, Kind, kind_of
+from pipeline.setup.guess_layout import SAMPLES, GuessedColumn, Kind, kind_of
 
 _HEAD_ROWS = 400
 _BATCH_ROWS = 2**17
@@ -29,7 +29,7 @@ def _opened(path: Path) -> Iterator[pq.ParquetFile]:
         yield file
 
 
-def parquet_columns(path: Path) -> list[Column]:
+def parquet_columns(path: Path) -> list[GuessedColumn]:
     """Columns that can be read, those within others by their path, with their first cells."""
     with _opened(path) as file:
         head = next(file.iter_batches(batch_size=_HEAD_ROWS), None)
@@ -48,7 +48,7 @@ def parquet_columns(path: Path) -> list[Column]:
     return columns
 
 
-def _columns(path: Path, name: str, field: pa.Field, values: pa.Array) -> Iterator[Column]:
+def _columns(path: Path, name: str, field: pa.Field, values: pa.Array) -> Iterator[GuessedColumn]:
     if pa.types.is_struct(field.type):
         for inner in field.type:
             below = pc.struct_field(values, inner.name)
@@ -58,12 +58,12 @@ def _columns(path: Path, name: str, field: pa.Field, values: pa.Array) -> Iterat
     unit = (field.metadata or {}).get(b"unit", b"").decode(errors="replace")
     if pa.types.is_timestamp(values.type):
         # In the place of a unit: what the type says of the zone.
-        yield Column(name, values.type.tz or "", "timestamp", ())
+        yield GuessedColumn(name, values.type.tz or "", "timestamp", ())
         return
     kind = _kind(values)
     if kind is not None:
         cells = tuple("" if cell is None else str(cell) for cell in values.to_pylist())
-        yield Column(name, unit, kind_of(cells) if kind == "text" else kind, cells)
+        yield GuessedColumn(name, unit, kind_of(cells) if kind == "text" else kind, cells)
 
 
 def _kind(values: pa.Array) -> Kind | None:

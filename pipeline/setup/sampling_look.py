@@ -58,7 +58,7 @@ REPEATED_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
+class Sampling:
     """The look of a channel."""
 
     kind: Kind  # "unknown" where nothing can be told
@@ -67,7 +67,7 @@ class Look:
     share_repeated: float = 0.0  # of the samples, those that repeat the one before
 
 
-def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) -> Look:
+def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) -> Sampling:
     """Tell the sampling of a channel from the head of its log.
 
     Only a flow can be counts of a volume; `resolution` is the sensor's stated step in the unit of
@@ -83,7 +83,7 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
     """
     time_s, value = _head(raw)
     if value.size < FEWEST or not np.ptp(value):
-        return Look("unknown", _typical(time_s))
+        return Sampling("unknown", _typical(time_s))
     steps, changes = np.diff(time_s), np.diff(value)
     kind: Kind
     if is_flow and _rises(value, changes):
@@ -96,7 +96,7 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
         kind = "mean"
     else:
         kind = "periodic"
-    return Look(
+    return Sampling(
         kind,
         _typical(time_s),
         float(np.quantile(steps, 0.99, method="higher")),
@@ -104,12 +104,12 @@ def look_of(raw: RawChannel, *, is_flow: bool = False, resolution: float = 0.0) 
     )
 
 
-def words(look: Look) -> str:
+def words(look: Sampling) -> str:
     """The look in words; empty where nothing can be told.
 
     Examples
     --------
-    >>> words(Look("periodic", 0.2)), words(Look("mean", 10.0))
+    >>> words(Sampling("periodic", 0.2)), words(Sampling("mean", 10.0))
     ('periodic', 'like means of 10 s')
     """
     period = "" if look.period_s is None else f"{look.period_s:.3g} s"
@@ -134,7 +134,7 @@ def configured(channel: Channel) -> str:
     return "periodic" if channel.sampling == "periodic" else "sent on change or compressed"
 
 
-def remark(channel: Channel, look: Look) -> str:
+def remark(channel: Channel, look: Sampling) -> str:
     """The difference between a channel's look and its config, in words; empty for none."""
     if _agrees(channel, look):
         return ""
@@ -144,7 +144,7 @@ def remark(channel: Channel, look: Look) -> str:
     return f"configured as {configured(channel)}, looks {words(look)}: {advice}"
 
 
-def _agrees(channel: Channel, look: Look) -> bool:
+def _agrees(channel: Channel, look: Sampling) -> bool:
     if look.kind == "unknown":
         return True
     if channel.counts is not None:
@@ -159,7 +159,7 @@ def _agrees(channel: Channel, look: Look) -> bool:
     return look.kind == "periodic"
 
 
-def _advice(look: Look) -> str:
+def _advice(look: Sampling) -> str:
     """The keys to write into the config, if it is so."""
     if look.kind in ("cumulative", "pulses"):
         return f'then counts = "{look.kind}", unit = "count" and volume_per_count_cm3'

@@ -19,8 +19,8 @@ from pipeline.setup.guess_channels import likely_units
 from pipeline.setup.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
 from pipeline.setup.guess_files import suffix_of
 from pipeline.setup.guess_layout import (
-    Column,
-    Source,
+    GuessedColumn,
+    GuessedSource,
     TableLayout,
     Times,
     find_layout,
@@ -68,7 +68,7 @@ def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:
     at = {name: i for i, name in enumerate(head.names)}
     encodings = [head.encoding]
 
-    def read(other: Path) -> list[Column]:
+    def read(other: Path) -> list[GuessedColumn]:
         neighbour = csv_head(other)
         encodings.append(neighbour.encoding)
         return _csv_columns(neighbour)
@@ -104,11 +104,11 @@ def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:
     yield from _unused_lines("columns", layout.unused)
 
 
-def _csv_columns(head: CsvHead) -> list[Column]:
+def _csv_columns(head: CsvHead) -> list[GuessedColumn]:
     units = head.units or ("",) * len(head.names)
     cells = list(zip(*head.rows, strict=True)) or [()] * len(head.names)
     return [
-        Column(name, unit, kind_of(own), own)
+        GuessedColumn(name, unit, kind_of(own), own)
         for name, unit, own in zip(head.names, units, cells, strict=True)
         if name and head.names.count(name) == 1
     ]
@@ -209,7 +209,7 @@ def _dialect_lines(head: CsvHead, marks: Marks, numbers: Iterable[Sequence[str]]
         yield f"missing_tokens = [{written}]"
 
 
-def _channel_lines(sources: Sequence[Source], marks: Marks) -> Iterator[str]:
+def _channel_lines(sources: Sequence[GuessedSource], marks: Marks) -> Iterator[str]:
     for one in sources:
         yield ""
         yield f"[channels.{one.channel}]"
@@ -231,7 +231,7 @@ def _channel_lines(sources: Sequence[Source], marks: Marks) -> Iterator[str]:
         yield f"# not found, give source and unit: {names}"
 
 
-def _unit_line(source: Source, marks: Marks) -> str:
+def _unit_line(source: GuessedSource, marks: Marks) -> str:
     if source.unit:
         return f'unit = "{source.unit}"'
     numbers = [as_number(cell, marks) for cell in source.samples]

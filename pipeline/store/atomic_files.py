@@ -1,7 +1,7 @@
-"""How bytes come to lie on the disk: whole or not at all, flushed, and read back.
+"""Files written whole or not at all, flushed and read back.
 
-All that the program writes into its output goes through here, and nothing else in it opens a file
-to write. Everything is done with a few calls of `os`, so that each can be made to fail in tests.
+The program writes to its output through this module alone, by a few calls of `os`: tests make each
+of them fail.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Write = Callable[[BinaryIO], object]
 
 
 class _Descriptor(io.RawIOBase):
-    """A file that is being written, and the hash of what it was given."""
+    """A file that is being written, and the hash of its content."""
 
     def __init__(self, handle: int) -> None:
         super().__init__()
@@ -59,18 +59,18 @@ class _Descriptor(io.RawIOBase):
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """A file that is written beside its place, flushed and read back, and not in its place yet.
+    """A temporary file in the folder of its place, flushed and read back.
 
     Attributes
     ----------
     path
         Its place.
     temporary
-        Where it is now.
+        The file.
     sha256
         Of its content.
     durable
-        Whether it must outlive a power cut.
+        True if it must survive a power cut.
     """
 
     path: Path
@@ -79,14 +79,14 @@ class Prepared:
     durable: bool = True
 
     def land(self) -> None:
-        """Put it into its place.
+        """Rename it to its place.
 
         Raises
         ------
         StoreError
-            If that fails; there is then what was there before, or already the new file.
+            If that fails; the place then holds the old file, or already the new one.
         """
-        with _told(self.path):
+        with _store_errors(self.path):
             try:
                 os.replace(self.temporary, self.path)
             except BaseException:
@@ -96,13 +96,13 @@ class Prepared:
                 flush_folder(self.path.parent)
 
     def drop(self) -> None:
-        """Leave what is in its place as it is."""
+        """Remove it; its place stays as it is."""
         with suppress(OSError):
             os.unlink(self.temporary)
 
 
 def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepared:
-    """Write a file beside its place, flush it, and read it back.
+    """Write a temporary file in the folder of its place, flush it, and read it back.
 
     Raises
     ------
@@ -110,7 +110,7 @@ def prepare(path: Path, write: Write | bytes, *, durable: bool = True) -> Prepar
         If it cannot be written, or is not read back as it was written; nothing is left of it.
     """
     temporary = path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}"
-    with _told(path):
+    with _store_errors(path):
         make_folders(path.parent)
         try:
             sha256 = _written(temporary, write, durable=durable)
@@ -131,7 +131,7 @@ def _written(path: Path, write: Write | bytes, *, durable: bool) -> str:
             stream.write(write) if isinstance(write, bytes) else write(stream)
         if durable:
             os.fsync(handle)
-            # What is read back is to come from the disk, as far as it can be had from there.
+            # Read back from the disk, if possible, not from the cache.
             if hasattr(os, "posix_fadvise"):
                 os.posix_fadvise(handle, 0, 0, os.POSIX_FADV_DONTNEED)
         _require_same(_hash_of(handle), file.hash.digest())
@@ -161,9 +161,9 @@ def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
     path
         The file; folders above it are made.
     write
-        Its content, or what writes it to the stream that it is given.
+        Its content, or a function that writes it to a stream.
     durable
-        Whether it must outlive a power cut; one that can be made again need not.
+        False for a file that need not survive a power cut.
 
     Returns
     -------
@@ -173,8 +173,8 @@ def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
     Raises
     ------
     StoreError
-        If it cannot be written; what was there before is then untouched. If only the last flush,
-        of its folder, fails, the new file may be there already.
+        If it cannot be written; the old file then stays. If only the last flush, of its folder,
+        fails, the new file may be there already.
     """
     prepared = prepare(path, write, durable=durable)
     prepared.land()
@@ -183,7 +183,7 @@ def put(path: Path, write: Write | bytes, *, durable: bool = True) -> str:
 
 @contextmanager
 def scratch(path: Path) -> Iterator[BinaryIO]:
-    """A file of a run's own that need not outlive it; its folder is made, those above must be.
+    """A scratch file of a run; its folder is made, those above it must exist.
 
     Raises
     ------
@@ -201,16 +201,16 @@ def scratch(path: Path) -> Iterator[BinaryIO]:
 
 
 def append(path: Path, line: bytes) -> None:
-    """Append to a file, flush it and read it back; what was cut off before it ends in a line break.
+    """Append a line to a file, flush and read it back; a line cut off before it is ended first.
 
     Others may append and read meanwhile.
 
     Raises
     ------
     StoreError
-        If it cannot be written; nothing of the line is left then, as far as can be.
+        If it cannot be written; the file is then cut back to what it was, if possible.
     """
-    with _told(path):
+    with _store_errors(path):
         make_folders(path.parent)
         handle = os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, MODE)
         try:
@@ -233,7 +233,7 @@ def append(path: Path, line: bytes) -> None:
 
 
 def blank(path: Path, chosen: Callable[[bytes], Sequence[tuple[int, int]]]) -> None:
-    """Overwrite parts of a file with blanks, in its place; nobody appends to it meanwhile.
+    """Overwrite parts of a file with blanks; nobody appends to it meanwhile.
 
     Parameters
     ----------
@@ -247,7 +247,7 @@ def blank(path: Path, chosen: Callable[[bytes], Sequence[tuple[int, int]]]) -> N
     StoreError
         If it cannot be written; some parts may be blank then.
     """
-    with _told(path):
+    with _store_errors(path):
         handle = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             fcntl.flock(handle, fcntl.LOCK_EX)
@@ -259,7 +259,7 @@ def blank(path: Path, chosen: Callable[[bytes], Sequence[tuple[int, int]]]) -> N
 
 
 def make_private_folder(folder: Path) -> None:
-    """Make a new folder that nobody but the user of this process may enter.
+    """Make a new folder that only the user of this process may enter.
 
     Raises
     ------
@@ -271,7 +271,7 @@ def make_private_folder(folder: Path) -> None:
 
 
 def make_folders(folder: Path) -> None:
-    """Make a folder and those above it that are absent, so that they outlive a power cut.
+    """Make a folder and the missing ones above it; they survive a power cut.
 
     Raises
     ------
@@ -291,7 +291,7 @@ def make_folders(folder: Path) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Make the names in a folder outlive a power cut.
+    """Flush the names in a folder.
 
     Raises
     ------
@@ -306,19 +306,19 @@ def flush_folder(folder: Path) -> None:
 
 
 def flush_all() -> None:
-    """Make all that was written so far outlive a power cut."""
+    """Flush all that was written so far."""
     os.sync()
 
 
 def move(path: Path, place: Path) -> None:
-    """Give a file another name in its folder; what had that name is gone.
+    """Rename a file within its folder; a file of that name is replaced.
 
     Raises
     ------
     StoreError
         If it cannot be renamed.
     """
-    with _told(place):
+    with _store_errors(place):
         os.replace(path, place)
         flush_folder(place.parent)
 
@@ -331,13 +331,13 @@ def remove(path: Path) -> None:
     StoreError
         If it cannot be removed.
     """
-    with _told(path, "removed"), suppress(FileNotFoundError):
+    with _store_errors(path, "removed"), suppress(FileNotFoundError):
         os.unlink(path)
         flush_folder(path.parent)
 
 
 def remove_all(folder: Path) -> None:
-    """Remove a folder of scratch files with all that is in it, as far as that can be done."""
+    """Remove a folder of scratch files, as far as possible."""
     with suppress(OSError):
         if not stat.S_ISDIR(os.lstat(folder).st_mode):
             return
@@ -351,7 +351,7 @@ def remove_all(folder: Path) -> None:
 
 
 def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
-    """Remove temporary files that a killed run left in some folders, and in those below them."""
+    """Remove temporary files of a killed run from some folders, and from those below them."""
     for folder in folders:
         for path in folder.glob(f"{'**/' if below else ''}{TEMPORARY_PREFIX}*"):
             with suppress(OSError):
@@ -359,7 +359,7 @@ def remove_leftovers(folders: Sequence[Path], *, below: bool = True) -> None:
 
 
 def read(path: Path) -> bytes:
-    """Content of a file; what fails once is tried again.
+    """Content of a file; a read that fails is tried once more.
 
     Raises
     ------
@@ -391,8 +391,8 @@ def _content_of(handle: int) -> bytes:
 
 
 @contextmanager
-def _told(path: Path, what: str = "written") -> Iterator[None]:
-    """A failed call of the system as an error with a code."""
+def _store_errors(path: Path, what: str = "written") -> Iterator[None]:
+    """Turn a failed system call into `StoreError`."""
     try:
         yield
     except OSError as error:

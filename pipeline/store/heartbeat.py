@@ -1,8 +1,7 @@
-"""The heartbeat of a run: a small file that says how far it is, for whoever watches from outside.
+"""Heartbeat of a run, ``heartbeat.json`` in the output folder: its progress, for monitors outside.
 
-``heartbeat.json`` lies in the output folder and is replaced whole at every change of stage, after
-every motor, and every `INTERVAL_S` seconds between. A run that died leaves its last beat behind: it
-says ``running``, and grows old.
+It is replaced whole at every change of stage, after every motor, and every `INTERVAL_S` seconds. A
+run that died leaves a last beat that says ``running`` and grows old.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from pipeline.store.tables import read_table, table_folder
 log = logging.getLogger(__name__)
 
 INTERVAL_S = 15.0
-# A beat this old is none any more: several in a row are missing.
+# A run is missing once so many beats in a row are.
 MISSED_BEATS = 4
 # Runs that went through all motors.
 GOOD_RUNS = ("ok", "motors_failed")
@@ -36,7 +35,7 @@ RUNNING, FINISHED, INTERRUPTED, FAILED = "running", "finished", "interrupted", "
 
 @dataclass(frozen=True, slots=True)
 class Beat:
-    """What a run says of itself; times are UTC.
+    """State of a run; times are UTC.
 
     Attributes
     ----------
@@ -45,15 +44,15 @@ class Beat:
     stage
         motors, publishing, trends or recording.
     started_at, beaten_at
-        When the run began, and when it last said so.
+        Begin of the run, and time of this beat.
     pid, host
         The process.
     n_motors, n_motors_done
-        Motors in the run, and those whose task has finished.
+        Motors in the run, and those that are done.
     run_id
-        Known once all motors are done: it is the hash of what they read.
+        Known once all motors are done: it is a hash of their inputs.
     last_good_run
-        When the last run ended that went through all motors.
+        End of the last run that went through all motors.
     error_code
         Of a run that failed.
     """
@@ -71,18 +70,18 @@ class Beat:
     error_code: str | None = None
 
     def is_missing(self, now: dt.datetime) -> bool:
-        """Whether it says that a run is under way, and has not said so for too long."""
+        """True if a run is said to be under way and its beats have stopped."""
         age_s = (now - self.beaten_at).total_seconds()
         return self.state == RUNNING and age_s > MISSED_BEATS * INTERVAL_S
 
 
 def heartbeat_file(output: Path) -> Path:
-    """Where the heartbeat lies."""
+    """File of the heartbeat."""
     return output / "heartbeat.json"
 
 
 def read_heartbeat(output: Path) -> Beat | None:
-    """The last beat; None where there was none, or it is no beat."""
+    """The last beat; None without a valid one."""
     try:
         document = json.loads(heartbeat_file(output).read_text("utf-8"))
         known = {field.name: document.get(field.name) for field in fields(Beat)}
@@ -97,19 +96,7 @@ def read_heartbeat(output: Path) -> Beat | None:
 
 
 class Heartbeat:
-    """Beats while a run is under way; use it in a ``with`` statement.
-
-    Parameters
-    ----------
-    output
-        Output folder.
-    n_motors
-        Motors in the run.
-    last_good_run
-        When the last run ended that went through all motors; None where none did.
-    interval_s
-        Time between beats in which nothing changes [s].
-    """
+    """Context manager that writes a beat at every change, and every `interval_s` seconds [s]."""
 
     def __init__(
         self,
@@ -154,13 +141,13 @@ class Heartbeat:
         self.say(n_motors_done=self._beat.n_motors_done + 1)
 
     def finished(self, run_id: str, *, good: bool) -> None:
-        """The run has come to its end; good where it went through all motors."""
+        """The run has ended; good if it went through all motors."""
         ended = dt.datetime.now(dt.UTC) if good else self._beat.last_good_run
         state = FINISHED if good else INTERRUPTED
         self.say(state=state, run_id=run_id, last_good_run=ended)
 
     def say(self, **changes: str | int | dt.datetime | None) -> None:
-        """Write a beat; that it cannot be written is told once and ends nothing."""
+        """Write a beat; a failure is logged once and stops nothing."""
         with self._changing:
             now = dt.datetime.now(dt.UTC)
             self._beat = replace(self._beat, beaten_at=now, **changes)  # type: ignore[arg-type]
@@ -185,7 +172,7 @@ def _as_text(values: Mapping[str, object]) -> dict[str, object]:
 
 
 def last_good_run(output: Path) -> dt.datetime | None:
-    """When the last run ended that went through all motors; None where none did."""
+    """End of the last run that went through all motors; None without one."""
     for month in sorted(table_folder(output, RUNS).glob("month=*"), reverse=True):
         for path in sorted(month.glob("*.parquet"), reverse=True):
             rows = read_table(path, RUNS).filter(pl.col("status").is_in(GOOD_RUNS))

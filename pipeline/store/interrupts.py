@@ -1,4 +1,4 @@
-"""SIGINT and SIGTERM wait while something is written that belongs together."""
+"""SIGINT and SIGTERM held back while files that belong together are written."""
 
 from __future__ import annotations
 
@@ -13,13 +13,7 @@ INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def interrupts_held() -> Iterator[list[int]]:
-    """Hold back a first interrupt; a second one is meant, and does what it always does.
-
-    Yields
-    ------
-    list of int
-        Number of the signal that came; empty where none did.
-    """
+    """Hold back a first signal, and yield the list of those that came; a second one acts."""
     came: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield came  # signals go to the main thread

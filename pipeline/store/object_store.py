@@ -1,8 +1,7 @@
-"""A bucket of an object store: S3, Azure or Google, by one client, with conditional puts.
+"""A bucket of an object store: S3, Azure or Google, with conditional puts.
 
-Neither PyArrow's file systems nor Polars have a put that fails if somebody else was there first;
-`obstore` has, and is the client library on which Polars stands. Credentials come from the
-environment alone, by the names that each provider's own tools use.
+Of the libraries at hand only `obstore` has a put that fails if another writer was first.
+Credentials come from the environment alone, by the names of each provider's own tools.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from typing import Any, BinaryIO
 
 from pipeline.errors import StoreError
 
-# What the environment must name one of: without any, the client would ask the addresses of cloud
+# One of these must be set: without any, the client would query the metadata addresses of cloud
 # machines for minutes.
 CREDENTIALS = {
     "s3": (
@@ -42,16 +41,16 @@ CREDENTIALS = {
         "GOOGLE_SKIP_SIGNATURE",
     ),
 }
-# Another S3-compatible server: the names that the client reads, the first found.
+# Variables that name another S3-compatible server; the client takes the first.
 ENDPOINTS = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
-# A server that fails is asked again this often, with longer and longer waits in between.
+# Retries of a failed request, with growing waits in between.
 RETRIES = 5
 PART = 8 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class StoredObject:
-    """An object as a listing tells of it: its key below the URL, size, tag and last change."""
+    """An object in a listing; its key is relative to the URL."""
 
     key: str
     size: int
@@ -61,27 +60,21 @@ class StoredObject:
 
 @dataclass(frozen=True, slots=True)
 class ObjectStore:
-    """What lies below a URL.
-
-    Attributes
-    ----------
-    url
-        Such as s3://bucket/folder.
-    """
+    """All objects below a URL such as s3://bucket/folder."""
 
     url: str
     _client: Any = field(repr=False, compare=False)
 
     @classmethod
     def at(cls, url: str) -> ObjectStore:
-        """The store at a URL; nothing is asked of it yet.
+        """The store at a URL; no request is sent yet.
 
         Raises
         ------
         StoreError
             ``object_store_missing``: the extra is not installed; ``object_store_credentials``: the
-            environment has none; ``object_store_http``: it names a server without encryption, and
-            does not say that this is meant.
+            environment has none; ``object_store_http``: the server has no encryption, and the
+            environment does not allow that.
         """
         scheme = url.partition("://")[0]
         try:
@@ -106,7 +99,7 @@ class ObjectStore:
         return cls(url.rstrip("/"), client(url, retry_config=retries))
 
     def create(self, key: str, content: bytes) -> None:
-        """Put an object that never changes; one that is there already has this very content.
+        """Put an object that never changes; a present one has the same content.
 
         Raises
         ------
@@ -115,14 +108,14 @@ class ObjectStore:
         """
         from obstore.exceptions import AlreadyExistsError
 
-        with self._told(key, "written"):
+        with self._store_errors(key, "written"):
             try:
                 self._client.put(key, content, mode="create", use_multipart=False)
             except AlreadyExistsError:
                 return
 
     def replace(self, key: str, content: bytes, tag: str | None) -> str:
-        """Put an object in the place of the one with a tag, or of none.
+        """Replace the object that has a tag, or make it where the tag is None.
 
         Returns
         -------
@@ -132,16 +125,16 @@ class ObjectStore:
         Raises
         ------
         StoreError
-            ``object_store_conflict``: another has been put there since.
+            ``object_store_conflict``: another writer has replaced it since.
         """
         from obstore.exceptions import AlreadyExistsError, PreconditionError
 
         mode: Any = "create" if tag is None else {"e_tag": tag}
-        with self._told(key, "written"):
+        with self._store_errors(key, "written"):
             try:
                 put = self._client.put(key, content, mode=mode, use_multipart=False)
             except (AlreadyExistsError, PreconditionError) as error:
-                # Of a request that was answered too late and sent again, the first may have landed.
+                # The client may have sent a request again whose first answer came too late.
                 found = self.get(key)
                 if found is not None and found[0] == content:
                     return found[1]
@@ -154,7 +147,7 @@ class ObjectStore:
 
     def get(self, key: str) -> tuple[bytes, str] | None:
         """Content and tag of an object; None where there is none."""
-        with self._told(key, "read"):
+        with self._store_errors(key, "read"):
             try:
                 got = self._client.get(key)
                 return bytes(got.bytes()), str(got.meta["e_tag"])
@@ -164,16 +157,16 @@ class ObjectStore:
                 return None
 
     def fetch(self, one: StoredObject, stream: BinaryIO) -> None:
-        """Write an object's content to a stream, if it is still the one that was listed.
+        """Write an object's content to a stream.
 
         Raises
         ------
         ObjectChangedError
-            If it has another tag by now, or is gone.
+            If it has changed since it was listed, or is gone.
         """
         from obstore.exceptions import PreconditionError
 
-        with self._told(one.key, "read"):
+        with self._store_errors(one.key, "read"):
             try:
                 got = self._client.get(one.key, options={"if_match": one.tag})
                 stream.writelines(got.stream(min_chunk_size=PART))
@@ -185,16 +178,16 @@ class ObjectStore:
                 raise ObjectChangedError(one.key) from error
 
     def tag_of(self, key: str) -> str | None:
-        """The tag that an object has now; None where there is none."""
-        with self._told(key, "read"):
+        """Present tag of an object; None where there is none."""
+        with self._store_errors(key, "read"):
             try:
                 return str(self._client.head(key)["e_tag"])
             except FileNotFoundError:
                 return None
 
     def list(self, prefix: str = "") -> Iterator[StoredObject]:
-        """Objects whose key begins with a folder's path."""
-        with self._told(prefix, "listed"):
+        """Objects in a folder and below."""
+        with self._store_errors(prefix, "listed"):
             for page in self._client.list(prefix or None):
                 for one in page:
                     yield StoredObject(
@@ -202,8 +195,8 @@ class ObjectStore:
                     )
 
     def remove(self, keys: Collection[str]) -> None:
-        """Remove objects; those that are gone already are no fault."""
-        with self._told("objects", "removed"):
+        """Remove objects, if they exist."""
+        with self._store_errors("objects", "removed"):
             for key in keys:
                 try:
                     self._client.delete(key)
@@ -211,8 +204,8 @@ class ObjectStore:
                     continue
 
     @contextmanager
-    def _told(self, key: str, what: str) -> Iterator[None]:
-        """A failed request as an error with a code."""
+    def _store_errors(self, key: str, what: str) -> Iterator[None]:
+        """Turn a failed request into `StoreError`."""
         from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 
         place = f"{self.url}/{key}"
@@ -231,18 +224,16 @@ class ObjectStore:
                     f"{place} cannot be {what}: there is no such bucket; make it, or correct the "
                     "URL",
                 ) from error
-            code = "store_read" if what == "read" else "store_write"
-            if what == "listed":
-                code = "store_read"
+            code = "store_read" if what in ("read", "listed") else "store_write"
             raise StoreError(code, f"{place} cannot be {what}: {_first_line(error)}") from error
 
 
 class ObjectChangedError(Exception):
-    """An object is no more the one that was listed; carries its key."""
+    """An object has changed since it was listed; carries its key."""
 
 
 def _require_http_allowed() -> None:
-    """All that reads the tables later asks for the same word: Polars, Delta Lake."""
+    """Ask for the variable that Polars and Delta Lake ask for, too."""
     name = next((name for name in ENDPOINTS if name in os.environ), None)
     allowed = os.environ.get("AWS_ALLOW_HTTP", "").lower() in ("1", "true", "yes", "on", "y", "t")
     if name and os.environ[name].startswith("http://") and not allowed:

@@ -1,4 +1,4 @@
-"""Staged rows become tables: night by night, each file whole, its manifest before and after it."""
+"""Publishing of staged rows: night by night, each file whole, its manifest before and after it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,13 @@ import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame
-from pipeline.store.manifest import WHOLE, Manifest, announce, read_manifest, update_manifest
+from pipeline.store.manifest import (
+    Manifest,
+    announce,
+    manifest_key,
+    read_manifest,
+    update_manifest,
+)
 from pipeline.store.tables import (
     NightFile,
     StagedRows,
@@ -27,7 +33,7 @@ from pipeline.store.tables import (
     table_folder,
 )
 
-# What is still to be done with all rows of a night, given the motors whose rows are new.
+# Completes all rows of a night, given the motors whose rows are new.
 Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Lets the next run make nights anew for all motors but some.
 Forget = Callable[[Path, Collection[dt.date], Collection[str]], object]
@@ -36,7 +42,7 @@ Rows = Mapping[str, pl.DataFrame]
 
 @dataclass(slots=True)
 class Publisher:
-    """Publishes what the tasks of a run have staged.
+    """Publishes the rows that the tasks of a run have staged.
 
     Parameters
     ----------
@@ -71,15 +77,13 @@ class Publisher:
 
         Parameters
         ----------
-        tables
-            Which tables.
-        motor_ids
-            Whose rows.
+        tables, motor_ids
+            Tables, and motors whose rows are published.
         forget
-            Called before a damaged file is replaced: from then on the rows that were in it are to
-            be made anew, whatever becomes of this run.
+            Called before a damaged file is replaced: its rows are then made anew, even if this run
+            is broken off.
         finish
-            By table, what is still to be done with a night's rows.
+            By table, completes a night's rows.
 
         Raises
         ------
@@ -92,20 +96,20 @@ class Publisher:
                 self._vacate(table, motors, forget)
         nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
         for night in sorted(nights):
-            # Of one table at a time: with all of them a large fleet would fill the memory.
+            # One table at a time: all rows of a large fleet would fill the memory.
             here = {table: partial(_of_night, some, night) for table, some in staged.items()}
             self._night(night, here, forget, finish or {})
 
     def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
-        """The staged rows of a table by motor; a motor that has none is left out."""
+        """Staged rows of a table by motor, of those that have some."""
         folder = self.staging / table.name
         paths = {motor_id: folder / f"{motor_id}.arrow" for motor_id in motor_ids}
         return {motor_id: StagedRows(path) for motor_id, path in paths.items() if path.exists()}
 
     def _vacate(self, table: Table, staged: Mapping[str, StagedRows], forget: Forget) -> None:
-        """Take rows out of the nights that they leave, before they stand in an earlier one.
+        """Remove rows that move to an earlier night from the later one, before they are there.
 
-        A key without the night would otherwise stand in two files for a moment.
+        A key without the night would otherwise be in two files for a moment.
         """
         key = list(table.key)
         places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
@@ -138,7 +142,7 @@ class Publisher:
         forget: Forget,
         finish: Mapping[str, Finish],
     ) -> None:
-        """Write all files of a night beside their places, say so, and put them there."""
+        """Prepare all files of a night, announce them, and put them into their places."""
         manifest = read_manifest(self.output, f"{night:%Y-%m}", night.isoformat()) or Manifest()
         files: list[NightFile] = []
         with ExitStack() as undone:
@@ -157,69 +161,50 @@ class Publisher:
                         self.damaged.append(name)
                     self.lost.setdefault(night, set()).update(motors)
                     forget(self.output, (night,), set(motors))
-            self._land(f"{night:%Y-%m}", night.isoformat(), files)
+            self._land(files)
             undone.pop_all()
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
-        """Publish a table that is one file.
-
-        Raises
-        ------
-        StoreError
-            If it cannot be written.
-        """
+        """Publish a table that is one file; raises as `nights`."""
         path = table_folder(self.output, table) / f"{table.name}.parquet"
-        self._put(WHOLE, table.name, {path: rows})
+        self._put({path: rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
     ) -> None:
-        """Publish the tables that have a file a run.
-
-        Raises
-        ------
-        StoreError
-            If one cannot be written.
-        """
+        """Publish the tables that have a file for each run; raises as `nights`."""
         files = {
             run_file(self.output, table, started): frame(table, some)
             for table, some in rows.items()
         }
-        self._put(f"{started:%Y-%m}", next(iter(files)).stem, files)
+        self._put(files)
 
-    def _put(self, month: str, name: str, files: Mapping[Path, pl.DataFrame]) -> None:
-        """Publish files that are written as a whole, whatever is there."""
+    def _put(self, files: Mapping[Path, pl.DataFrame]) -> None:
+        """Publish files that replace the present ones as a whole."""
         with ExitStack() as undone:
             prepared = []
             for path, rows in files.items():
                 prepared.append(prepare_file(path, encode_table(path.name, rows)))
                 undone.callback(prepared[-1].drop)
-            self._land(month, name, prepared)
+            self._land(prepared)
             undone.pop_all()
 
-    def _land(self, month: str, name: str, files: Sequence[NightFile]) -> None:
-        """Put files into their places, with what may be there in their manifest all the while."""
+    def _land(self, files: Sequence[NightFile]) -> None:
+        """Put files of one manifest into their places; it lists old and new ones meanwhile."""
         root = self.output / "tables"
-        paths = {file.path.relative_to(root).as_posix(): file for file in files}
-        # What is damaged must not be taken for what was there.
-        announce(
-            self.output,
-            month,
-            name,
-            {
-                path: (None if file.lost_rows else file.before, file.after)
-                for path, file in paths.items()
-            },
-        )
+        by_name = {file.path.relative_to(root).as_posix(): file for file in files}
+        key = manifest_key(next(iter(by_name)))
+        # The digest of a damaged file is not accepted.
+        before = {name: None if file.lost_rows else file.before for name, file in by_name.items()}
+        after = {name: file.after for name, file in by_name.items()}
+        announce(self.output, *key, {name: (before[name], after[name]) for name in by_name})
         for file in files:
             file.land()
-        update_manifest(
-            self.output, month, name, {path: file.after for path, file in paths.items()}
-        )
+        update_manifest(self.output, *key, after)
 
 
 def _of_night(staged: Mapping[str, StagedRows], night: dt.date) -> Rows:
-    """New rows of a night by motor; a motor that did not do it is left out."""
+    """New rows of a night, by motor that has done it."""
     found = {motor_id: rows.rows(night) for motor_id, rows in staged.items()}
     return {motor_id: rows for motor_id, rows in found.items() if rows is not None}
 

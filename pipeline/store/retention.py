@@ -1,8 +1,8 @@
-"""Retention: table files of old nights that need not be kept for ever, and what goes with them.
+"""Retention: removal of table files of old nights.
 
-Only tables that nothing is made from may be pruned by the config; `block_statistics` has to be
-named, as refits and trends are made from it. Manifests forget a file before it is removed: what a
-crash leaves in between is a file that no manifest lists, and the next pruning removes it.
+The config may prune only tables from which nothing is made; `block_statistics` has to be named, as
+refits and trends are made from it. The manifest announces a removal before the file goes: after a
+crash in between, the next pruning removes it.
 """
 
 from __future__ import annotations
@@ -18,10 +18,17 @@ from pipeline.config import Retention
 from pipeline.errors import UsageError
 from pipeline.schema import TABLES
 from pipeline.store.atomic_files import remove
-from pipeline.store.manifest import Manifest, announce, read_manifest, update_manifest
+from pipeline.store.manifest import (
+    Key,
+    Manifest,
+    announce,
+    manifest_key,
+    read_manifest,
+    update_manifest,
+)
 from pipeline.store.tables import night_paths
 
-# What goes with each table, in words. Of the others figures, trends and alarms are made.
+# Tables that may be pruned, and what is lost with each.
 LOSSES: Mapping[str, str] = {
     "predictions": "the report's course of measured and predicted flow",
     "starts": "the search start by start; how many met the minimum stays in fits",
@@ -30,25 +37,13 @@ LOSSES: Mapping[str, str] = {
     "block_statistics": "a changed setting of the fit then needs the logs of these nights, and "
     "trends that are made anew leave out nights too poor for a fit of their own",
 }
-# Never pruned unless it is named: what is published is made from it.
+# Pruned only if named: others are made from it.
 NEEDED = ("block_statistics",)
 
 
 @dataclass(frozen=True, slots=True)
 class OldFiles:
-    """The files of a table that are older than what is to be kept.
-
-    Attributes
-    ----------
-    table
-        Its name.
-    nights
-        Their nights, sorted.
-    size_bytes
-        Of all of them.
-    loss
-        What goes with them, in words.
-    """
+    """Files of a table that are to be removed: their nights, sorted, and what is lost with them."""
 
     table: str
     nights: tuple[dt.date, ...]
@@ -57,7 +52,7 @@ class OldFiles:
 
 
 def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -> dict[str, int]:
-    """How many nights are to be kept, by table: as configured, or as asked for.
+    """Number of nights to keep, by table.
 
     Parameters
     ----------
@@ -71,8 +66,7 @@ def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -
     Raises
     ------
     UsageError
-        ``prune_table``: a table that is never pruned, or of which it is not said how many nights
-        are to be kept.
+        ``prune_table``: a table that cannot be pruned, or without a number of nights.
     """
     configured = {name: n for name, n in retention.model_dump().items() if n is not None}
     if not tables:
@@ -85,12 +79,12 @@ def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -
             "prune_table",
             f"{', '.join(strangers)} cannot be pruned; tables that can: {', '.join(LOSSES)}",
         )
-    unsaid = [name for name in tables if keep is None and name not in configured]
-    if unsaid:
+    unknown = [name for name in tables if keep is None and name not in configured]
+    if unknown:
         raise UsageError(
             "prune_table",
-            f"how many nights of {', '.join(unsaid)} are to be kept is said neither with --keep "
-            "nor under [retention]",
+            f"expected the number of nights of {', '.join(unknown)} to keep, with --keep or under "
+            "[retention]",
         )
     return {name: configured[name] if keep is None else keep for name in tables}
 
@@ -98,17 +92,7 @@ def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -
 def old_files(
     output: Path, kept: Mapping[str, int], tonight: dt.date | None
 ) -> tuple[OldFiles, ...]:
-    """Files of nights before the newest so many days, by table; nothing is removed.
-
-    Parameters
-    ----------
-    output
-        Output folder.
-    kept
-        Days to keep by table.
-    tonight
-        Night from which they count back, that itself included; None: nothing is old.
-    """
+    """Files older than the days kept of each table, counted back from tonight; None: none are."""
     if tonight is None:
         return ()
     found = []
@@ -130,22 +114,19 @@ def prune(output: Path, old: Sequence[OldFiles]) -> None:
     Raises
     ------
     StoreError
-        If a manifest cannot be written or a file not be removed; what was removed till then is
-        consistent, and pruning again does the rest.
+        If a manifest cannot be written or a file not be removed; pruning again does the rest.
     """
-    by_night: defaultdict[dt.date, list[str]] = defaultdict(list)
+    going: defaultdict[Key, list[str]] = defaultdict(list)
     for one in old:
         for night in one.nights:
-            by_night[night].append(f"{one.table}/month={night:%Y-%m}/{night}.parquet")
-    for night, names in sorted(by_night.items()):
-        month = f"{night:%Y-%m}"
-        manifest = read_manifest(output, month, night.isoformat()) or Manifest()
-        going = {name: (manifest.files.get(name), None) for name in names}
-        announce(output, month, night.isoformat(), going)
+            name = f"{one.table}/month={night:%Y-%m}/{night}.parquet"
+            going[manifest_key(name)].append(name)
+    for key, names in sorted(going.items()):
+        manifest = read_manifest(output, *key) or Manifest()
+        announce(output, *key, {name: (manifest.files.get(name), None) for name in names})
         for name in names:
             path = output / "tables" / name
             remove(path)
-            # A month without files is no part of the table.
-            with suppress(OSError):
+            with suppress(OSError):  # not empty
                 path.parent.rmdir()
-        update_manifest(output, month, night.isoformat(), dict.fromkeys(names))
+        update_manifest(output, *key, dict.fromkeys(names))

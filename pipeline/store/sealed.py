@@ -1,7 +1,11 @@
-"""Small files that tell whether they are whole: a flipped digit would else be believed."""
+"""Sealed files: JSON with its own SHA-256, so that a flipped digit is not believed.
+
+Manifests, decisions, ledgers, the outbox and the report's list of files are sealed so.
+"""
 
 from __future__ import annotations
 
+import datetime as dt
 import hashlib
 import json
 import logging
@@ -10,15 +14,22 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
+from pipeline.errors import StoreError
 from pipeline.store.atomic_files import put, read
 
 log = logging.getLogger(__name__)
 
-Said = TypeVar("Said")
+Content = TypeVar("Content")
+# Characters of the digest in lines of `decisions.jsonl` that older versions wrote.
+SHORT_DIGEST = 16
+
+
+class DamagedError(StoreError):
+    """A sealed file is not as it was written."""
 
 
 def seal(document: Mapping[str, Any]) -> bytes:
-    """A document as JSON, with the hash of all that it says.
+    """A document as JSON with its digest; dates become text.
 
     Examples
     --------
@@ -27,26 +38,33 @@ def seal(document: Mapping[str, Any]) -> bytes:
     >>> unseal(seal({"last_night": "2026-03-02"}).replace(b"03-02", b"03-03")) is None
     True
     """
-    whole = {**document, "sha256": _digest(document)}
-    return json.dumps(whole, separators=(",", ":"), sort_keys=True).encode()
+    sealed = {**document, "sha256": _digest(document)}
+    return json.dumps(sealed, separators=(",", ":"), sort_keys=True, default=_text).encode()
 
 
 def unseal(content: bytes) -> dict[str, Any] | None:
-    """What a document says; None where it is damaged."""
+    """The document of sealed content; None where that is damaged."""
     try:
-        document = json.loads(content)
-        found: dict[str, Any] = {name: one for name, one in document.items() if name != "sha256"}
-        return found if document["sha256"] == _digest(found) else None
+        document: dict[str, Any] = json.loads(content)
+        found, digest = document.pop("sha256"), _digest(document)
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None
+    return document if found in (digest, digest[:SHORT_DIGEST]) else None
 
 
 def _digest(document: Mapping[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(dict(document), sort_keys=True).encode()).hexdigest()
+    text = json.dumps(dict(document), sort_keys=True, default=_text)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _text(value: object) -> str:
+    if isinstance(value, dt.date):  # or a time
+        return value.isoformat()
+    raise TypeError(f"{type(value).__name__} cannot be sealed")
 
 
 def seal_bytes(content: bytes) -> bytes:
-    """Any content, with its hash before it.
+    """Content that is no JSON, with its hash before it.
 
     Examples
     --------
@@ -59,34 +77,48 @@ def seal_bytes(content: bytes) -> bytes:
 
 
 def unseal_bytes(content: bytes) -> bytes | None:
-    """What was sealed; None where it is damaged."""
+    """The content that was sealed; None where it is damaged."""
     size = hashlib.sha256().digest_size
-    whole = content[size:]
-    return whole if content[:size] == hashlib.sha256(whole).digest() else None
+    found = content[size:]
+    return found if content[:size] == hashlib.sha256(found).digest() else None
 
 
-def read_sealed(path: Path, unsealed: Callable[[bytes], Said | None]) -> Said | None:
-    """Content of a file of an output; None where there is none, or it is damaged.
+def read_sealed(path: Path, unsealed: Callable[[bytes], Content | None]) -> Content | None:
+    """Content of a sealed file by `unseal` or `unseal_bytes`; None where there is no file.
 
-    A damaged one is named in a warning.
+    One that reads as damaged is read again: an error on the way from the disk is no damage.
+
+    Raises
+    ------
+    DamagedError
+        If it is not as it was written.
+    StoreError
+        ``store_read``: if it cannot be read.
     """
+    name = "/".join(path.parts[-3:])
     try:
-        content = unsealed(read(path))
-    except FileNotFoundError:
+        for _ in range(2):
+            content = unsealed(read(path))
+            if content is not None:
+                return content
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        fault = f"cannot be read: {error.strerror}"
-    else:
-        if content is not None:
-            return content
-        fault = "is damaged"
-    name = "/".join(path.parts[-3:])
-    log.warning("%s %s; what it told of is made anew where that can be", name, fault)
-    return None
+        raise StoreError("store_read", f"{name} cannot be read: {error.strerror}") from error
+    raise DamagedError("store_read", f"{name} is damaged")
+
+
+def read_if_whole(path: Path, unsealed: Callable[[bytes], Content | None]) -> Content | None:
+    """Content of a sealed file that only saves work; None, with a warning, where it is damaged."""
+    try:
+        return read_sealed(path, unsealed)
+    except StoreError as error:
+        log.warning("%s; it is made anew", error)
+        return None
 
 
 def put_sealed(path: Path, document: Mapping[str, Any]) -> None:
-    """Write a document, unless it is there as it is to be.
+    """Write a document, unless it is there already.
 
     Raises
     ------

@@ -1,7 +1,7 @@
-"""The tables on disk: one Parquet file a night and table, replaced whole or not at all.
+"""Tables on disk: one Parquet file for each table and night, replaced whole or not at all.
 
-A motor's task stages its rows in a file of its own; the run then publishes night by night, so its
-memory does not grow with the fleet's history. Data files hold no clock time of ours.
+A motor's task stages its rows in a file of its own; the run then publishes night by night, so that
+its memory does not grow with the fleet's history.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from polars.exceptions import PanicException, PolarsError
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import SCHEMA_VERSION, Table, frame
 from pipeline.store.atomic_files import Prepared, move, prepare, put, read, scratch
-from pipeline.store.manifest import MONTH_PREFIX, Manifest, key_of, read_manifest
+from pipeline.store.manifest import MONTH_PREFIX, Manifest, manifest_key, read_manifest
 
 log = logging.getLogger(__name__)
 
@@ -36,7 +36,7 @@ PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
 ENDING = ".parquet"
 MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
-# What reading a damaged file raises; a damaged name is a UnicodeDecodeError, a ValueError.
+# Raised by reading a damaged file; a damaged name gives UnicodeDecodeError, a ValueError.
 DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
 
 
@@ -65,7 +65,7 @@ def night_file(output: Path, table: Table, night: dt.date) -> Path:
 
 
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
-    """Nights that a table has a file of, the newest first; a file may have no rows."""
+    """Nights of a table's files, the newest first; a file may have no rows."""
     folder = table_folder(output, table)
     for month in sorted((entry.name for entry in _entries(folder)), reverse=True):
         for name in sorted((entry.name for entry in _entries(folder / month)), reverse=True):
@@ -75,7 +75,7 @@ def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
 
 
 def night_paths(output: Path, table: Table, month: str = "*") -> dict[dt.date, Path]:
-    """Files of a table by night, in time order; a stranger's file holds no night of ours."""
+    """Files of a table by night, in time order; files of other names are left out."""
     paths = sorted(table_folder(output, table).glob(f"{MONTH_PREFIX}{month}/*{ENDING}"))
     found = ((night_named(path.name), path) for path in paths)
     return {
@@ -86,7 +86,7 @@ def night_paths(output: Path, table: Table, month: str = "*") -> dict[dt.date, P
 
 
 def night_named(name: str) -> dt.date | None:
-    """The night that a file of a table is called after; None: none."""
+    """The night in the name of a table's file; None without one."""
     try:
         night = dt.date.fromisoformat(name.removesuffix(ENDING))
     except ValueError:
@@ -95,12 +95,9 @@ def night_named(name: str) -> dt.date | None:
 
 
 def month_stamps(output: Path, table: Table) -> dict[str, int]:
-    """When a file of each month of a table was last put there, replaced or removed.
+    """Time of the last change of each month's folder of a table, by YYYY-MM [ns].
 
-    Returns
-    -------
-    dict of str to int
-        By YYYY-MM, when its folder was changed [ns]. While it stays, all its files do.
+    It changes whenever a file is added, replaced or removed.
     """
     return {
         entry.name.removeprefix(MONTH_PREFIX): entry.stat().st_mtime_ns
@@ -110,7 +107,7 @@ def month_stamps(output: Path, table: Table) -> dict[str, int]:
 
 
 def night_stamps(output: Path, table: Table, month: str) -> dict[str, str]:
-    """What tells the files of a month from all that were in their places before, by night."""
+    """Size, time and inode of each file of a month, as text by night: another file differs."""
     found = {}
     for entry in _entries(table_folder(output, table) / f"{MONTH_PREFIX}{month}"):
         night = night_named(entry.name)
@@ -134,30 +131,18 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
 
 
 def write_table(path: Path, rows: pl.DataFrame) -> str:
-    """Write a table file whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file; folders above it are made.
-    rows
-        Its rows, in their final order.
-
-    Returns
-    -------
-    str
-        SHA-256 of the file, as it was read back from the disk.
+    """Write a table file whole or not at all, and return its SHA-256.
 
     Raises
     ------
     StoreError
-        If it cannot be written; what was there before is then untouched.
+        If it cannot be written; the old file then stays.
     """
     return put(path, encode_table(path.name, rows))
 
 
 def encode_table(name: str, rows: pl.DataFrame) -> bytes:
-    """Rows as a Parquet file, decoded again and compared; the same rows give the same bytes.
+    """Rows as the bytes of a Parquet file, decoded again and compared.
 
     Raises
     ------
@@ -198,7 +183,7 @@ def _from_parquet(encoded: bytes) -> pa.Table:
 
 
 def read_table(path: Path, table: Table) -> pl.DataFrame:
-    """Rows of a table file; columns that an older version had not are null.
+    """Rows of a table file; columns that an older version lacks are null.
 
     Raises
     ------
@@ -215,11 +200,7 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
 
 def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
     try:
-        content = _from_parquet(encoded)
-        _require_known_version(path, content)
-        rows = pl.from_arrow(content)
-        assert isinstance(rows, pl.DataFrame)
-        _require_columns(rows.columns, table)
+        rows, _ = _rows_of(path, table, encoded)
         absent = [
             pl.lit(None, dtype=kind).alias(name)
             for name, kind in table.schema.items()
@@ -228,6 +209,29 @@ def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
         return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
     except DAMAGE as error:
         raise _damaged(path, table, error) from error
+
+
+def _rows_of(path: Path, table: Table, encoded: bytes) -> tuple[pl.DataFrame, int]:
+    """Rows of a table file, and its schema version."""
+    content = _from_parquet(encoded)
+    version = int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
+    if version > SCHEMA_VERSION:
+        # This version of the program would lose its new columns.
+        raise StoreError(
+            "store_newer", f"{path.name} is of schema version {version}; update the program"
+        )
+    strange = sorted(set(content.column_names) - table.schema.keys())
+    absent = sorted(set(table.key) - set(content.column_names))
+    if strange or absent:  # a damaged name would read as a column of nulls
+        raise ValueError(
+            f"it has schema version {version}, with unknown columns "
+            f"({', '.join(strange) or 'none'}) or without some of the key "
+            f"({', '.join(absent) or 'none'}); expected version {SCHEMA_VERSION}: "
+            "`fit-fleet --force` makes it anew from the logs"
+        )
+    rows = pl.from_arrow(content)
+    assert isinstance(rows, pl.DataFrame)
+    return rows, version
 
 
 def _damaged(path: Path, table: Table, error: BaseException) -> StoreError:
@@ -247,11 +251,11 @@ def read_rows(
     Parameters
     ----------
     output, table
-        Which table.
+        Output folder and table.
     motor_ids
-        Whose rows.
+        Motors.
     columns
-        Which columns; all if none. Those that an older file had not are null.
+        Columns; all if none. Those that an older file lacks are null.
     month
         YYYY-MM; all by default.
     nights
@@ -268,7 +272,7 @@ def read_rows(
         If a file is damaged, or is not what its manifest says.
     """
     chosen = list(columns or table.schema)
-    empty = pl.DataFrame(schema={name: table.schema[name] for name in table.schema})
+    empty = pl.DataFrame(schema=dict(table.schema))
     if nights is None:
         paths = list(night_paths(output, table, month).values())
     else:
@@ -285,10 +289,9 @@ def read_rows(
 def _read_motors(
     output: Path, path: Path, table: Table, motor_ids: Sequence[str], columns: Sequence[str]
 ) -> pl.DataFrame:
-    """Some motors' rows of a file, in those columns that it has.
+    """Some motors' rows of a file, in the columns that it has.
 
-    File by file, as a scanner of many takes longer for small ones; with checksums, as a flipped bit
-    would otherwise be a step in a trend.
+    A scanner over many small files takes longer, and checks no checksums.
     """
     try:
         content = _published_content(output, path, table)
@@ -302,10 +305,10 @@ def _read_motors(
 
 
 def _published_content(output: Path, path: Path, table: Table) -> bytes:
-    """Content of a file that is what its manifest says; of one without a manifest, as it is."""
+    """Content of a file, compared with its manifest if there is one."""
     name = path.relative_to(output / "tables").as_posix()
     for _ in range(2):  # a run may publish it in between
-        manifest = read_manifest(output, *key_of(name)) or Manifest()
+        manifest = read_manifest(output, *manifest_key(name)) or Manifest()
         content, accepted = read(path), manifest.accepted(name)
         if not accepted or hashlib.sha256(content).hexdigest() in accepted:
             return content
@@ -315,8 +318,8 @@ def _published_content(output: Path, path: Path, table: Table) -> bytes:
 class Proof(Enum):
     """Evidence for a file that no manifest lists.
 
-    `WHOLE`: to the byte it is what this program writes of its rows, its footer too. `PAGES`: the
-    checksums of its pages alone, as another version of PyArrow or Polars wrote it.
+    `WHOLE`: encoding its rows again gives the same bytes, the footer too. `PAGES`: only the
+    checksums of its pages hold, as another version of PyArrow or Polars wrote it.
     """
 
     WHOLE = "whole"
@@ -324,7 +327,7 @@ class Proof(Enum):
 
 
 def prove(path: Path, table: Table) -> tuple[str, Proof]:
-    """SHA-256 of a table file that is whole as far as it can tell itself, and what proves it.
+    """SHA-256 of a table file that no manifest lists, and its proof.
 
     Raises
     ------
@@ -333,46 +336,18 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
     """
     try:
         content = read(path)
-        stored = _from_parquet(content)
-        _require_known_version(path, stored)
-        rows = pl.from_arrow(stored)
-        assert isinstance(rows, pl.DataFrame)
-        _require_columns(rows.columns, table)
+        rows, version = _rows_of(path, table, content)
         of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
         if of_night and {str(night) for night in rows["night"].unique().drop_nulls()} - {path.stem}:
             raise ValueError("it has rows of other nights")
-        same = _as_parquet(rows, _version_of(stored)) == content
+        same = _as_parquet(rows, version) == content
     except DAMAGE as error:
         raise _damaged(path, table, error) from error
     return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
 
 
-def _require_known_version(path: Path, content: pa.Table) -> None:
-    """Refuse a file of a newer version of the program: it may hold what this one would lose."""
-    version = _version_of(content)
-    if version > SCHEMA_VERSION:
-        raise StoreError(
-            "store_newer", f"{path.name} is of schema version {version}; update the program"
-        )
-
-
-def _version_of(content: pa.Table) -> int:
-    return int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
-
-
-def _require_columns(names: Sequence[str], table: Table) -> None:
-    """Refuse columns that are not the table's: a damaged name would read as a column of nulls."""
-    strange = sorted(set(names) - table.schema.keys())
-    absent = sorted(set(table.key) - set(names))
-    if strange or absent:
-        raise ValueError(
-            f"column {', '.join(strange) or 'none'} is not known to this version, and of the key "
-            f"{', '.join(absent) or 'none'} is absent"
-        )
-
-
 class StagedRows:
-    """The rows of one motor and table, a record batch a night, as its task left them.
+    """Staged rows of one motor and table, a record batch for each night.
 
     The file is open only while it is read: a fleet has more of them than a process may open.
     """
@@ -389,7 +364,7 @@ class StagedRows:
             yield file
 
     def rows(self, night: dt.date) -> pl.DataFrame | None:
-        """Rows of a night, or None where this motor did not do it."""
+        """Rows of a night; None if it was not staged."""
         if night not in self.nights:
             return None
         with self._opened() as file:
@@ -402,12 +377,12 @@ class StagedRows:
 def stage(
     path: Path, table: Table, nights: Mapping[dt.date, Iterable[Mapping[str, object]]]
 ) -> None:
-    """Leave a motor's rows of one table for the run to publish; a night without rows too.
+    """Write a motor's rows of one table for the run to publish, nights without rows included.
 
     Raises
     ------
     StoreError
-        If they cannot be written, for want of space say.
+        If they cannot be written.
     """
     frames = [frame(table, rows, without="run_id").to_arrow() for _, rows in sorted(nights.items())]
     label = " ".join(night.isoformat() for night in sorted(nights))
@@ -415,7 +390,7 @@ def stage(
     try:
         with scratch(path) as stream, pa.ipc.new_file(stream, schema) as staged:
             for rows in frames:
-                # An empty table has no batch of its own, yet its night must keep its place.
+                # A night without rows needs a batch, too.
                 whole = rows.combine_chunks().to_batches() or [
                     pa.RecordBatch.from_pylist([], schema=rows.schema)
                 ]
@@ -426,21 +401,21 @@ def stage(
 
 @dataclass(frozen=True, slots=True)
 class NightFile:
-    """A night's file of a table, before it is put into its place.
+    """A table file that is prepared, and not in its place yet.
 
     Attributes
     ----------
     path
         Its place.
     before
-        SHA-256 of what is there; None where there is nothing.
+        SHA-256 of the present file; None without one.
     after
-        SHA-256 of what is to be there; None where there was no file and there are no rows.
+        SHA-256 of the new file; None if there is neither a file nor a row.
     lost_rows
-        Whether what is there is damaged, or what was there is gone: the rows of the motors that
-        are not published with it have to be made anew.
+        True if the present file is damaged or gone: rows of motors that are not published with it
+        have to be made anew.
     prepared
-        The new file; None where what is there stays.
+        The new file; None if the present one stays.
     """
 
     path: Path
@@ -450,20 +425,14 @@ class NightFile:
     prepared: Prepared | None = None
 
     def land(self) -> None:
-        """Put it into its place; what is damaged there is put aside, to be looked at.
-
-        Raises
-        ------
-        StoreError
-            If that fails; there is then what was there before, or already the new file.
-        """
+        """Put it into its place, and a damaged file there aside; raises as `Prepared.land`."""
         if self.lost_rows and self.before is not None:
             move(self.path, self.path.with_suffix(PUT_ASIDE))
         if self.prepared is not None:
             self.prepared.land()
 
     def drop(self) -> None:
-        """Leave what is in its place as it is."""
+        """Remove the new file; the present one stays."""
         if self.prepared is not None:
             self.prepared.drop()
 
@@ -477,12 +446,12 @@ def prepare_night(
     finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
     accepted: Collection[str | None] = (),
 ) -> NightFile:
-    """Make a night's file with the new rows of some motors; those of the others stay.
+    """Prepare a night's file with the new rows of some motors; those of the others stay.
 
     Raises
     ------
     StoreError
-        If the new file cannot be written, or the one there not be read.
+        If the new file cannot be written, or the present one not be read.
     """
     path = night_file(output, table, night)
     before, rows_before = _present(path, table, accepted)
@@ -499,46 +468,43 @@ def prepare_night(
     if before is None and not rows.height:
         return NightFile(path, None, None, lost_rows)
     content = encode_table(path.name, rows)
-    after = hashlib.sha256(content).hexdigest()
-    if after == before:
-        return NightFile(path, before, after)
-    return NightFile(path, before, after, lost_rows, prepare(path, content))
+    return _replacing(path, before, content, lost_rows)
 
 
 def prepare_file(path: Path, content: bytes) -> NightFile:
-    """Make a file that is written as a whole: what is there goes, whatever it is.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-    """
+    """Prepare a file that replaces the present one as a whole; raises as `prepare`."""
     try:
         before = hashlib.sha256(read(path)).hexdigest()
     except (FileNotFoundError, NotADirectoryError):
         before = None
     except OSError:
         before = UNREADABLE
+    return _replacing(path, before, content)
+
+
+def _replacing(
+    path: Path, before: str | None, content: bytes, lost_rows: bool = False
+) -> NightFile:
     after = hashlib.sha256(content).hexdigest()
     if after == before:
         return NightFile(path, before, after)
-    return NightFile(path, before, after, prepared=prepare(path, content))
+    return NightFile(path, before, after, lost_rows, prepare(path, content))
 
 
 def _present(
     path: Path, table: Table, accepted: Collection[str | None]
 ) -> tuple[str | None, pl.DataFrame | None]:
-    """Hash and rows of a night's file as it is; None where there is none, or none to be trusted.
+    """Hash and rows of a night's file; no hash if there is no file, no rows if it is damaged.
 
-    A file is damaged if it reads as such twice: what went wrong on the way from the disk is none of
-    its faults.
+    A file is damaged if it reads as such twice: an error on the way from the disk is none.
     """
     for attempt in range(2):
         digest = UNREADABLE
         try:
             content = read(path)
             digest = hashlib.sha256(content).hexdigest()
-            _require_accepted(path, table, digest, accepted)
+            if accepted and digest not in accepted:
+                raise _damaged(path, table, ValueError("it is not what its manifest says"))
             return digest, _decode(path, table, content)
         except (FileNotFoundError, NotADirectoryError):
             return None, None
@@ -557,21 +523,14 @@ def _present(
     return digest, None
 
 
-def _require_accepted(
-    path: Path, table: Table, digest: str, accepted: Collection[str | None]
-) -> None:
-    if accepted and digest not in accepted:
-        raise _damaged(path, table, ValueError("it is not what its manifest says"))
-
-
 def run_file(output: Path, table: Table, started: dt.datetime) -> Path:
-    """File of a run, of the tables that have one for each run."""
+    """File of a run, in tables that have one for each run."""
     name = f"{started:%Y%m%dT%H%M%S%fZ}.parquet"
     return table_folder(output, table) / f"month={started:%Y-%m}" / name
 
 
 def day_of_run(path: Path) -> dt.date | None:
-    """The day on which a run began, by its file's name; None where no run is called so."""
+    """The day on which a run began, by its file's name; None without one."""
     try:
         return dt.date.fromisoformat(path.name[:8])
     except ValueError:

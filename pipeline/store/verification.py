@@ -1,7 +1,7 @@
-"""Published table files against their manifests: altered, missing, or listed nowhere.
+"""Published table files compared with their manifests: altered, missing, or listed nowhere.
 
-A run looks whether every published file is there, and reads those that are due, and those that
-somebody has written to since they were published.
+A run checks that every published file exists. It reads the files that are due, and those that were
+written to after they were published.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pipeline.store.manifest import (
     WHOLE,
     Key,
     Manifest,
-    key_of,
     manifest_file,
+    manifest_key,
     read_manifest,
 )
 from pipeline.store.tables import ENDING, PUT_ASIDE, Proof, prove
@@ -34,7 +34,7 @@ OF_TRENDS = {table.name for table in TREND_TABLES}
 
 @dataclass(frozen=True, slots=True)
 class TableFault:
-    """A file that is not as it was left.
+    """A damaged, missing or unknown file.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class TableFault:
         ``rows_lost``, ``manifest_missing``, ``manifest_damaged``, ``ledger_damaged``,
         ``history_damaged``, ``journal_damaged`` or ``outbox_damaged``.
     message
-        In words, with what to do.
+        The fault, and a remedy.
     """
 
     path: str
@@ -54,28 +54,25 @@ class TableFault:
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """A comparison of the published files with their manifests.
+class Comparison:
+    """Result of comparing published files with their manifests.
 
     Attributes
     ----------
     faults
         Files that differ, are absent or cannot be read, and manifests that are damaged.
     proven
-        Manifests all whose files were read and are whole though one was written to since.
+        Manifests whose files are whole though one was written to since.
     """
 
     faults: tuple[TableFault, ...]
     proven: tuple[Key, ...]
 
 
-def look_at_published(
+def compare_published(
     output: Path, keys: Iterable[Key], is_due: Callable[[Key], bool] = lambda _: True
-) -> Look:
-    """Compare the files of manifests that are due; of the others, those that were written to since.
-
-    That a file is there is looked at in any case.
-    """
+) -> Comparison:
+    """Compare files of manifests that are due, and all that are missing or written to since."""
     faults: list[TableFault] = []
     proven: list[Key] = []
     for key in keys:
@@ -93,11 +90,11 @@ def look_at_published(
         faults += found
         if later and not found:
             proven.append(key)
-    return Look(tuple(faults), tuple(proven))
+    return Comparison(tuple(faults), tuple(proven))
 
 
 def _written_since(output: Path, key: Key, manifest: Manifest) -> set[str]:
-    """Files that were written to after their manifest, or are not there."""
+    """Files that were written to after their manifest, or are missing."""
     published_ns = _written_ns(manifest_file(output, *key))
     tables = os.fspath(output / "tables")
     return {
@@ -117,14 +114,13 @@ def _written_ns(path: Path | str) -> int | None:
 
 
 def fault_of(output: Path, name: str) -> TableFault | None:
-    """The fault of a table file, by its manifest; None: it has none.
+    """The fault of a table file, by its manifest; None without one.
 
-    It is looked at twice: a run may have published it in between, and what went wrong on the way
-    from the disk is none of its faults.
+    A fault is looked at twice: a run may have published the file in between, or a read have failed.
     """
     fault = None
     for _ in range(2):
-        manifest = read_manifest(output, *key_of(name)) or Manifest()
+        manifest = read_manifest(output, *manifest_key(name)) or Manifest()
         fault = _compare(output, name, manifest.accepted(name))
         if fault is None:
             break
@@ -152,16 +148,13 @@ def _again(name: str) -> str:
     """The words for a file that is damaged or gone: who makes it anew."""
     if name.split("/")[0] in OF_MOTORS:
         return f"{AGAIN} where the logs of that night are there"
-    if name.split("/")[0] in OF_TRENDS or key_of(name)[0] == WHOLE:
+    if name.split("/")[0] in OF_TRENDS or manifest_key(name)[0] == WHOLE:
         return AGAIN
     return "it told of a run, and nothing makes it anew"
 
 
 def unlisted_files(output: Path) -> dict[Key, list[str]]:
-    """Table files that are in no manifest, by the one that should list them.
-
-    Those of a damaged manifest are among them.
-    """
+    """Table files that no manifest lists, or a damaged one, by the manifest that should."""
     # Files first, then manifests: a run announces a file before it puts it there.
     found: defaultdict[Key, set[str]] = defaultdict(set)
     tables = os.fspath(output / "tables")
@@ -170,7 +163,7 @@ def unlisted_files(output: Path) -> dict[Key, list[str]]:
         for file in files:
             if not file.startswith(TEMPORARY_PREFIX):
                 name = f"{below}/{file}" if below else file
-                found[key_of(name)].add(name)
+                found[manifest_key(name)].add(name)
     unlisted = {}
     for key, names in sorted(found.items()):
         manifest = read_manifest(output, *key) or Manifest()
@@ -180,7 +173,7 @@ def unlisted_files(output: Path) -> dict[Key, list[str]]:
 
 
 def proofs_of(output: Path, names: Sequence[str]) -> dict[str, tuple[str, Proof]]:
-    """SHA-256 and proof of those of some table files that can prove themselves.
+    """SHA-256 and proof of those table files that prove themselves.
 
     Raises
     ------
@@ -201,6 +194,7 @@ def proofs_of(output: Path, names: Sequence[str]) -> dict[str, tuple[str, Proof]
 
 
 def verify_unlisted(output: Path) -> Iterator[TableFault]:
+    """Table files that no manifest lists, and manifests that are missing."""
     for key, names in unlisted_files(output).items():
         strangers = set(names)
         if read_manifest(output, *key) is None:

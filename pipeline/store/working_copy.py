@@ -1,10 +1,10 @@
 """An output folder as the working copy of one in an object store.
 
-There is no rename in an object store, so nothing there is ever changed: every file is an object
-whose key holds the hash of its content, and one object, `current.json`, says which of them are the
-output. A run works in its folder as always. At its end it puts what is new and then replaces
-`current.json`, on condition that nobody has replaced it since the run began: so a run is published
-as a whole or not at all. Nothing is ever listed, and only what is new is read.
+An object store has no rename, so objects are never changed: the key of each holds the hash of its
+content, and one object, `current.json`, lists those that are the output. A run works in its folder.
+At its end it puts the new objects and then replaces `current.json`, on condition that nobody has
+replaced it since the run began: a run is published as a whole or not at all. No listing is needed,
+and only new objects are read.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ Item = TypeVar("Item")
 Made = TypeVar("Made")
 
 ROOT = "current.json"
-# What of an output folder is published: not the lock, the staging folder, or a report.
+# Published parts of an output folder: not the lock, the staging folder, or a report.
 FOLDERS = ("tables", "ledger", "manifest")
 JOURNAL = "decisions.jsonl"
 FILES = (JOURNAL, "outbox.json", "outbox.copy.json")
-# Beside the output's own files: of what this folder is a copy.
+# File in a working copy that says of which store.
 RECORD = ".object-store.json"
-# Objects that a newer run has replaced stay this long, for those who have just read `current.json`.
+# Replaced objects stay this long, for readers of an older `current.json`.
 KEEP = dt.timedelta(days=7)
 # Requests under way at a time.
 REQUESTS = 16
-# A file system may stamp a file a little earlier than it was written.
+# Tolerance for the time stamps of a file system.
 STAMP_NS = 1_000_000_000
 MONTH = re.compile(r"(?<!\d)(\d{4}-\d{2})(?!\d)")
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A file of the output: the key of its object, and the SHA-256 of its content."""
+    """Key of a file's object, and SHA-256 of its content."""
 
     key: str
     sha256: str
@@ -60,7 +60,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The output as `current.json` says it is.
+    """The published output, as `current.json` lists it.
 
     Attributes
     ----------
@@ -69,10 +69,9 @@ class Snapshot:
     files
         By path below the output folder.
     parts
-        Lists of those files by month, which are objects as well: only those of months that
-        changed are written anew.
+        Objects that list those files, by month: only lists of changed months are written anew.
     superseded
-        Objects that are not part of it any more, with the day since when.
+        Replaced objects, with the day since when.
     """
 
     tag: str | None = None
@@ -83,25 +82,25 @@ class Snapshot:
 
 @contextmanager
 def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
-    """Bring an output folder up to date with an object store, and publish what was changed in it.
+    """Bring an output folder up to date with an object store, and publish its changes at the end.
 
     Parameters
     ----------
     url
-        Such as s3://bucket/fleet; empty: the folder is all there is.
+        Such as s3://bucket/fleet; empty: nothing is published elsewhere.
     output
         The folder, of which the caller holds the lock.
 
     Yields
     ------
     callable
-        Brings a file back, by its path below the folder, as it is published; False: it is not.
+        Restores a file as published, by its path below the folder; False if it is not published.
 
     Raises
     ------
     StoreError
-        If it cannot be brought up to date, or not be published: nothing of it is then.
-        ``store_copy``: without a URL, the folder is the working copy of one.
+        If it cannot be brought up to date, or not be published as a whole. ``store_copy``: without
+        a URL, the folder is a working copy.
     """
     if not url:
         _require_no_copy(output)
@@ -109,7 +108,7 @@ def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
         return
     store = ObjectStore.at(url)
     snapshot = pull(store, output)
-    # From here on the folder is no copy, whatever becomes of the run.
+    # From here on the folder is no exact copy, even if the run is broken off.
     _record(store, output, None)
     started_ns = time.time_ns() - STAMP_NS
     yield partial(_restore, store, output, snapshot)
@@ -118,7 +117,7 @@ def working_copy(url: str, output: Path) -> Iterator[Callable[[str], bool]]:
 
 
 def _restore(store: ObjectStore, output: Path, snapshot: Snapshot, path: str) -> bool:
-    """Bring a file of a working copy back as it was published; False: it was not."""
+    """Restore a file as published; False if it is not published."""
     entry = snapshot.files.get(path)
     if entry is not None:
         put(output / path, _content(store, entry))
@@ -126,7 +125,7 @@ def _restore(store: ObjectStore, output: Path, snapshot: Snapshot, path: str) ->
 
 
 def _require_no_copy(output: Path) -> None:
-    """What is changed in a working copy and not published would be taken for what is published."""
+    """Refuse a working copy: unpublished changes in it would be taken for published ones."""
     record = output / RECORD
     if record.exists():
         raise StoreError(
@@ -138,12 +137,12 @@ def _require_no_copy(output: Path) -> None:
 
 
 def read_snapshot(store: ObjectStore) -> Snapshot:
-    """What `current.json` says.
+    """The published output.
 
     Raises
     ------
     StoreError
-        If it cannot be read, or is not what this program writes.
+        If `current.json` cannot be read or is damaged.
     """
     found = store.get(ROOT)
     if found is None:
@@ -161,7 +160,7 @@ def read_snapshot(store: ObjectStore) -> Snapshot:
 
 
 def _content(store: ObjectStore, entry: Entry) -> bytes:
-    """Content of an object, if it is what was published."""
+    """Content of an object, compared with its digest."""
     found = store.get(entry.key)
     if found is None or hashlib.sha256(found[0]).hexdigest() != entry.sha256:
         what = "is gone" if found is None else "is not what was published"
@@ -173,13 +172,13 @@ def _content(store: ObjectStore, entry: Entry) -> bytes:
 
 
 def in_turn(function: Callable[[Item], Made], items: Iterable[Item]) -> list[Made]:
-    """A function of some items, several requests at a time."""
+    """Apply a function to items, several requests at a time."""
     with ThreadPoolExecutor(REQUESTS) as pool:
         return list(pool.map(function, items))
 
 
 def pull(store: ObjectStore, output: Path) -> Snapshot:
-    """Make a folder the copy of what is published; only what it has not yet is read.
+    """Make a folder the copy of the published output; only missing files are read.
 
     Raises
     ------
@@ -207,7 +206,7 @@ def pull(store: ObjectStore, output: Path) -> Snapshot:
 
 
 def _here(store: ObjectStore, output: Path, snapshot: Snapshot) -> dict[str, str]:
-    """SHA-256 of the files that the folder has; from its record, where a run had ended well."""
+    """SHA-256 of the folder's files; from its record if the last run ended well."""
     try:
         document = json.loads(read(output / RECORD))
     except FileNotFoundError:
@@ -239,7 +238,7 @@ def _same(snapshot: Snapshot, path: str, digest: str) -> bool:
 
 
 def _joined(content: bytes, path: Path) -> bytes:
-    """The published journal with the lines that were said here since."""
+    """The published journal, and the lines that were added here since."""
     try:
         own = read(path).splitlines(keepends=True)
     except FileNotFoundError:
@@ -249,7 +248,7 @@ def _joined(content: bytes, path: Path) -> bytes:
 
 
 def _record(store: ObjectStore, output: Path, snapshot: Snapshot | None) -> None:
-    """Remember of what the folder is a copy; None: of nothing certain, as it is being changed."""
+    """Record the snapshot of which the folder is a copy; None while it is being changed."""
     files = snapshot and {path: entry.sha256 for path, entry in snapshot.files.items()}
     put(output / RECORD, json.dumps({"url": store.url, "files": files}, indent=0).encode())
 
@@ -268,23 +267,19 @@ def _digest(path: Path) -> str:
 
 
 def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0) -> Snapshot:
-    """Publish what is in a folder: its new files, then the lists that name them, `current.json`.
+    """Publish a folder: its new files, then the lists of files, then `current.json`.
 
     Raises
     ------
     StoreError
-        If it cannot be published; what is published is then what was.
+        If it cannot be published; what was published before then stays.
     """
     _record(store, output, None)
 
     def land(path: str) -> tuple[str, Entry]:
         known = before.files.get(path)
-        # The journal is written to by hand, between runs.
-        if (
-            known is not None
-            and path != JOURNAL
-            and (output / path).stat().st_mtime_ns < started_ns
-        ):
+        is_old = (output / path).stat().st_mtime_ns < started_ns
+        if known is not None and is_old and path != JOURNAL:  # people add to it between runs
             return path, known
         content = read(output / path)
         entry = _entry(f"files/{path}", content)
@@ -300,7 +295,7 @@ def push(store: ObjectStore, output: Path, before: Snapshot, started_ns: int = 0
 
 
 def _entry(path: str, content: bytes) -> Entry:
-    """A file's key, with the hash of its content before the ending."""
+    """A file's key: the hash of its content stands before the ending."""
     digest = hashlib.sha256(content).hexdigest()
     stem, dot, ending = path.rpartition(".") if "." in path.rpartition("/")[2] else (path, "", "")
     return Entry(f"{stem}.{digest[:16]}{dot}{ending}", digest)
@@ -318,11 +313,10 @@ def _replace_root(store: ObjectStore, before: Snapshot, files: Mapping[str, Entr
         parts[month] = _entry(f"lists/{month}.json", content)
         if before.parts.get(month) != parts[month]:
             store.create(parts[month].key, content)
-    gone = _keys(before) - _keys(Snapshot(None, files, parts))
-    today = dt.datetime.now(dt.UTC).date().isoformat()
-    superseded = (*before.superseded, *((key, today) for key in sorted(gone)))
     present = _keys(Snapshot(None, files, parts))
-    superseded = tuple((key, day) for key, day in superseded if key not in present)
+    today = dt.datetime.now(dt.UTC).date().isoformat()
+    gone = ((key, today) for key in sorted(_keys(before) - present))
+    superseded = (*(one for one in before.superseded if one[0] not in present), *gone)
     content = json.dumps(
         {
             "tables": _tables(files),
@@ -340,7 +334,7 @@ def _keys(snapshot: Snapshot) -> set[str]:
 
 
 def _tables(files: Mapping[str, Entry]) -> dict[str, list[str]]:
-    """Keys of each table's files: what a query engine is to read."""
+    """Keys of each table's files, for query engines."""
     tables: defaultdict[str, list[str]] = defaultdict(list)
     for path, entry in sorted(files.items()):
         if path.startswith("tables/") and path.endswith(".parquet"):
@@ -349,7 +343,7 @@ def _tables(files: Mapping[str, Entry]) -> dict[str, list[str]]:
 
 
 def _clear(store: ObjectStore, snapshot: Snapshot) -> None:
-    """Remove objects that have not been part of the output for long; that may fail."""
+    """Remove objects that were replaced long ago; a failure is only logged."""
     last = (dt.datetime.now(dt.UTC) - KEEP).date().isoformat()
     old = [key for key, day in snapshot.superseded if day < last]
     try:

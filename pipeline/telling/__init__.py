@@ -1,1 +1,4 @@
-"""Changes of state on their way to people: the outbox, and the receivers that take from it."""
+"""Delivery of changes of state to people: the outbox, and the receivers.
+
+Imports `config`, `schema`, `store` and what lies below.
+"""

@@ -13,13 +13,13 @@ from typing import BinaryIO
 from pipeline.errors import one_line
 from pipeline.telling.delivery import DEADLINE_S, Delivery, UndeliveredError
 
-# Of what a command says on stderr, the last bytes are told.
+# Bytes at the end of stderr that are quoted.
 LAST_BYTES = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A program that gets each delivery on its standard input; exit code 0 says that it took it.
+    """A program that gets each delivery on its standard input, and takes it with exit code 0.
 
     Attributes
     ----------
@@ -33,27 +33,27 @@ class Command:
     label: str = "alarms.command"
 
     def take(self, delivery: Delivery) -> None:
-        """Run the program; only its own end is waited for, not that of what it started."""
+        """Run the program; processes that it started are not waited for."""
         try:
             # Files, not pipes: a child that holds a pipe open would hold up the run.
-            with TemporaryFile() as given, TemporaryFile() as said:
-                given.write(delivery.content)
-                given.seek(0)
-                code = self._run(given, said)
-                end = said.seek(0, os.SEEK_END)
-                said.seek(max(0, end - LAST_BYTES))
-                words = one_line(said.read().decode("utf-8", "replace").strip())
+            with TemporaryFile() as stdin, TemporaryFile() as stderr:
+                stdin.write(delivery.content)
+                stdin.seek(0)
+                code = self._run(stdin, stderr)
+                end = stderr.seek(0, os.SEEK_END)
+                stderr.seek(max(0, end - LAST_BYTES))
+                words = one_line(stderr.read().decode("utf-8", "replace").strip())
         except (OSError, ValueError) as error:
             raise UndeliveredError(one_line(str(error))) from error
         if code:
             raise UndeliveredError(f"ended with {code}{': ' if words else ''}{words}")
 
-    def _run(self, given: BinaryIO, said: BinaryIO) -> int:
+    def _run(self, stdin: BinaryIO, stderr: BinaryIO) -> int:
         with subprocess.Popen(  # noqa: S603 - the config names the program
             self.arguments,
-            stdin=given,
+            stdin=stdin,
             stdout=subprocess.DEVNULL,
-            stderr=said,
+            stderr=stderr,
             start_new_session=True,
         ) as process:
             try:

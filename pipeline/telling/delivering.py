@@ -1,4 +1,4 @@
-"""Receivers take what waits for them in the outbox, each delivery with a few tries."""
+"""Deliveries from the outbox to receivers, each with a few tries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pipeline.telling.outbox import Outbox, Queue, Waiting, read_outbox, write_o
 
 # Waits before a delivery is tried again in the same run [s].
 PAUSES_S = (1.0, 4.0)
-# After so many deliveries that failed, the rest of them waits for the next run.
+# After so many failed deliveries the rest waits for the next run.
 MOST_FAILURES = 3
 
 
@@ -23,26 +23,26 @@ def deliver(
     fleet: str,
     pause: Callable[[float], None] = time.sleep,
 ) -> tuple[str, ...]:
-    """Let every receiver take what waits for it; the outbox is written after each delivery.
+    """Deliver what waits in the outbox, which is written after each delivery.
 
     Parameters
     ----------
     output, fleet
         Output folder and name of the fleet.
     receivers
-        Who is told.
+        The receivers.
     pause
         Waits for some seconds.
 
     Returns
     -------
     tuple of str
-        What went wrong, in words.
+        Faults, as text.
 
     Raises
     ------
     StoreError
-        If the outbox cannot be read or written: what was delivered may be delivered again.
+        If the outbox cannot be read or written: deliveries may then be repeated.
     """
     outbox, faults = read_outbox(output) or Outbox(), []
     for receiver in receivers:
@@ -61,10 +61,10 @@ def deliver(
 def _after_each(
     queue: Queue, receiver: Receiver, fleet: str, pause: Callable[[float], None]
 ) -> Iterator[Queue]:
-    """The queue after each delivery that was tried; what was not taken goes behind the others.
+    """The queue after each delivery that was tried; a failed one goes to its end.
 
-    A receiver that failed in the run before gets one try for each, as does one that hangs: so a
-    dead one costs a run little, and a delivery that it never takes does not hold up the others.
+    A receiver that failed in the run before, or hangs, gets one try for each: a dead one costs a
+    run little, and a delivery that it never takes does not hold up the others.
     """
     failures, pauses = 0, () if queue.fault else PAUSES_S
     for one in queue.waiting:

@@ -1,4 +1,4 @@
-"""A delivery, and what a receiver of one is."""
+"""Deliveries and their receivers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ DEADLINE_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """What a receiver gets at a time.
+    """Content of one delivery to a receiver.
 
     Attributes
     ----------
     id
-        The same each time that it is tried.
+        The same at each try.
     content
         JSON.
     """
@@ -31,9 +31,9 @@ class UndeliveredError(Exception):
     Parameters
     ----------
     why
-        In words; they quote neither a secret nor what the receiver answered.
+        The reason, without secrets and words of the receiver.
     hung
-        Whether the deadline passed.
+        True if the deadline passed.
     """
 
     def __init__(self, why: str, *, hung: bool = False) -> None:
@@ -43,12 +43,12 @@ class UndeliveredError(Exception):
 
 
 class Receiver(Protocol):
-    """One who is told.
+    """A receiver of deliveries.
 
     Attributes
     ----------
     name
-        By which the outbox knows it, whatever becomes of its address.
+        Its name in the outbox, which stays when its address changes.
     label
         For people; without secrets.
     """
@@ -65,5 +65,5 @@ class Receiver(Protocol):
         Raises
         ------
         UndeliveredError
-            If it has not, or nobody knows whether it has.
+            If it was not taken, or that is not known.
         """

@@ -1,9 +1,9 @@
-"""The outbox: which rows of `alarms` each receiver has yet to be told, and which it never need be.
+"""The outbox: rows of `alarms` that wait for each receiver, and those already taken up.
 
-Rows get into it from the published table alone, and each is known by its key and by what it says.
-So it does not matter where a run was broken off, and a row that is made anew is not told again
-unless it says something else. What a receiver has not taken waits, in the same deliveries, for the
-next run. The outbox is two sealed files with the same content, of which one is enough.
+Rows come from the published table alone, and each is known by its key and its content: a run may be
+broken off anywhere, and a row that is made anew is delivered again only if it has changed. A failed
+delivery waits, unchanged, for the next run. The outbox is two sealed files with the same content;
+one of them is enough.
 """
 
 from __future__ import annotations
@@ -20,8 +20,7 @@ from typing import Any
 
 from pipeline.errors import StoreError
 from pipeline.schema import ALARMS
-from pipeline.store.atomic_files import put, read
-from pipeline.store.sealed import seal, unseal
+from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
 from pipeline.telling.delivery import Receiver
 
@@ -30,7 +29,7 @@ log = logging.getLogger(__name__)
 OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
 # Rows of one delivery at most.
 MOST_CHANGES = 500
-# What a row says; other columns are its key or follow from it.
+# Content of a row; other columns are its key or follow from it.
 SAID = ("from_state", "to_state", "way", "path", "reason")
 
 Change = dict[str, Any]
@@ -38,7 +37,7 @@ Change = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """A delivery that a receiver has not taken: its id, since when it waits (UTC), and its rows."""
+    """A delivery that waits: its id, since when (UTC), and its rows."""
 
     id: str
     since: dt.datetime
@@ -47,16 +46,16 @@ class Waiting:
 
 @dataclass(frozen=True, slots=True)
 class Queue:
-    """What is kept of a receiver.
+    """Queue of a receiver.
 
     Attributes
     ----------
     told_since
-        When it was first named in the config (UTC); rows that were published before are not sent.
+        Time at which the config first named it (UTC); rows published before are not sent.
     waiting
         Deliveries that it has not taken.
     fault
-        What went wrong last; empty where all was taken.
+        The last fault; empty if all was taken.
     """
 
     told_since: dt.datetime
@@ -66,16 +65,16 @@ class Queue:
 
 @dataclass(frozen=True, slots=True)
 class Outbox:
-    """All queues, and the rows of `alarms` that are in them or were.
+    """All queues, and the rows of `alarms` that were taken up.
 
     Attributes
     ----------
     queues
         By the receiver's name.
     known
-        By a hash of a row's key, a hash of what it says and how often that has changed.
+        By a hash of a row's key, a hash of its content and how often that has changed.
     stamps
-        What `month_stamps` said of each month when its rows were taken up.
+        `month_stamps` of the time at which rows were taken up.
     """
 
     queues: Mapping[str, Queue] = field(default_factory=dict)
@@ -85,7 +84,7 @@ class Outbox:
 
 @dataclass(frozen=True, slots=True)
 class Backlog:
-    """What a receiver has not been told; `since` and `fault` are null where there is nothing."""
+    """Undelivered rows of a receiver; `since` and `fault` are None without any."""
 
     receiver: str
     told_since: dt.datetime
@@ -95,43 +94,44 @@ class Backlog:
 
 
 def read_outbox(output: Path) -> Outbox | None:
-    """The outbox, from whichever of its files is sound; None where none is.
+    """The outbox, from the first file that is whole; None without one.
 
     Raises
     ------
     StoreError
-        If there is one that cannot be read, and no sound one.
+        If a file cannot be read, and none is whole.
     """
     unreadable: StoreError | None = None
     for name in OUTBOX_FILES:
         try:
-            found = parsed(read(output / name))
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            unreadable = StoreError("store_read", f"{name} cannot be read: {error.strerror}")
-            continue
-        if found is not None:
-            return found
-        log.warning("%s is damaged", name)
+            found = read_outbox_file(output / name)
+        except DamagedError as error:
+            log.warning("%s", error)
+        except StoreError as error:
+            unreadable = error
+        else:
+            if found is not None:
+                return found
     if unreadable is not None:
         raise unreadable
     return None
 
 
-def parsed(content: bytes) -> Outbox | None:
-    """The outbox that a file holds; None where it is damaged."""
-    document = unseal(content)
+def read_outbox_file(path: Path) -> Outbox | None:
+    """The outbox in one of its files; None without a file; raises as `read_sealed`."""
+    document = read_sealed(path, unseal)
     try:
-        if document is None:
-            return None
-        return Outbox(
-            {name: _queue(one) for name, one in document["queues"].items()},
-            dict(one.split("-", 1) for one in document["known"]),
-            document["stamps"],
+        return (
+            None
+            if document is None
+            else Outbox(
+                {name: _queue(one) for name, one in document["queues"].items()},
+                dict(one.split("-", 1) for one in document["known"]),
+                document["stamps"],
+            )
         )
-    except (ValueError, KeyError, TypeError, AttributeError):
-        return None
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise DamagedError("store_read", f"{path.name} is damaged") from error
 
 
 def _queue(document: Mapping[str, Any]) -> Queue:
@@ -144,29 +144,17 @@ def _queue(document: Mapping[str, Any]) -> Queue:
 
 
 def write_outbox(output: Path, outbox: Outbox) -> None:
-    """Write both files, as far as they are not so already.
-
-    Raises
-    ------
-    StoreError
-        If one cannot be written.
-    """
+    """Write both files; raises as `put_sealed`."""
     document = asdict(outbox) | {"known": sorted(map("-".join, outbox.known.items()))}
-    content = seal(json.loads(json.dumps(document, default=dt.datetime.isoformat)))
     for name in OUTBOX_FILES:
-        try:
-            present = read(output / name)
-        except OSError:
-            present = None
-        if present != content:
-            put(output / name, content)
+        put_sealed(output / name, document)
 
 
 def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:
-    """Let the receivers of a config have their queues, before a run publishes anything.
+    """Give the receivers of a config their queues, before a run publishes anything.
 
-    Rows that a run before has published and not taken up go to the receivers that there were. A
-    new receiver is told of none of them; one that the config names no more is told of nothing.
+    Rows that the run before has published and not taken up go to the receivers of that time. A new
+    receiver gets none of them; the queue of one that the config names no more is dropped.
 
     Raises
     ------
@@ -193,7 +181,7 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:
 
 
 def take_up(output: Path, fleet: str) -> None:
-    """Put the rows of `alarms` that are not known yet into all queues.
+    """Put new rows of `alarms` into all queues.
 
     Raises
     ------
@@ -208,7 +196,7 @@ def take_up(output: Path, fleet: str) -> None:
 
 
 def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
-    """The outbox with the rows of those months that were written to since it was made."""
+    """The outbox with new rows of the months that were written to since."""
     stamps = month_stamps(output, ALARMS)
     known, changes, since = dict(outbox.known), list[Change](), 0
     for month, stamp in sorted(stamps.items()):
@@ -221,7 +209,7 @@ def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
             key, said = _digest([str(row[name]) for name in ALARMS.key]), _digest_of(row)
             before, _, times = known.get(key, "-").partition("-")
             if before != said:
-                # A row that says again what it said once is not what a receiver has had.
+                # Counted: a row that changes back is delivered again.
                 known[key] = f"{said}-{int(times) + 1 if before else 0}"
                 what = "changed" if before else "new"
                 changes.append({"id": f"{key}-{known[key]}", "change": what, **_plain(row)})
@@ -235,7 +223,7 @@ def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
 
 
 def _rows_of(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
-    """The rows of a month's sound files, and whether all of them are."""
+    """Rows of a month's files that are whole, and True if all are."""
     rows, whole = list[dict[str, Any]](), True
     for path in sorted((table_folder(output, ALARMS) / f"month={month}").glob("*.parquet")):
         try:
@@ -255,7 +243,7 @@ def _digest(parts: object) -> str:
 
 
 def _plain(row: Mapping[str, Any]) -> Change:
-    """A row as JSON has it."""
+    """A row with values of JSON."""
     return {
         name: value if value is None or isinstance(value, int | str) else _plain_value(value)
         for name, value in row.items()
@@ -278,7 +266,7 @@ def _deliveries(
 
 
 def is_waiting(output: Path) -> bool:
-    """Whether a receiver has yet to be told of anything.
+    """True if a delivery waits.
 
     Raises
     ------
@@ -290,7 +278,7 @@ def is_waiting(output: Path) -> bool:
 
 
 def backlogs(output: Path, receivers: Sequence[Receiver], fleet: str) -> tuple[Backlog, ...]:
-    """What each receiver has not been told, rows included that no run has taken up yet.
+    """Undelivered rows of each receiver, those included that no run has taken up yet.
 
     Raises
     ------

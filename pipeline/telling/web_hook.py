@@ -60,8 +60,8 @@ class WebHook:
     def take(self, delivery: Delivery) -> None:
         """Post it.
 
-        A thread does that and is left to itself at the deadline: neither the look-up of a name nor
-        an answer that comes byte by byte has a time limit of its own.
+        A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
+        answer that comes byte by byte has a time limit of its own.
         """
         headers = {
             "User-Agent": "motor-leakage",
@@ -85,7 +85,7 @@ class WebHook:
         """The headers of the specification."""
         headers = {"webhook-id": delivery.id, "webhook-timestamp": str(now)}
         if self.secret:
-            key = key_of(filled("webhook_secret", self.secret))
+            key = signing_key(filled("webhook_secret", self.secret))
             headers["webhook-signature"] = signature(key, delivery.id, now, delivery.content)
         return headers
 
@@ -97,7 +97,7 @@ def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> s
     --------
     The example of the specification's own libraries:
 
-    >>> key = key_of("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
+    >>> key = signing_key("whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
     >>> signature(key, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, b'{"test": 2432232314}')
     'v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE='
     """
@@ -105,8 +105,8 @@ def signature(key: bytes, delivery_id: str, timestamp: int, content: bytes) -> s
     return "v1," + base64.b64encode(hmac.digest(key, signed, hashlib.sha256)).decode()
 
 
-def key_of(secret: str) -> bytes:
-    """The key that a secret stands for.
+def signing_key(secret: str) -> bytes:
+    """The key in a secret.
 
     Raises
     ------
@@ -129,7 +129,7 @@ def filled(setting: str, text: str) -> str:
     Raises
     ------
     UndeliveredError
-        If one is not set, or holds what no header may; nothing of its content is said.
+        If one is not set, or holds characters that no header may; its content is not quoted.
     """
 
     def content(match: re.Match[str]) -> str:
@@ -169,7 +169,7 @@ def _place(url: str) -> tuple[str, str, int | None]:
 
 
 def _post(request: Request, timeout_s: float) -> str:
-    """Post; empty, or what went wrong, in our own words: others may quote the URL."""
+    """Post; returns a fault or an empty text, in words of our own: others may quote the URL."""
     try:
         with build_opener(_SamePlace).open(request, timeout=timeout_s):
             return ""

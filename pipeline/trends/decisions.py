@@ -1,22 +1,21 @@
-"""What people said of a motor: acknowledged alarms, findings, and baselines that were reset.
+"""Decisions of people on a motor: acknowledged alarms, findings, and baselines that were reset.
 
-A journal beside the tables, one line each, only ever appended to: unlike all else in the output it
-cannot be made anew, so keep it with your backups.
+A journal beside the tables, a sealed line each, only ever appended to: unlike all else in the
+output it cannot be made anew, so keep it with your backups.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-import hashlib
-import json
 import logging
 from collections.abc import Collection
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import append, blank, read
+from pipeline.store.sealed import seal, unseal
 
 log = logging.getLogger(__name__)
 
@@ -27,20 +26,20 @@ KINDS, FINDINGS = get_args(Kind), get_args(Finding)
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What somebody said.
+    """A decision.
 
     Attributes
     ----------
     motor_id, indicator
-        Of what; an empty indicator means all of the motor's.
+        An empty indicator means all of the motor's.
     time
-        When it was said, UTC.
+        Of the decision, UTC.
     kind
         An alarm acknowledged, the finding of an inspection, or a baseline reset.
     night
         The night that it refers to; of a reset the first night of the new baseline.
     finding
-        Whether wear was found; None: nothing was looked at.
+        Result of an inspection; None without one.
     note
         In words.
     """
@@ -55,7 +54,7 @@ class Decision:
 
 
 def journal_file(output: Path) -> Path:
-    """Where the journal lies."""
+    """File of the journal."""
     return output / "decisions.jsonl"
 
 
@@ -68,15 +67,6 @@ def record_decision(output: Path, decision: Decision) -> None:
         If it cannot be written.
     """
     append(journal_file(output), _line(decision))
-
-
-def _line(decision: Decision) -> bytes:
-    document = asdict(decision) | {
-        "time": decision.time.isoformat(),
-        "night": decision.night.isoformat(),
-    }
-    line = json.dumps({"sha256": _digest(document), **document}, sort_keys=True) + "\n"
-    return line.encode()
 
 
 def read_decisions(output: Path) -> tuple[Decision, ...]:
@@ -108,13 +98,12 @@ def damaged_lines(output: Path) -> tuple[int, ...]:
 
 
 def put_back(output: Path, known: Collection[Decision]) -> int:
-    """Append what a damaged journal, or one that is gone, lacks of what is known from elsewhere.
+    """Append known decisions that a damaged or missing journal lacks.
 
     Returns
     -------
     int
-        How many decisions were put back; none where the journal is whole: people may have taken
-        lines out of it.
+        Number of decisions put back; 0 if the journal is whole: people may have removed lines.
 
     Raises
     ------
@@ -132,7 +121,7 @@ def put_back(output: Path, known: Collection[Decision]) -> int:
 
 
 def take_out_damaged_lines(output: Path) -> None:
-    """Move the damaged lines of the journal into a file beside it, to be looked at.
+    """Move the damaged lines of the journal into a file beside it.
 
     Raises
     ------
@@ -166,17 +155,17 @@ def _lines(output: Path) -> dict[int, Decision | None]:
     return {n: _decision(line) for n, line in enumerate(lines, start=1) if line.strip()}
 
 
+def _line(decision: Decision) -> bytes:
+    return seal(asdict(decision)) + b"\n"
+
+
 def _decision(line: bytes) -> Decision | None:
+    document = unseal(line)
     try:
-        document = json.loads(line)
-        if document.pop("sha256") != _digest(document):
+        if document is None:
             return None
         document["time"] = dt.datetime.fromisoformat(document["time"])
         document["night"] = dt.date.fromisoformat(document["night"])
         return Decision(**document)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return None
-
-
-def _digest(document: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()[:16]

@@ -20,7 +20,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
 from pipeline.store.atomic_files import put
-from pipeline.store.sealed import read_sealed, seal_bytes, unseal_bytes
+from pipeline.store.sealed import read_if_whole, seal_bytes, unseal_bytes
 from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.decisions import Decision
 from pipeline.trends.night_records import Layout, Records
@@ -127,7 +127,7 @@ def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[s
     """What is kept of a motor by month, as far as it is whole and was made with the same key."""
     found = {}
     for path in sorted((kept_folder(output) / motor_id).glob("[0-9]*")):
-        content = read_sealed(path, unseal_bytes)
+        content = read_if_whole(path, unseal_bytes)
         if content is None:
             continue
         try:

@@ -15,23 +15,13 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import Fit, LeakageError, OperatingConditions
+from leakage import Fit, LeakageError
 from leakage.block_statistics import merge
-from leakage.identifiability import (
-    LEAST_MINUTES_COEFFICIENT,
-    LEAST_MINUTES_INTERVAL,
-    Excitation,
-)
-from pipeline.night.block_fit import BlockFit, fit_blocks
+from leakage.identifiability import LEAST_MINUTES_COEFFICIENT, LEAST_MINUTES_INTERVAL
+from pipeline.night.block_fit import BlockFit, SampleFacts, fit_stored_blocks
 from pipeline.night.rows import upper_triangle
-from pipeline.night.stored_blocks import (
-    CHANNELS,
-    block_length_s,
-    have_columns,
-    span,
-    training_of,
-    triangular_factors,
-)
+from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.windows import TRAINING
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
@@ -167,12 +157,12 @@ class _Blocks:
 def _describe(history: History, records: Records, place: int, blocks: pl.DataFrame) -> None:
     """Minutes and kind of a night that has no fit of its own."""
     hashes = set(blocks["model_hash"].to_list())
-    if len(hashes) != 1 or not have_columns(blocks, history.layout.columns):
+    stored = StoredBlocks.of(blocks, history.layout.columns)
+    if len(hashes) != 1 or stored is None:
         records["minutes"][place] = 0.0
         return
-    period = _period_s(records, place, int(blocks["n"].sum()))
-    training = int(training_of(blocks)["n"].sum())
-    records["minutes"][place] = training * period / 60.0
+    period = _period_s(records, place, stored.n_samples)
+    records["minutes"][place] = stored.part(TRAINING).n_samples * period / 60.0
     records["kind"][place] = hashes.pop()
 
 
@@ -192,29 +182,26 @@ def _fit(
     parts = [blocks.of(place) for place in group]
     if not all(part.height for part in parts):
         return BLOCKS_GONE
-    whole = pl.concat(parts)
-    training = training_of(whole)
+    whole = StoredBlocks.of(pl.concat(parts), history.layout.columns)
+    if whole is None:
+        return BLOCKS_GONE
+    training = whole.part(TRAINING)
     spec, label = history.spec, history.nights[group[-1]]
-    factors = triangular_factors(training, len(history.layout.columns))
-    own = _own_conditions(training)
-    charge = _last_known(records["charge"][: group[-1] + 1])
-    reference = spec.settings.reference
-    minutes = float(records["minutes"][list(group)].sum())
+    facts = SampleFacts(
+        minutes=float(records["minutes"][list(group)].sum()),
+        own=training.means(),
+        charge_bar=_last_known(records["charge"][: group[-1] + 1]),
+        inflation=float(np.nanmax([1.0, *records["inflation"][list(group)]])),
+    )
     memory_s = records["memory_s"][list(group)]
     try:
-        found = fit_blocks(
+        found = fit_stored_blocks(
             spec,
             label,
             spec.file.flushing.mode,
-            factors,
-            lambda fit: _excitation(training, factors, fit, minutes, memory_s),
-            (
-                OperatingConditions.from_bar(
-                    reference.pressure_bar, reference.temperature_c, reference.speed_rpm, charge
-                ),
-                OperatingConditions.from_bar(*own, charge),
-            ),
-            float(np.nanmax([1.0, *records["inflation"][list(group)]])),
+            training,
+            facts,
+            lambda fit: _memory_s(training, fit, memory_s),
             search=False,
             bootstrap=False,
         )
@@ -223,22 +210,16 @@ def _fit(
     if found.identification.interval_status != "ok":
         return found.identification.interval_status
     record = records[group[-1]].copy()
-    _fill(record, found, own, charge, minutes)
+    _fill(record, found, facts)
     record["n_nights"], record["mode"] = len(group), spec.file.flushing.mode
     record["model"] = records["kind"][group[-1]]
-    record["factor"] = upper_triangle(merge(triangular_factors(whole, len(history.layout.columns))))
+    record["factor"] = upper_triangle(merge(whole.factors))
     for name in HISTOGRAMS:
         record[name] = records[name][list(group)].sum(axis=0)
     return record, _words(found)
 
 
-def _fill(
-    record: Any,
-    found: BlockFit,
-    own: tuple[float, float, float],
-    charge: float | None,
-    minutes: float,
-) -> None:
+def _fill(record: Any, found: BlockFit, facts: SampleFacts) -> None:
     """What a fit says, into a record."""
     distribution = found.identification.distribution
     assert distribution is not None
@@ -247,8 +228,9 @@ def _fill(
     covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
     record["fitted"], record["poor"] = True, False
     record["theta"], record["covariance"] = theta, upper_triangle(covariance)
-    record["blocks"], record["minutes"] = found.identification.n_blocks, minutes
-    record["own"], record["charge"] = own, np.nan if charge is None else charge
+    record["blocks"], record["minutes"] = found.identification.n_blocks, facts.minutes
+    record["own"] = facts.own
+    record["charge"] = np.nan if facts.charge_bar is None else facts.charge_bar
     record["outside"] = found.reference.verdict == "outside_fitted_range"
     record["reference"], record["figures"] = np.nan, np.nan
     if found.reference.verdict in TRUSTED:
@@ -290,37 +272,18 @@ def _together(words: NightWords, more: str) -> NightWords:
     )
 
 
-def _own_conditions(training: pl.DataFrame) -> tuple[float, float, float]:
-    """Mean pressure, temperature and speed of the training samples."""
-    weights = training["n"].cast(pl.Float64).to_numpy()
-    pressure, temperature, speed = (
-        float(np.average(training[f"mean_{name}"].to_numpy(), weights=weights)) for name in CHANNELS
-    )
-    return pressure, temperature, speed
-
-
 def _last_known(values: Array) -> float | None:
     known = values[np.isfinite(values)]
     return float(known[-1]) if len(known) else None
 
 
-def _excitation(
-    training: pl.DataFrame, factors: Array, fit: Fit, minutes: float, memory_s: Array
-) -> Excitation:
-    """What the training samples of several nights saw."""
-
-    block_s = block_length_s(training)
-    known = memory_s[np.isfinite(memory_s)]
-    if len(known) < len(memory_s):
-        known = np.append(known, memory_of_blocks(factors, fit.coefficients, block_s))
-    return Excitation(
-        minutes=minutes,
-        pressure_bar=span(training, "pressure_bar"),
-        temperature_c=span(training, "temperature_c"),
-        speed_rpm=span(training, "speed_rpm"),
-        correlation_time_s=float(known.max()),
-        block_s=block_s,
-    )
+def _memory_s(training: StoredBlocks, fit: Fit, known_s: Array) -> float:
+    """Longest memory of the errors of several nights; from blocks where a night has none."""
+    known = known_s[np.isfinite(known_s)]
+    if len(known) < len(known_s):
+        found = memory_of_blocks(training.factors, fit.coefficients, training.length_s)
+        known = np.append(known, found)
+    return float(known.max())
 
 
 def memory_of_blocks(factors: Array, coefficients: Array, block_s: float) -> float:

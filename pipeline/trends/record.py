@@ -1,16 +1,15 @@
-"""What is remembered of a motor's trends: which nights are published, and what shaped them."""
+"""Record of a motor's published trends: their nights, and a hash of their settings."""
 
 from __future__ import annotations
 
 import datetime as dt
-import json
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
-from pipeline.store.sealed import put_sealed, read_sealed, unseal
+from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.decisions import Decision
 
 # Raise it when the code makes other trends of the same tables: all of them are then made anew.
@@ -19,19 +18,19 @@ TRENDS_VERSION = 4
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """What is published of a motor's trends.
+    """A motor's published trends.
 
     Attributes
     ----------
     trend_hash
-        Hash of all that shaped them beyond the tables.
+        Hash of their settings.
     last_night
         The last night.
     redo_from
-        First night whose trends are out of date, as its rows were made anew; None: none is.
+        First night whose trends are out of date, as its rows were made anew; None without one.
     beginnings
         By event and reset, the first night from which the other motors of its oil circuit see the
-        baseline that it begins; None: a record of an older version, which does not say.
+        baseline that it begins; None in a record of an older version.
     """
 
     trend_hash: str
@@ -41,10 +40,9 @@ class Record:
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
-    """Hash of all that shapes a motor's trends beyond the tables.
+    """Hash of all settings that shape a motor's trends: its own config and decisions.
 
-    Of its own file and the decisions on it: those of its circuit's other motors are no reason to
-    make anew what it was told.
+    Those of its circuit's other motors are no reason to make its trends anew.
     """
     return hash_of(
         {
@@ -56,7 +54,7 @@ def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
 
 
 def resets_of(decisions: Sequence[Decision]) -> list[tuple[str, str, str]]:
-    """Baselines of a motor that people have reset, as they go into a hash."""
+    """Baselines that people have reset, for a hash."""
     return [
         (one.night.isoformat(), one.indicator, one.note)
         for one in decisions
@@ -65,13 +63,13 @@ def resets_of(decisions: Sequence[Decision]) -> list[tuple[str, str, str]]:
 
 
 def record_file(output: Path, motor_id: str) -> Path:
-    """Where it lies."""
+    """File of the record."""
     return output / "ledger" / motor_id / "trends"
 
 
 def read_record(output: Path, motor_id: str) -> Record | None:
-    """What is remembered of a motor's trends; None where nothing is, or it is damaged."""
-    document = read_sealed(record_file(output, motor_id), unseal)
+    """The record of a motor's trends; None without one, or if it is damaged."""
+    document = read_if_whole(record_file(output, motor_id), unseal)
     if document is None:
         return None
     try:
@@ -90,21 +88,14 @@ def read_record(output: Path, motor_id: str) -> Record | None:
 
 
 def write_record(output: Path, motor_id: str, record: Record) -> None:
-    """Remember which trends of a motor are published.
-
-    Raises
-    ------
-    StoreError
-        If it cannot be written.
-    """
-    text = json.loads(json.dumps(asdict(record), default=dt.date.isoformat))  # dates as text
-    put_sealed(record_file(output, motor_id), text)
+    """Write the record of a motor's trends; raises as `put_sealed`."""
+    put_sealed(record_file(output, motor_id), asdict(record))
 
 
 def note_touched(output: Path, motor_id: str, night: dt.date) -> None:
-    """Remember that a motor's trends from a night on are out of date, before its rows change.
+    """Mark a motor's trends from a night on as out of date, before its rows change.
 
-    A run that ends between its nights and its trends leaves them to the next one.
+    If the run is broken off before its trends, the next one makes them.
 
     Raises
     ------

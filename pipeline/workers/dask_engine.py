@@ -37,7 +37,7 @@ Result = TypeVar("Result")
 # How often to look whether there are workers while nothing finishes.
 LOOK_S = 1.0
 # Tasks that are sent, and results that are asked for, in one request: each costs scheduler and run
-# some milliseconds. Joined parts are large, and go and come alone.
+# some milliseconds. Joined chunks are large, and go and come alone.
 TOGETHER = 32
 # How long a result waits for others to be asked for with it.
 GATHER_S = 0.02
@@ -50,17 +50,7 @@ DIED = "worker_died"
 
 @dataclass(slots=True)
 class DaskEngine:
-    """Runs tasks over a cluster.
-
-    Parameters
-    ----------
-    client
-        From `dask_cluster.connected`.
-    execution
-        How many tasks may be in flight, and how long to wait for a worker.
-    expected
-        What a worker must have in common with the run.
-    """
+    """Runs tasks over a cluster, through a client from `dask_cluster.connected`."""
 
     client: Client
     execution: Execution
@@ -74,19 +64,10 @@ class DaskEngine:
         *,
         first: bool = False,
     ) -> Iterator[Result]:
-        """Results as the tasks finish, in any order; what they staged lies in their folders.
+        """Results as `RunTasks` says.
 
-        Parameters
-        ----------
-        function
-            Does a task; the same version of it must be on the workers.
-        tasks
-            Plain data. Where one has a ``staging`` folder, it stages elsewhere and the files are
-            brought there; those that it names as its ``parts`` travel with it.
-        lost
-            The result of a task that was lost.
-        first
-            As of `Crew.run_tasks`.
+        Where a task has a ``staging`` folder, it stages elsewhere and the files are brought there;
+        those that it names as its ``chunks`` travel with it.
 
         Raises
         ------
@@ -120,8 +101,8 @@ def _bring(staged: Mapping[str, bytes], folder: Path | None) -> None:
 
 
 def _needed(task: object) -> dict[str, bytes]:
-    """What a task reads that others have staged: it travels with the task."""
-    folder, names = getattr(task, "staging", None), getattr(task, "parts", ())
+    """Chunks that a task joins: they travel with it."""
+    folder, names = getattr(task, "staging", None), getattr(task, "chunks", ())
     return {name: (folder / name).read_bytes() for name in names}
 
 
@@ -184,11 +165,11 @@ class _Flight:
         return [self.waiting.popleft() for _ in range(min(room, together, len(self.waiting)))]
 
     def _is_large(self, number: int) -> bool:
-        """Whether much travels with a task and its result."""
-        return bool(getattr(self.tasks[number], "parts", ()))
+        """True where much travels with a task and its result."""
+        return bool(getattr(self.tasks[number], "chunks", ()))
 
     def _most(self, number: int) -> int:
-        """How many tasks may be in flight; of those that carry much, no more than are done."""
+        """Most tasks in flight; of those that carry much, no more than are done."""
         most = self.engine.execution.tasks_in_flight
         if self._is_large(number):
             return min(most, AHEAD * max(len(self._workers()), 1))
@@ -286,7 +267,7 @@ class _Flight:
     def _outcome(
         self, number: int, future: Future[Any], brought: Staged[Any] | Loss | None
     ) -> Staged[Any] | Loss | None:
-        """What came of a task, if that is here already; None where it is to be tried again."""
+        """Outcome of a task; None where it is to be tried again."""
         from distributed import KilledWorker
 
         if future.status in ("finished", "lost"):

@@ -1,4 +1,4 @@
-"""What runs on a Dask worker: a task whose staged rows come back with its result.
+"""A task on a Dask worker; its staged rows come back with its result.
 
 A worker may be on another machine, may die, or may be taken for dead and still run. So no task
 writes where others can see it: it stages in a folder of its own, and the files travel to the run.
@@ -43,7 +43,7 @@ _process: Worker | None = None
 
 @dataclass(frozen=True, slots=True)
 class Surroundings:
-    """What a worker must have in common with the run.
+    """Things that a worker must have in common with the run.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ _LOADED = _code_hash()
 
 
 def differences(expected: Surroundings) -> list[str]:
-    """What this process has not in common with the run, in words; empty: nothing."""
+    """Differences of this process from the run, in words."""
     own = own_versions()
     found = [
         f"{name} is {own.get(name, 'absent')} there and {wanted} here"
@@ -118,7 +118,7 @@ def differences(expected: Surroundings) -> list[str]:
 
 @cache
 def _fault_of_store(url: str) -> str:
-    """Why this process has no way to an object store, in words; nothing is asked of the store."""
+    """The reason for no way to an object store; nothing is asked of the store."""
     try:
         ObjectStore.at(url)
     except StoreError as error:

@@ -1,4 +1,4 @@
-"""What the tasks of a run are spread over: worker processes of this machine, or a Dask cluster."""
+"""Engines that do the tasks of a run: worker processes of this machine, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -19,7 +19,16 @@ Result = TypeVar("Result")
 class RunTasks(Protocol):
     """Runs tasks: their results as they finish, in any order.
 
-    The first time, each is tried once, and one of which nothing is heard is not waited for.
+    Parameters
+    ----------
+    function
+        Does a task; what it is made of must be importable, as workers are fresh processes.
+    tasks
+        Plain data, small enough to send.
+    lost
+        The result of a task that was lost.
+    first
+        Whether each is tried only once, and one of which nothing is heard is not waited for.
     """
 
     def __call__(
@@ -37,7 +46,6 @@ def open_engine(
     execution: Execution,
     folders: Sequence[Path] = (),
     stores: Sequence[str] = (),
-    crew: Crew | None = None,
 ) -> Iterator[RunTasks]:
     """The configured engine, for all tasks of a run.
 
@@ -49,8 +57,6 @@ def open_engine(
         What workers elsewhere must see: logs and output.
     stores
         URLs of object stores that they must have a way to.
-    crew
-        Workers of this machine that were started before; None: there are none.
 
     Raises
     ------
@@ -67,18 +73,8 @@ def open_engine(
             yield DaskEngine(client, execution, expected).run_tasks
         return
 
-    with crew or Crew() as crew:
-
-        def here(
-            function: Callable[[Task], Result],
-            tasks: Sequence[Task],
-            lost: Callable[[Task, Loss], Result],
-            *,
-            first: bool = False,
-        ) -> Iterator[Result]:
-            return crew.run_tasks(function, tasks, lost, execution, first=first)
-
-        yield here
+    with Crew(execution) as crew:
+        yield crew.run_tasks
 
 
 def results_of(
@@ -92,18 +88,8 @@ def results_of(
 ) -> Iterator[Result]:
     """Results of tasks; one that was lost in a known part of its work is done without that part.
 
-    Parameters
-    ----------
-    run_tasks
-        From `open_engine`.
-    function, tasks
-        What is to be done.
-    lost
-        The result of a task that was lost as a whole.
-    without
-        A task without the part that it was lost in; None where that is not known, or too much.
-    first
-        Whether a task that was lost is left as it is.
+    `without` gives the task without the part that it was lost in; None where that is not known, or
+    too much. The first time, a task that was lost is left as it is.
 
     Raises
     ------
@@ -133,8 +119,8 @@ def results_of(
         yield from (lost(task, Loss(error.code, error.message)) for task in rest)
 
 
-def nights_a_part(execution: Execution, n_motors: int) -> int:
-    """How many nights of a motor make a part; 0 where its workers have enough motors to do."""
+def nights_a_chunk(execution: Execution, n_motors: int) -> int:
+    """Nights of a chunk of a motor; 0 where its workers have enough motors to do."""
     if execution.backend == "dask" and execution.scheduler:
         return execution.nights_a_part
     alone = execution.backend == "sequential" or execution.workers <= n_motors

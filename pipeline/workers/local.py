@@ -65,25 +65,23 @@ def run_tasks(
     execution: Execution,
 ) -> Iterator[Result]:
     """As `Crew.run_tasks`, over workers that are there for these tasks alone."""
-    with Crew() as crew:
-        yield from crew.run_tasks(function, tasks, lost, execution)
+    with Crew(execution) as crew:
+        yield from crew.run_tasks(function, tasks, lost)
 
 
 class Crew:
-    """Worker processes for all the tasks of a run.
+    """Worker processes for all the tasks of a run, started when there are tasks for them.
 
     Parameters
     ----------
-    n_workers
-        So many are started at once; others when there are tasks for them.
-    modules
-        What these load meanwhile.
+    execution
+        Their number and limits. With backend ``sequential`` tasks are done here and once; one that
+        hangs or dies takes the run with it.
     """
 
-    def __init__(self, n_workers: int = 0, modules: Sequence[str] = ()) -> None:
+    def __init__(self, execution: Execution) -> None:
+        self._execution = execution
         self._workers: list[Worker] = []
-        for _ in range(n_workers):
-            self._workers.append(Worker(modules))
 
     def __enter__(self) -> Self:
         return self
@@ -101,41 +99,28 @@ class Crew:
         function: Callable[[Task], Result],
         tasks: Sequence[Task],
         lost: Callable[[Task, Loss], Result],
-        execution: Execution,
         *,
         first: bool = False,
     ) -> Iterator[Result]:
-        """Results as the tasks finish, in any order.
-
-        Parameters
-        ----------
-        function
-            Does a task; what it is made of must be importable, as workers are fresh processes.
-        tasks
-            Plain data, small enough to send.
-        lost
-            The result of a task that was lost.
-        execution
-            How many workers, and their limits. With backend ``sequential`` the tasks are done here
-            and once; one that hangs or dies takes the run with it.
-        first
-            Whether tasks are tried only once, and one of which nothing is heard is not waited for.
-        """
-        if execution.backend == "sequential":
-            tried = _here(function, tasks)
+        """Results as `RunTasks` says."""
+        tried: Iterator[tuple[Task, Done[Result] | Loss]]
+        if self._execution.backend == "sequential":
+            tried = ((task, attempt(function, task)) for task in tasks)
         elif first:
-            n_workers, hasty = execution.workers, execution.hasty
-            tried = self._side_by_side(function, tasks, n_workers, hasty)
+            tried = self._side_by_side(
+                function, tasks, self._execution.workers, self._execution.hasty
+            )
         else:
-            tried = self._tried_twice(function, tasks, execution)
+            tried = self._tried_twice(function, tasks)
         for task, outcome in tried:
             yield outcome.result if isinstance(outcome, Done) else lost(task, outcome)
 
     def _tried_twice(
-        self, function: Callable[[Task], Result], tasks: Sequence[Task], execution: Execution
+        self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[Task, Done[Result] | Loss]]:
         again: list[Task] = []
-        for task, outcome in self._side_by_side(function, tasks, execution.workers, execution):
+        workers, limits = self._execution.workers, self._execution
+        for task, outcome in self._side_by_side(function, tasks, workers, limits):
             # A log that does not answer is not asked twice.
             if isinstance(outcome, Done) or outcome.log:
                 yield task, outcome
@@ -145,7 +130,7 @@ class Crew:
         if again:
             # In a fresh process, with all the memory that there is.
             self.end()
-            yield from self._side_by_side(function, again, 1, execution)
+            yield from self._side_by_side(function, again, 1, limits)
 
     def _side_by_side(
         self,
@@ -183,17 +168,10 @@ class Crew:
         return self._workers[-1]
 
 
-def _here(
-    function: Callable[[Task], Result], tasks: Sequence[Task]
-) -> Iterator[tuple[Task, Done[Result] | Loss]]:
-    for task in tasks:
-        yield task, attempt(function, task)
-
-
 def run_task(
     worker: Worker, function: Callable[[Task], Result], task: Task, execution: Execution
 ) -> Done[Result] | Loss:
-    """What comes of a task in a worker that has nothing else to do."""
+    """Outcome of a task in a worker that has nothing else to do."""
     worker.begin(function, task, execution)
     while (outcome := worker.outcome()) is None:
         _wait_for_news([worker])
@@ -208,20 +186,14 @@ def _wait_for_news(at_work: Collection[Worker]) -> None:
 
 
 class Worker:
-    """A process that does one task at a time; if it dies of one, another does the next.
-
-    Parameters
-    ----------
-    modules
-        What it loads before there is a task.
-    """
+    """A process that does one task at a time; if it dies of one, another does the next."""
 
     execution: Execution
 
-    def __init__(self, modules: Sequence[str] = ()) -> None:
-        self._start(modules)
+    def __init__(self) -> None:
+        self._start()
 
-    def _start(self, modules: Sequence[str] = ()) -> None:
+    def _start(self) -> None:
         context = get_context("loky")
         self.connection, theirs = context.Pipe()
         self.stderr, their_stderr = context.Pipe(duplex=False)
@@ -229,7 +201,7 @@ class Worker:
         # A daemon is ended when the run ends, however that comes.
         self.process = context.Process(
             target=serve,
-            args=(theirs, their_stderr, tuple(modules), os.getpid()),
+            args=(theirs, their_stderr, os.getpid()),
             env=ENVIRONMENT,
             daemon=True,
         )
@@ -252,7 +224,7 @@ class Worker:
             self.connection.send_bytes(dumps(given))
 
     def outcome(self) -> Done[Any] | Loss | None:
-        """What came of its task; None while it is at work."""
+        """Outcome of its task; None while it is at work."""
         self._pass_on_stderr()
         if not self.connection.poll():
             if time.monotonic() < self.due:
@@ -276,7 +248,7 @@ class Worker:
         return self.execution.answer_s if self.sign.is_asked else self.execution.timeout_s
 
     def _loss(self) -> Loss:
-        """What the worker has died of."""
+        """The loss that the worker died of."""
         self.process.join(GRACE_S)
         self.kill()
         self._pass_on_stderr()
@@ -330,7 +302,7 @@ def _deaf_to_interrupts() -> Iterator[None]:
 
 
 def _died(exit_code: int | None) -> str:
-    """How a process has ended, in words."""
+    """The end of a process, in words."""
     if exit_code is None:
         return "nothing that could be heard"
     if exit_code >= 0:

@@ -13,10 +13,9 @@ import os
 import resource
 import signal
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib import import_module
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
@@ -170,7 +169,7 @@ def loss_of(error: BaseException) -> Loss:
     return Loss("task_memory" if isinstance(error, MemoryError) else "internal", how)
 
 
-def serve(run: Connection, stderr: Connection, modules: Sequence[str], run_pid: int) -> None:
+def serve(run: Connection, stderr: Connection, run_pid: int) -> None:
     """Do tasks until there is nobody left who sends any.
 
     Parameters
@@ -179,8 +178,6 @@ def serve(run: Connection, stderr: Connection, modules: Sequence[str], run_pid: 
         Assignments come from here, outcomes go back.
     stderr
         Takes what is written to stderr.
-    modules
-        What to load before there is a task.
     run_pid
         Process of the run.
     """
@@ -194,8 +191,6 @@ def serve(run: Connection, stderr: Connection, modules: Sequence[str], run_pid: 
     # hang; then the process dies of it.
     faulthandler.enable()
     faulthandler.register(signal.SIGALRM, chain=True)
-    for name in modules:
-        import_module(name)
     _run = run
     while True:
         try:

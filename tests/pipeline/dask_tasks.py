@@ -65,7 +65,7 @@ def kill_worker_of_parquet(task: Any) -> Any:
 
 
 def die_in_a_night(task: Any) -> Any:
-    """The process that has a motor's part dies in one night of it."""
+    """The process that has a chunk of a motor dies in one night of it."""
     import pipeline.run.motor_task as module
 
     fit_night = module.fit_night
@@ -75,8 +75,9 @@ def die_in_a_night(task: Any) -> Any:
             os.kill(os.getpid(), signal.SIGKILL)
         return fit_night(spec, here, *arguments)
 
-    module.fit_night = fit_or_die
+    if task.nights:
+        module.fit_night = fit_or_die
     try:
-        return module.run_part(task)
+        return module.run_motor(task)
     finally:
         module.fit_night = fit_night

@@ -21,7 +21,7 @@ from pipeline.ingest.contract import RawLog
 from pipeline.ingest.csv import cells as csv_cells
 from pipeline.ingest.csv.header import HeadedRows, Header, headed_rows, rows_begin
 from pipeline.ingest.csv.text import Lines, is_packed, is_utf8, read_lines, repaired
-from pipeline.ingest.table import Columns, Table, wanted_columns
+from pipeline.ingest.table import Columns, RawTable, wanted_columns
 
 _SPAN_PIECE = 2**16
 # Room for more rows than those of a file's first piece make likely: they may be shorter further on.
@@ -34,7 +34,9 @@ def read_csv_log(
     path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
 ) -> RawLog:
     """Read the wanted columns of a CSV, plain or packed with gzip or Zstandard."""
-    reader = _Reader(Table(path, logs, channels, latest_us), wanted_columns(path, logs, channels))
+    reader = _Reader(
+        RawTable(path, logs, channels, latest_us), wanted_columns(path, logs, channels)
+    )
     for lines in read_lines(path, logs.encoding):
         reader.read(lines)
     return reader.log()
@@ -50,7 +52,7 @@ def csv_time_span(
             return _span_of_ends(path, logs, channels, latest_us, times)
         except LogError:
             pass  # The whole file says what is wrong, or has the span.
-    reader = _Reader(Table(path, logs, channels, latest_us), times)
+    reader = _Reader(RawTable(path, logs, channels, latest_us), times)
     for lines in read_lines(path, logs.encoding):
         reader.read(lines)
     reader.require_rows_of_one_width()
@@ -64,10 +66,10 @@ def _span_of_ends(
         file.seek(-_SPAN_PIECE, 2)
         tail = file.read()
     begin, end = tail.find(b"\n") + 1, max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    reader = _Reader(Table(path, logs, channels, latest_us), times)
+    reader = _Reader(RawTable(path, logs, channels, latest_us), times)
     reader.read(next(read_lines(path, logs.encoding, _SPAN_PIECE)))
     first = reader.table.span()
-    reader.table = Table(path, logs, channels, latest_us)
+    reader.table = RawTable(path, logs, channels, latest_us)
     reader.read(Lines(repaired(tail[begin:end])))
     last = reader.table.span()
     return min(first[0], last[0]), max(first[1], last[1])
@@ -92,7 +94,7 @@ def _first(ragged: Sequence[Any], data: bytes, start: int, piece: int) -> _Ragge
 class _Reader:
     """Takes the pieces of a file one after the other, and gives the log."""
 
-    def __init__(self, table: Table, columns: Columns) -> None:
+    def __init__(self, table: RawTable, columns: Columns) -> None:
         self.path = table.path
         self.logs = logs = table.logs
         self.columns = columns

@@ -128,8 +128,8 @@ def unpacked(path: Path, piece: int) -> Iterator[bytes]:
                 raise LogError(
                     "log_too_large",
                     path,
-                    f"its {size} bytes unfold to more than {LARGEST_RATIO} times as many, which "
-                    "no log does: unpack it and see what it is",
+                    f"its {size} bytes expand to more than {LARGEST_RATIO} times as many, "
+                    "too many for a log: decompress it and check its content",
                 )
             yield data
 

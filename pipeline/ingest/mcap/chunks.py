@@ -33,7 +33,7 @@ def unpacked_chunk(path: Path, content: memoryview, where: str) -> memoryview:
     if len(packed) != packed_size:
         raise LogError("log_damaged", path, f"it claims {packed_size} bytes, not there", where)
     if size > LARGEST_CHUNK:
-        raise LogError("log_too_large", path, f"it claims to unfold to {size} bytes", where)
+        raise LogError("log_too_large", path, f"it claims to decompress to {size} bytes", where)
     records = _decompress(path, name, packed, size, where)
     if checksum and zlib.crc32(records) != checksum:
         raise LogError("log_damaged", path, "its checksum is wrong", where)
@@ -50,9 +50,9 @@ def _decompress(path: Path, name: str, packed: memoryview, size: int, where: str
         # As a stream: it unfolds no further than is asked for, and says how far it came.
         records = packed if codec is None else _first_bytes(packed, codec, size + 1)
     except (OSError, pa.ArrowException) as error:
-        raise LogError("log_damaged", path, f"it does not unfold: {error}", where) from error
+        raise LogError("log_damaged", path, f"it does not decompress: {error}", where) from error
     if len(records) != size:
-        raise LogError("log_damaged", path, f"it does not unfold to {size} bytes", where)
+        raise LogError("log_damaged", path, f"it does not decompress to {size} bytes", where)
     return records
 
 

@@ -1,16 +1,15 @@
 """Message definitions of ROS 2 in the interface definition language ("ros2idl").
 
-rosbag2 writes them for packages whose messages are defined in ``.idl`` files, each file behind a
-line of equal signs and a line ``IDL: package/msg/Name``. Read is what ROS 2's own parser of such
-files takes: modules, structs, constants, typedefs and annotations, without enums or unions, names
-in full or of a typedef, sizes as plain numbers. See
-https://design.ros2.org/articles/idl_interface_definition.html.
+rosbag2 writes them for packages with ``.idl`` files, each file after a line of equal signs and a
+line ``IDL: package/msg/Name``. The parser reads what interface packages and ROS 2's adapter from
+``.msg`` contain: modules, structs, constants, typedefs and annotations, full names or names of a
+typedef, one member per declaration, arrays of one dimension and a plain size. Enums and unions are
+not part of ROS 2. See https://design.ros2.org/articles/idl_interface_definition.html.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 
 from pipeline.ingest.mcap.layout import Schema
 from pipeline.ingest.mcap.ros2_types import (
@@ -38,8 +37,7 @@ _ANNOTATION = re.compile(r"@(?!optional\b)\w+\s*(?:\([^()]*\))?")
 _BOUND = re.compile(r",\s*[\w:]+\s*(?=>)|(?<=string)\s*<[^<>]*>")
 _STATEMENT = re.compile(r"([^;{}]*)([;{}]|\Z)")
 _SCOPE = re.compile(r"(module|struct)\s+(\w+)")
-_NAME = re.compile(r"([A-Za-z_]\w*)\s*((?:\[[^\[\]]*\]\s*)*)")
-_MEMBER = re.compile(rf"(.*[\s>])({_NAME.pattern})", re.DOTALL)
+_MEMBER = re.compile(r"(.*[\s>])([A-Za-z_]\w*)\s*((?:\[[^\[\]]*\]\s*)*)", re.DOTALL)
 _CONSTANT = re.compile(r"(?:@optional\s+)?const\s")
 _SEQUENCE = re.compile(r"sequence\s*<(.*)>", re.DOTALL)
 _REFERENCE = re.compile(r"(?:::)?[A-Za-z_]\w*(?:::[A-Za-z_]\w*)*")
@@ -110,9 +108,12 @@ def _structs(text: str) -> dict[str, _Types]:
             scope.pop()
             fields = None
         elif mark == ";" and fields is not None:
-            _add_fields(fields, statement, typedefs)
+            name, kind = _declared(statement, typedefs)
+            if name in fields:
+                raise ValueError(f"there are two fields {name}")
+            fields[name] = kind
         elif mark == ";" and statement.startswith("typedef "):
-            typedefs |= dict(_declared(statement.removeprefix("typedef "), typedefs))
+            typedefs |= [_declared(statement.removeprefix("typedef "), typedefs)]
         elif (statement and not _CONSTANT.match(statement)) or mark in ("{", "}"):
             raise ValueError(f"{match[0].strip()[:40]!r} is no definition of ROS 2")
     if scope:
@@ -120,36 +121,22 @@ def _structs(text: str) -> dict[str, _Types]:
     return structs
 
 
-def _add_fields(fields: _Types, member: str, typedefs: _Types) -> None:
-    for name, kind in _declared(member, typedefs):
-        if name in fields:
-            raise ValueError(f"there are two fields {name}")
-        fields[name] = kind
-
-
-def _declared(text: str, typedefs: _Types) -> Iterator[tuple[str, Type]]:
-    """Names that a typedef or member declares, each with its own size of an array."""
-    first, *others = text.split(",")
-    member = _MEMBER.fullmatch(first.strip())
+def _declared(text: str, typedefs: _Types) -> tuple[str, Type]:
+    """Name and type that a typedef or member declares."""
+    if "," in text:
+        raise NotImplementedError(f"{text[:40]!r} has several names, which are not read")
+    member = _MEMBER.fullmatch(text)
     if member is None:
         raise ValueError(f"{text[:40]!r} declares no field")
     kind = _type(member[1].strip(), typedefs)
-    for name in (member[2], *others):
-        parts = _NAME.fullmatch(name.strip())
-        if parts is None:
-            raise ValueError(f"{name[:40]!r} is no name")
-        declared = kind
-        for size in reversed(re.findall(r"\[([^\]]*)\]", parts[2])):
-            declared = Array(declared, _size(size.strip()))
-        yield parts[1], declared
-
-
-def _size(text: str) -> int:
-    if not text.isdecimal():
-        raise NotImplementedError(f"an array of {text[:40]!r} elements, which is not read")
-    if not int(text):
+    if not member[3]:
+        return member[2], kind
+    size = member[3].strip()[1:-1].strip()
+    if not size.isdecimal():
+        raise NotImplementedError(f"an array of {size[:40]!r} elements, which is not read")
+    if not int(size):
         raise ValueError("an array has no size")
-    return int(text)
+    return member[2], Array(kind, int(size))
 
 
 def _type(text: str, typedefs: _Types) -> Type:

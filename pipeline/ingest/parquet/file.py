@@ -142,8 +142,8 @@ def _require_short(path: Path, name: str, size: int, rows: int) -> None:
         raise LogError(
             "log_too_large",
             path,
-            f"column {name!r} unfolds to {size} bytes in {rows} rows, which no log does: see what "
-            "it is",
+            f"column {name!r} expands to {size} bytes in {rows} rows, too many for a log: check "
+            "its content",
             name,
         )
 

@@ -20,7 +20,7 @@ from pipeline.ingest.arrow_types import is_number, is_text
 from pipeline.ingest.assembly import readings_of
 from pipeline.ingest.contract import RawLog
 from pipeline.ingest.parquet.file import Place, opened, place_of, text_paths, within
-from pipeline.ingest.table import Columns, Table, wanted_columns
+from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
 
 MOST_ROWS = 2**27
@@ -38,7 +38,7 @@ def read_parquet_log(
     path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
 ) -> RawLog:
     """Read the wanted columns of a Parquet file."""
-    table = Table(path, logs, channels, latest_us)
+    table = RawTable(path, logs, channels, latest_us)
     _gather(path, wanted_columns(path, logs, channels), table)
     return table.log({})
 
@@ -49,13 +49,13 @@ def parquet_time_span(
     """First and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
-    table = Table(path, logs, channels, latest_us)
+    table = RawTable(path, logs, channels, latest_us)
     times = wanted_columns(path, logs, channels).time
     _gather(path, Columns(times, None, ()), table)
     return table.span()
 
 
-def _gather(path: Path, columns: Columns, table: Table) -> None:
+def _gather(path: Path, columns: Columns, table: RawTable) -> None:
     """Read the wanted columns, some rows at a time, so that memory holds the readings alone."""
     with opened(path) as file:
         places = {name: place_of(path, file.schema_arrow, name) for name in columns.all}
@@ -86,7 +86,7 @@ def _kind(schema: pa.Schema, place: Place) -> pa.DataType:
 
 
 def _require_types(
-    table: Table, columns: Columns, schema: pa.Schema, places: Mapping[str, Place]
+    table: RawTable, columns: Columns, schema: pa.Schema, places: Mapping[str, Place]
 ) -> None:
     path = table.path
     for name in columns.numbers:
@@ -140,7 +140,8 @@ def _require_fewer(path: Path, rows: int) -> None:
         raise LogError(
             "log_too_large",
             path,
-            f"its {size} bytes unfold to {rows} rows or more, which no log does: see what it is",
+            f"its {size} bytes expand to {rows} rows or more, too many for a log: check its "
+            "content",
         )
 
 

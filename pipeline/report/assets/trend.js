@@ -21,7 +21,7 @@
   };
   const UNKNOWN = { symbol: "circle-open", color: COLOURS.quiet };
   const look = (state) => LOOKS[state] ?? UNKNOWN;
-  const stateWord = (state) => word("indicatorStates", state);
+  const stateWord = (state) => word("states", state);
 
   /* Shares are shown in percent. */
   const isShare = (one) => one.unit === "1";

@@ -57,12 +57,6 @@ def call(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> 
     signal.signal(signal.SIGTERM, before)
 
 
-@pytest.fixture
-def fleet(own_fleet: OwnFleet) -> Path:
-    """Two motors that are fitted already: a run over them is quick."""
-    return own_fleet(CSV, PARQUET, fitted=True)
-
-
 def break_log(fleet: Path, motor: str) -> Path:
     path = max((fleet.parent.parent / "demo" / "logs" / motor).iterdir())
     path.write_bytes(b"nonsense" * 1000)
@@ -74,6 +68,18 @@ def change(fleet: Path, file: str, before: str, after: str) -> None:
     text = path.read_text(encoding="utf-8")
     assert before in text
     path.write_text(text.replace(before, after), encoding="utf-8")
+
+
+def without_workers(fleet: Path) -> Path:
+    """For tests of what the command says, not of how its work is spread."""
+    change(fleet, "fleet.toml", "[execution]\n", '[execution]\nbackend = "sequential"\n')
+    return fleet
+
+
+@pytest.fixture
+def fleet(own_fleet: OwnFleet) -> Path:
+    """Two motors that are fitted already: a run over them is quick."""
+    return without_workers(own_fleet(CSV, PARQUET, fitted=True))
 
 
 # Exit codes
@@ -410,7 +416,7 @@ def test_check_is_1_where_there_is_no_log_at_all(call: Call, own_fleet: OwnFleet
 
 
 @pytest.mark.parametrize(
-    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1"), ("migrate",)]
+    "command", [("check", "--tables"), ("prune", "--tables", "starts", "--keep", "1")]
 )
 def test_2_where_there_are_no_tables(
     call: Call, own_fleet: OwnFleet, tmp_path: Path, command: tuple[str, ...]
@@ -488,6 +494,7 @@ def test_examples_of_the_help_run_as_they_stand(
     """Each line, pasted where `motor-leakage demo . --nights 3` was run."""
     shutil.copytree(demo_folder, tmp_path, dirs_exist_ok=True)
     shutil.copytree(fitted_output, tmp_path / "out")
+    without_workers(tmp_path / "configs" / "fleet.toml")
     monkeypatch.chdir(tmp_path)
     docs = [
         command.callback.__doc__ or "" for command in app.registered_commands if command.callback

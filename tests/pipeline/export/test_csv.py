@@ -331,7 +331,7 @@ def test_command_says_what_it_wrote(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "export_format: name what to write: --csv FOLDER or --delta PLACE"),
+        ([], 2, "export_format: expected --csv FOLDER or --delta PLACE"),
         (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
         (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: --motors: no motor CB9"),
         (["--csv", "csv", "--since", "x"], 2, "date: --since: got 'x'"),

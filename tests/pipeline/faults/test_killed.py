@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 import pipeline.run.fleet
+import pipeline.run.publishing
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
@@ -171,9 +172,9 @@ def check_worker(
     if stage in OF_MOTORS:
         patched.setattr(pipeline.run.fleet, "run_motor", killing_motor(stage, motor, marker))
     else:
-        patched.setattr(pipeline.run.fleet, "run_trends", killing_trends(stage, motor, marker))
+        patched.setattr(pipeline.run.publishing, "run_trends", killing_trends(stage, motor, marker))
         # A task a motor: one alone would be done in this very process.
-        patched.setattr(pipeline.run.fleet, "MOTORS_A_TREND_TASK", 1)
+        patched.setattr(pipeline.run.publishing, "MOTORS_A_TREND_TASK", 1)
     result = fleet.run(output, workers=2, backend="loky")
     patched.undo()
     failed = [outcome.motor_id for outcome in result.failed]

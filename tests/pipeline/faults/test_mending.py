@@ -23,7 +23,7 @@ import pytest
 from pipeline.errors import StoreError
 from pipeline.logs.ledger import read_ledger
 from pipeline.run.fleet import RunResult
-from pipeline.run.mending import mend_output, share_due
+from pipeline.run.mending import mend_output, rebuild_manifests, share_due
 from pipeline.run.verification import verify_tables
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -423,6 +423,15 @@ def test_a_damaged_manifest_is_rebuilt(tiny_fleet: TinyFleet, output: Path) -> N
     check_repaired(output, tiny_fleet)
 
 
+def test_a_manifest_that_is_published_damaged_is_rebuilt(output: Path) -> None:
+    """Or one of an older version: the object store has no better one."""
+    path = manifest_file(output, MONTH, NIGHT.isoformat())
+    path.write_bytes(b'{"files": {}, "sha256": "0"}')
+    (fault,) = rebuild_manifests(output, lambda _: True)
+    assert (fault.code, fault.message[:9]) == ("manifest_damaged", "made anew")
+    assert codes(output) == []
+
+
 def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output: Path) -> None:
     """Neither a damaged file nor one of another night; what other libraries wrote has its pages."""
     (output / "manifest" / f"month={MONTH}" / f"{NIGHT}.json").unlink()
@@ -622,14 +631,14 @@ def test_the_commands_tell_and_mend(
     cut_off(path)
     code, out, err = call("status", config, "--output", output)
     assert (code, err) == (0, "")
-    assert f"1 published files are damaged or gone, such as {name}: table_altered" in out
+    assert f"1 published files are damaged or missing, such as {name}: table_altered" in out
     code, out, err = call("fit-fleet", config, "--output", output, "--dry-run")
     assert code == 0
     assert f"table_altered: {name}: " in err
     code, out, err = call("fit-fleet", config, "--output", output)
     assert code == 1
     assert f"motor-leakage: table_missing: {name}: not made anew: the logs of that night are" in err
-    assert "damage: 1 files were found damaged or gone, 1 are not mended" in out
+    assert "damage: 1 files were damaged or missing, 1 are not repaired" in out
     code, out, err = call("fit-fleet", config, "--output", output, "--json")
     run = json.loads(out.splitlines()[-1])
     assert [one["code"] for one in run["damage_left"]] == ["table_missing"]

@@ -189,4 +189,4 @@ def test_a_small_file_that_unfolds_to_gigabytes(
     path, source = bomb(tmp_path)
     assert path.stat().st_size < 2**18
     for read in (read_log, time_span):
-        check(path, source, "log_too_large", "unfold", read)
+        check(path, source, "log_too_large", "expand", read)

@@ -19,11 +19,8 @@ from pipeline.cli import app
 from pipeline.config import load_fleet
 from pipeline.errors import StoreError
 from pipeline.logs.locations import FolderLogs, StoredLogs
-from pipeline.run.disk_space import MIB, NIGHT_BYTES, new_files
-from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.setup.check import check_motor
 from pipeline.store.object_store import ObjectStore
-from tests.pipeline.run.test_disk_space import leave
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -39,6 +36,13 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
         yield found
 
 
+def with_nights(folder: Path, n: int) -> Workshop:
+    made = Workshop.at(folder)
+    for number in range(n):
+        made.log(FIRST + number * DAY, seed=number)
+    return made
+
+
 def stored(workshop: Workshop, **changed: Any) -> Any:
     """The workshop's motor with its logs in the bucket."""
     task = workshop.task()
@@ -47,9 +51,7 @@ def stored(workshop: Workshop, **changed: Any) -> Any:
 
 
 def test_a_log_that_is_replaced_while_it_is_read_waits(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 2)
     store = ObjectStore.at(URL)
     upload(tmp_path / "logs", store.url)
     key = f"M1/{FIRST}.parquet"
@@ -92,9 +94,7 @@ def test_globs_and_names_are_those_of_folders(server: Server, tmp_path: Path) ->
 def test_a_log_that_is_removed_after_it_was_listed_is_missing(
     server: Server, tmp_path: Path
 ) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 2)
     upload(tmp_path / "logs", URL)
     store, key = ObjectStore.at(URL), f"M1/{FIRST}.parquet"
 
@@ -145,9 +145,7 @@ def in_bucket(shop: Workshop) -> Any:
 
 
 def test_check_says_of_a_bucket_what_it_says_of_a_folder(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 2)
     (shop.logs / "broken.parquet").write_bytes(b"PAR1 and nothing of use")
     (spec,) = load_fleet(shop.fleet).motors
     here = check_motor(spec)
@@ -161,9 +159,7 @@ def test_check_says_of_a_bucket_what_it_says_of_a_folder(server: Server, tmp_pat
 
 
 def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(5):
-        shop.log(FIRST + number * DAY, seed=number)
+    shop = with_nights(tmp_path, 5)
     (spec,) = in_bucket(shop).motors
     server.forget()
     one = check_motor(spec)
@@ -190,27 +186,3 @@ def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
     one = check_motor(spec)
     assert one.notes == (f"no object matches M1/*.csv below {URL}",)
     assert one.faults == ("log_missing: M1/named.parquet: named in the config and absent",)
-
-
-# Room on the disk
-
-
-def test_new_logs_in_a_bucket_ask_for_room(
-    server: Server, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shop = Workshop.at(tmp_path)
-    for number in range(2):
-        shop.log(FIRST + number * DAY, seed=number)
-    fleet = in_bucket(shop)
-    needed = 100 * MIB + 2 * NIGHT_BYTES
-    leave(monkeypatch, needed - 1)
-    with pytest.raises(StoreError, match="2 new log files") as error:
-        run_fleet(RunRequest(fleet))
-    assert error.value.code == "disk_space"
-    # A working copy of another machine's output knows the logs, once it is up to date.
-    leave(monkeypatch, needed)
-    published = replace(fleet, object_store=f"s3://{BUCKET}/fleet")
-    assert run_fleet(RunRequest(published)).n_nights == 2
-    assert new_files(shop.output, fleet.motors[0]) == 0
-    leave(monkeypatch, 100 * MIB)
-    assert run_fleet(RunRequest(replace(published, output=tmp_path / "copy"))).n_nights == 0

@@ -6,11 +6,10 @@ import datetime as dt
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from pipeline.report.history import MotorHistory, motor_histories
-from pipeline.report.tables import History
+from pipeline.report.tables import ReportTables
 from pipeline.schema import FITS, PARAMETERS, frame
 
 Row = dict[str, Any]
@@ -57,21 +56,14 @@ def parameter(number: int, name: str, value: float, half: float | None = None, *
 def history(
     fits: Sequence[Row],
     parameters: Sequence[Row] = (),
-    events: Sequence[dt.date] = (),
     trends: Mapping[str, pl.DataFrame] | None = None,
+    motor_id: str = "M",
 ) -> MotorHistory:
     """The history of the one motor that the rows are of."""
-    tables = History(
+    tables = ReportTables(
         fits=frame(FITS, fits).sort("motor_id", "night"),
         parameters=frame(PARAMETERS, parameters).sort("motor_id", "parameter", "night"),
         trends=trends or {},
     )
-    (motor,) = motor_histories(tables, ["M"], {"M": events})
+    (motor,) = motor_histories(tables, [motor_id])
     return motor
-
-
-def scattered(n: int, level: float, seed: int, sd: float = 0.01) -> list[float]:
-    """Leakage of n nights that scatters around a level."""
-    noise = np.random.default_rng(seed).standard_normal(n)
-    values: list[float] = (level * (1 + sd * noise)).tolist()
-    return values

@@ -1,10 +1,11 @@
-"""A motor's course: paths, gap changes and what counts as a change."""
+"""A motor's course: paths, leakages and gap changes."""
 
 from __future__ import annotations
 
 import datetime as dt
 
 import numpy as np
+import polars as pl
 import pytest
 
 from pipeline.schema import BASELINES, TRENDS, frame
@@ -14,7 +15,6 @@ from tests.pipeline.report.nights import (
     fit,
     history,
     parameter,
-    scattered,
     unfitted,
 )
 
@@ -32,6 +32,13 @@ FACTORS = {
     "balance_sleeve": 4.373874e-14,
 }
 TOTAL = 1.371423
+
+
+def baselines(*frozen: tuple[dt.date, dt.date, float]) -> dict[str, pl.DataFrame]:
+    """Baselines of the ring: first night, night in which it was frozen, mean."""
+    key = {"motor_id": "M", "indicator": "K_piston_ring"}
+    rows = [key | {"start": start, "night": night, "mean": mean} for start, night, mean in frozen]
+    return {"baselines": frame(BASELINES, rows)}
 
 
 def test_leakage_by_path_adds_up_and_has_the_interval_of_its_loss_factor() -> None:
@@ -55,7 +62,7 @@ def test_a_gap_30_percent_wider_leaks_by_its_cube() -> None:
     rows = [parameter(number, "K_piston_ring", k, 0.05 * k) for number in range(10)]
     rows.append(parameter(10, "K_piston_ring", k * 1.3**3, 0.1 * k))
     rows.append(parameter(11, "K_piston_ring", k * 8, 9 * k))
-    motor = history([fit(number) for number in range(12)], rows)
+    motor = history([fit(number) for number in range(12)], rows, baselines((FIRST, FIRST, k)))
     change = motor.gap_changes()["piston_ring"]
     assert change.value[:10] == pytest.approx(0.0, abs=1e-9)
     assert change.value[10:] == pytest.approx([30.0, 100.0])
@@ -77,60 +84,12 @@ def test_nights_in_which_nothing_is_determined_have_no_value() -> None:
     ]
 
 
-def test_an_event_starts_anew() -> None:
-    levels = [*[1.0] * 12, *[2.0] * 12, 2.2]
-    rows = [
-        parameter(number, "K_piston_ring", level * 1e-14, 1e-16)
-        for number, level in enumerate(levels)
-    ]
-    fits = [fit(number) for number in range(len(levels))]
-    motor = history(fits, rows, [FIRST + 12 * ONE_DAY])
-    change = motor.gap_changes()["piston_ring"].value
-    assert change[:24] == pytest.approx(0.0, abs=1e-9)
-    assert change[24] == pytest.approx(100 * (1.1 ** (1 / 3) - 1))
-    assert motor.change(motor.coefficients["K_piston_ring"]) is None  # 13 nights since then
-    before = history(fits, rows)
-    assert before.gap_changes()["piston_ring"].value[12] == pytest.approx(100 * (2 ** (1 / 3) - 1))
-
-
-def test_change_is_that_of_medians_and_needs_twenty_nights() -> None:
-    values = [*scattered(10, 1.0, 1), *scattered(5, 9.0, 2), *scattered(10, 1.5, 3)]
-    values[4], values[20] = 30.0, 0.001  # one wild night in each group moves no median far
-    motor = history([fit(number, value) for number, value in enumerate(values)])
-    change = motor.change(motor.reference)
-    assert change is not None
-    assert change.ratio == pytest.approx(1.5, rel=0.02)
-    assert change.is_clear
-    assert change.percent == pytest.approx(50.0, abs=3.0)
-    assert change.gap_percent == pytest.approx(100 * (1.5 ** (1 / 3) - 1), abs=1.0)
-    short = history([fit(number, value) for number, value in enumerate(values[:19])])
-    assert short.change(short.reference) is None
-
-
-def test_scatter_alone_is_hardly_ever_a_clear_change() -> None:
-    """Thrice the standard error, from ten nights each: some 2 in 100, and never 15 % of scatter."""
-    clear = 0
-    for seed in range(300):
-        values = scattered(40, 1.4, seed, sd=0.03)
-        motor = history([fit(number, value) for number, value in enumerate(values)])
-        change = motor.change(motor.reference)
-        assert change is not None
-        assert abs(change.percent) < 15
-        clear += change.is_clear
-    assert clear < 0.06 * 300
-
-
-def test_a_frozen_baseline_takes_the_place_of_the_first_nights() -> None:
+def test_gaps_are_relative_to_the_baseline_of_their_night() -> None:
     """Two freezes of one baseline, the second of which holds, and a later baseline."""
     rows = [parameter(n, "K_piston_ring", 2e-14, 1e-16) for n in range(6)]
     later = FIRST + 3 * ONE_DAY
     frozen = [(FIRST, FIRST + ONE_DAY, 9e-14), (FIRST, later, 1e-14), (later, later, 2e-14)]
-    key = {"motor_id": "M", "indicator": "K_piston_ring"}
-    baselines = frame(
-        BASELINES,
-        [key | {"start": start, "night": night, "mean": mean} for start, night, mean in frozen],
-    )
-    motor = history([fit(n) for n in range(6)], rows, trends={"baselines": baselines})
+    motor = history([fit(n) for n in range(6)], rows, baselines(*frozen))
     change = motor.gap_changes()["piston_ring"].value
     assert change[:3] == pytest.approx(100 * (2 ** (1 / 3) - 1))
     assert change[3:] == pytest.approx(0.0, abs=1e-9)
@@ -142,22 +101,25 @@ def test_leakage_at_the_motor_s_own_conditions_stands_in_before_each_night_s() -
     own = {"own_conditions_leakage_l_per_min": 4.2}
     nights = [fit(n, None, **own) for n in range(3)]
     motor = history(nights, trends={"trends": frame(TRENDS, rows)})
-    name, course = motor.leakage
-    assert name == "frozen"
+    assert motor.leakage_kind == "frozen"
     # A night of which there is no fit is none of the motor's nights.
-    assert course.value[1] == 5.0
-    assert np.isnan(course.value[[0, 2]]).all()
+    assert motor.frozen.value[1] == 5.0
+    assert np.isnan(motor.frozen.value[[0, 2]]).all()
 
 
 def test_leakage_at_own_conditions_stands_in_where_there_is_no_other() -> None:
     own = {"own_conditions_leakage_l_per_min": 4.2}
-    assert history([fit(0, None, **own)]).leakage[0] == "own"
-    assert history([fit(0, None, **own), fit(1, 1.4, **own)]).leakage[0] == "reference"
-    assert history([]).leakage[0] == "reference"
+    assert history([fit(0, None, **own)]).leakage_kind == "own"
+    assert history([fit(0, None, **own), fit(1, 1.4, **own)]).leakage_kind == "reference"
+    assert history([]).leakage_kind == "reference"
 
 
 def test_a_motor_without_nights_has_an_empty_history() -> None:
-    motor = history([], events=[dt.date(2026, 1, 1)])
+    motor = history([])
     assert motor.nights == ()
-    assert motor.change(motor.reference) is None
     assert motor.gap_changes() == {}
+
+
+def test_without_a_baseline_there_is_no_gap_change() -> None:
+    rows = [parameter(n, "K_piston_ring", 1e-14, 1e-15) for n in range(3)]
+    assert history([fit(n) for n in range(3)], rows).gap_changes() == {}

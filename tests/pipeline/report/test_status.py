@@ -22,6 +22,7 @@ from pipeline.report.status import (
     last_alarm,
     last_findings,
     motor_state,
+    urgency,
 )
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
@@ -140,6 +141,40 @@ def test_the_leakage_at_the_motors_own_conditions_stands_in_where_it_alone_is_kn
     rows += of_leakage("own_reference_leakage", [2.0] * 6)
     found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert (found.leakage_l_per_min, found.leakage_night) == (2.0, night_of(LAST))
+
+
+def test_the_leakage_has_its_indicator_and_interval() -> None:
+    rows = of_leakage("reference_leakage", [1.3, 1.4], lower=1.35, upper=1.45)
+    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    assert found.leakage_indicator == "reference_leakage"
+    assert (found.leakage_lower, found.leakage_upper) == (1.35, 1.45)
+
+
+@pytest.mark.parametrize(
+    ("began", "expected"),
+    [(None, ("piston_ring", -9.0)), (1, ("piston_ring", -9.0)), (2, ("sleeve", 4.0))],
+)
+def test_the_gap_that_changed_most_is_one_known_since_the_change(
+    began: int | None, expected: tuple[str, float]
+) -> None:
+    """As the newest rows of `trends` have it; the ring's is of the second night."""
+    rows = of_leakage("gap_change_piston_ring", [2.0, -9.0, None, None], n_slope=None)
+    rows += of_leakage("gap_change_sleeve", [8.0, 4.0, 4.0, 4.0], n_slope=None)
+    change = {} if began is None else {"state": "alarm", "change_start": night_of(began)}
+    rows += of_leakage("K_piston_ring", [1.0] * 4, **change)
+    found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
+    assert (found.gap_path, found.gap_change_percent) == expected
+
+
+def test_a_last_night_that_failed_is_told_and_comes_before_motors_in_order() -> None:
+    failed = {"run_id": "r", "motor_id": "M1", "night": night_of(6), "status": "failed"}
+    fits = pl.concat([fits_of("M1"), frame(FITS, [failed | {"reason": "the log is cut"}])])
+    found = motor_state("M1", rows_of("M1"), fits, ())
+    assert (found.state, found.failure) == ("ok", "night of 2026-01-08 failed: the log is cut")
+    assert found.why == f"no change of external leakage; {found.failure}"
+    fine = motor_state("M0", rows_of("M0"), fits_of("M0"), ())
+    assert fine.failure == ""
+    assert urgency(found) < urgency(fine)
 
 
 def test_a_poor_fit_of_the_last_good_night_is_told() -> None:
@@ -384,7 +419,7 @@ def test_acknowledged_found_and_counted(
         (["M9", "K_piston_ring", "--note", "x"], "no motor M9; there are M1"),
         (
             ["M1", "C_f", "--note", "x"],
-            "M1 has had no alarm of 'C_f'; there were of: K_piston_ring",
+            "M1 has had no alarm of 'C_f'; alarms so far: K_piston_ring",
         ),
         (["M1", "K_piston_ring", "--note", "x", "--finding", "yes"], "expected confirmed or not_"),
         (["M1", "K_piston_ring"], "--note"),
@@ -409,7 +444,7 @@ def test_a_baseline_is_reset_with_a_night_and_a_reason(
     call: Call,
 ) -> None:
     code, out, _ = call("baseline", "reset", config, "M1", "2026-01-05", "--note", "new rings")
-    assert (code, out) == (0, "M1: every baseline begins anew with the night 2026-01-05\n")
+    assert (code, out) == (0, "M1: every baseline starts with the night 2026-01-05\n")
     (found,) = read_decisions(output)
     assert (found.kind, found.night, found.indicator, found.note) == (
         "baseline_reset",
@@ -480,7 +515,7 @@ def test_a_silent_motor_is_acknowledged_and_not_inspected(output: Path) -> None:
     write_table(night_file(output, ALARMS, night_of(5)), frame(ALARMS, [stale]))
     assert last_alarm(output, "M1", "K_piston_ring", TOLD) == ("K_piston_ring", night_of(5))
     assert last_alarm(output, "M1", "K_piston_ring", RAISED) == ("K_piston_ring", night_of(4))
-    with pytest.raises(UsageError, match="there were of: none at all"):
+    with pytest.raises(UsageError, match="alarms so far: none"):
         last_alarm(output, "M2", "K_piston_ring", TOLD)
 
 

@@ -53,7 +53,7 @@ def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
                 killed.append(min(client.run(os.getpid).values()))
             os.kill(killed[0], signal.SIGKILL)
 
-    # Each motor in parts, too: what they made travels to the task that joins them.
+    # Each motor in chunks, too: they travel to the task that joins them.
     execution = two_workers.execution(nights_a_part=2)
     result = run(demo_folder / "configs" / "fleet.toml", tmp_path, execution, kill_one)
     assert killed
@@ -73,7 +73,7 @@ def test_a_night_that_its_process_dies_of_costs_no_other(
     fleet = mini_fleet(tmp_path, 1, 3)
     how = two_workers.execution(nights_a_part=2)
     with monkeypatch.context() as patched:
-        patched.setattr("pipeline.run.parts.run_part", die_in_a_night)
+        patched.setattr("pipeline.run.fleet.run_motor", die_in_a_night)
         (outcome,) = run(fleet, output_of(fleet), how).outcomes
     assert (dict(outcome.counts), outcome.error_code) == ({"ok": 2, "failed": 1}, "worker_died")
     # Done once more, it has the figures of a run in which nothing died.

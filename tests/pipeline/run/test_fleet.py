@@ -36,6 +36,7 @@ from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import FITS, NIGHT_TABLES, TABLES
 from pipeline.store.tables import NightFile, night_file, prepare_night, read_table
 from tests.conftest import OwnFleet
+from tests.pipeline.misbehaviour import MISBEHAVIOUR
 
 FIRST = dt.date(2026, 1, 2)
 NIGHTS = [FIRST, FIRST + dt.timedelta(days=1), FIRST + dt.timedelta(days=2)]
@@ -250,7 +251,7 @@ def test_two_workers_write_the_same_bytes_as_one_after_the_other(
 def test_one_worker_writes_the_same_bytes_wherever_it_lies(
     own_fleet: OwnFleet, tmp_path: Path
 ) -> None:
-    fleet = own_fleet(CSV, PARQUET)
+    fleet = own_fleet(PARQUET)
     run(fleet)
     run(fleet, output=tmp_path / "elsewhere", backend="loky", workers=1)
     (tmp_path / "moved").mkdir()
@@ -466,47 +467,35 @@ def test_settings_that_shape_figures_make_everything_new(own_fleet: OwnFleet) ->
 # A worker that dies
 
 
-def killing(motor: str, marker: Path | None = None) -> Callable[[MotorTask], MotorOutcome]:
-    """A task that takes its worker with it: always, or only until a marker is there."""
+def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
+    own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fleet, died = own_fleet(CSV, PARQUET, MCAP), tmp_path / "died"
 
     def run_or_die(task: MotorTask) -> MotorOutcome:
-        if task.spec.motor_id == motor and not (marker and marker.exists()):
-            if marker:
-                marker.touch()
-            os.kill(os.getpid(), signal.SIGKILL)
+        if task.spec.motor_id == CSV:
+            MISBEHAVIOUR["segfault"]()
+        if task.spec.motor_id == PARQUET and not died.exists():
+            died.touch()
+            MISBEHAVIOUR["kill"]()
         return run_motor(task)
 
-    return run_or_die
-
-
-def test_a_worker_that_dies_costs_its_motor_alone(
-    own_fleet: OwnFleet, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet(*EXCITED)
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", killing(CSV))
+    monkeypatch.setattr(pipeline.run.fleet, "run_motor", run_or_die)
     result = run(fleet, backend="loky")
-    assert status_of(result) == dict.fromkeys(EXCITED, "ok") | {CSV: "failed"}
+    assert died.exists()
+    assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
     (lost,) = result.failed
     assert lost.error_code == "worker_died"
     assert not lost.ledger
-    others = [motor for motor in EXCITED if motor != CSV]
-    check_same_tables(output_of(fleet), fitted_output, *others)
+    check_same_tables(output_of(fleet), fitted_output, PARQUET, MCAP)
     assert rows(output_of(fleet), "fits", CSV).is_empty()
+    last = rows(output_of(fleet), "motor_outcomes", CSV).sort("started_at").row(-1, named=True)
+    assert (last["status"], last["error_code"]) == ("failed", "worker_died")
+    assert "SIGSEGV, in string_at" in last["message"]
     # The next run has it all to do.
     monkeypatch.undo()
     assert nights_of(run(fleet, CSV)) == {CSV: NIGHTS}
-    check_same_tables(output_of(fleet), fitted_output, *EXCITED)
-
-
-def test_a_worker_that_dies_once_costs_nothing(
-    own_fleet: OwnFleet, fitted_output: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet(CSV, PARQUET)
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", killing(PARQUET, tmp_path / "killed"))
-    result = run(fleet, backend="loky")
-    assert (tmp_path / "killed").exists()
-    assert status_of(result) == {CSV: "ok", PARQUET: "ok"}
-    check_same_tables(output_of(fleet), fitted_output, CSV, PARQUET)
+    check_same_tables(output_of(fleet), fitted_output, CSV, PARQUET, MCAP)
 
 
 def test_a_fault_of_ours_costs_its_motor_alone(
@@ -535,8 +524,8 @@ def test_two_runs_never_write_at_once(own_fleet: OwnFleet) -> None:
             run(fleet)
         seen.append(str(caught.value))
 
-    loaded = load_fleet(fleet)
-    run_fleet(RunRequest(loaded), second)
+    sequential = load_fleet(fleet).execution.model_copy(update={"backend": "sequential"})
+    run_fleet(RunRequest(replace(load_fleet(fleet), execution=sequential)), second)
     (message,) = seen
     assert f"process {os.getpid()} on {socket.gethostname()} since 20" in message
     # It is free again, and the first run's tables are whole.

@@ -206,7 +206,7 @@ def test_one_that_was_read_before_is_as_it_was(workshop: Workshop) -> None:
 def test_a_folder_that_does_not_answer_costs_nothing_that_is_published(
     workshop: Workshop, tmp_path: Path
 ) -> None:
-    task = replace(workshop.task(), silent={"M1/*.parquet": SILENCE})
+    task = replace(workshop.task(), given_up=(replace(SILENCE, log="M1/*.parquet"),))
     outcome = run_motor(task)
     assert isinstance(outcome, MotorOutcome)
     assert (outcome.status, outcome.error_code) == ("failed", "log_no_answer")

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pipeline.config import Channel, load_fleet
 from pipeline.config.motors import COUNTED
 from pipeline.ingest import RawChannel, read_log
-from pipeline.setup.sampling_look import Kind, Look, configured, look_of, remark, words
+from pipeline.setup.sampling_look import Kind, Sampling, configured, look_of, remark, words
 from tests.pipeline.signals import (
     Signal,
     averaged,
@@ -50,7 +50,7 @@ def signal(name: str, seed: int) -> Signal:
     return noisy(rng, made, 0.5 * STEPS[name])
 
 
-def look(one: Signal, name: str = "pressure", resolution: float | None = None) -> Look:
+def look(one: Signal, name: str = "pressure", resolution: float | None = None) -> Sampling:
     blank = np.zeros(one.value.size, dtype=np.bool_)
     raw = RawChannel(stamps(one.time_s), one.value, blank, 0)
     step = STEPS[name] if resolution is None else resolution
@@ -256,13 +256,13 @@ def test_a_remark_where_look_and_config_disagree(
     channel = Channel.model_validate(PLAIN | config)
     kinds: set[Kind] = {"periodic", "irregular", "mean", "cumulative", "pulses"}
     for kind in kinds:
-        told = remark(channel, Look(kind, 10.0, 30.0, 0.01))
+        told = remark(channel, Sampling(kind, 10.0, 30.0, 0.01))
         assert bool(told) == (kind not in agreeing)
         if told:
             assert told.startswith(
-                f"configured as {configured(channel)}, looks {words(Look(kind, 10.0))}"
+                f"configured as {configured(channel)}, looks {words(Sampling(kind, 10.0))}"
             )
-    assert remark(channel, Look("unknown")) == ""
+    assert remark(channel, Sampling("unknown")) == ""
 
 
 def test_a_remark_says_what_to_write() -> None:
@@ -272,17 +272,17 @@ def test_a_remark_says_what_to_write() -> None:
         "mean": 'then sampling = "mean" and mean_of_s = 10',
         "pulses": 'then counts = "pulses", unit = "count" and volume_per_count_cm3',
     }.items():
-        assert remark(plain, Look(kind, 10.0, 30.0)).endswith(told)  # type: ignore[arg-type]
+        assert remark(plain, Sampling(kind, 10.0, 30.0)).endswith(told)  # type: ignore[arg-type]
 
 
 def test_regular_repeats_and_wrong_periods_are_told() -> None:
     sent = Channel.model_validate(PLAIN | SENT)
-    assert "45 % of them as the one before" in remark(sent, Look("periodic", 0.2, 0.2, 0.45))
+    assert "45 % of them as the one before" in remark(sent, Sampling("periodic", 0.2, 0.2, 0.45))
     means = Channel.model_validate(PLAIN | MEAN)
-    assert remark(means, Look("mean", 60.0)) != ""
-    assert remark(means, Look("periodic", 1.0)) != ""
+    assert remark(means, Sampling("mean", 60.0)) != ""
+    assert remark(means, Sampling("periodic", 1.0)) != ""
     total = Channel.model_validate(PLAIN | TOTAL)
-    assert remark(total, Look("periodic", 1.0)).endswith("it falls again and again")
+    assert remark(total, Sampling("periodic", 1.0)).endswith("it falls again and again")
 
 
 def test_nothing_of_the_demo_is_remarked_on(demo_folder: object) -> None:

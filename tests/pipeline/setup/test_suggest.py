@@ -27,11 +27,11 @@ from pipeline.ingest import RawLog, read_log
 from pipeline.setup.suggest import suggest
 from tests.pipeline.cli.test_cli import Call
 from tests.pipeline.cli.test_cli import call as call  # a fixture
-from tests.pipeline.ingest.dialects import (
+from tests.pipeline.setup.text_logs import (
     EPOCH,
-    Dialect,
     Label,
     Samples,
+    TextLog,
     in_unit,
     long,
     of_one_channel,
@@ -140,7 +140,7 @@ def test_what_is_suggested_reads_the_log(tmp_path: Path, dialect: dict[str, Any]
     times, samples = times_of(), samples_of()
     if "missing" in dialect:
         samples["speed"][4] = samples["leakage_flow"][7] = None
-    data = wide(Dialect(LABELS, **dialect), times, samples)
+    data = wide(TextLog(LABELS, **dialect), times, samples)
     path = log_in(tmp_path, data)
     toml = require_it_reads(tmp_path, path, times, samples)
     packed = log_in(tmp_path, gzip.compress(data), "log.csv.gz")
@@ -149,9 +149,9 @@ def test_what_is_suggested_reads_the_log(tmp_path: Path, dialect: dict[str, Any]
 
 
 def test_a_local_time_is_left_to_be_named(tmp_path: Path) -> None:
-    path = log_in(tmp_path, wide(Dialect(LABELS, time="%d.%m.%Y %H:%M"), times_of(), samples_of()))
+    path = log_in(tmp_path, wide(TextLog(LABELS, time="%d.%m.%Y %H:%M"), times_of(), samples_of()))
     assert 'time_zone = "UTC"  # the stamps name no zone: which is it?' in suggest(path)
-    path = log_in(tmp_path, wide(Dialect(LABELS, time="epoch_s"), times_of(), samples_of()))
+    path = log_in(tmp_path, wide(TextLog(LABELS, time="epoch_s"), times_of(), samples_of()))
     assert "time_zone" not in suggest(path)
 
 
@@ -164,7 +164,7 @@ DAY_OR_MONTH = r'day or month first\? The log begins on (.*) so, on (.*) with "(
 def test_a_date_that_can_be_read_in_two_ways_is_shown_in_both(tmp_path: Path) -> None:
     times, samples = times_of(start=datetime(2025, 3, 4, 6, tzinfo=UTC)), samples_of()
     for form, other in (("%d/%m/%Y", "%m/%d/%Y"), ("%m/%d/%Y", "%d/%m/%Y")):
-        path = log_in(tmp_path, wide(Dialect(LABELS, time=f"{form} %H:%M:%S"), times, samples))
+        path = log_in(tmp_path, wide(TextLog(LABELS, time=f"{form} %H:%M:%S"), times, samples))
         toml = suggest(path)
         said = re.search(DAY_OR_MONTH, toml)
         assert said is not None
@@ -191,13 +191,13 @@ def test_a_date_that_can_be_read_in_two_ways_is_shown_in_both(tmp_path: Path) ->
 @pytest.mark.parametrize("form", ["%d/%m/%Y %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d-%m-%Y %H:%M:%S"])
 def test_what_tells_day_from_month(tmp_path: Path, start: datetime, name: str, form: str) -> None:
     times, samples = times_of(start=start), samples_of()
-    path = log_in(tmp_path, wide(Dialect(LABELS, time=form), times, samples), name)
+    path = log_in(tmp_path, wide(TextLog(LABELS, time=form), times, samples), name)
     toml = require_it_reads(tmp_path, path, times, samples)
     assert "day or month" not in toml
 
 
 def test_a_year_of_two_digits_may_stand_first(tmp_path: Path) -> None:
-    path = log_in(tmp_path, wide(Dialect(LABELS, time="%y-%m-%d %H:%M"), times_of(), samples_of()))
+    path = log_in(tmp_path, wide(TextLog(LABELS, time="%y-%m-%d %H:%M"), times_of(), samples_of()))
     said = re.search(DAY_OR_MONTH, suggest(path))
     assert said is not None
     assert (said[1], said[2]) == ("13 March 2025", "25 March 2013")
@@ -206,7 +206,7 @@ def test_a_year_of_two_digits_may_stand_first(tmp_path: Path) -> None:
 def test_the_end_of_a_long_log_tells_day_from_month(tmp_path: Path) -> None:
     times = times_of(9000, datetime(2025, 3, 4, 6, tzinfo=UTC), step_s=120.0)
     samples = samples_of(9000)
-    path = log_in(tmp_path, wide(Dialect(LABELS, time="%m/%d/%Y %H:%M:%S"), times, samples))
+    path = log_in(tmp_path, wide(TextLog(LABELS, time="%m/%d/%Y %H:%M:%S"), times, samples))
     assert "day or month" not in require_it_reads(tmp_path, path, times, samples)
 
 
@@ -226,7 +226,7 @@ def test_the_end_of_a_long_log_tells_day_from_month(tmp_path: Path) -> None:
 )
 def test_a_row_a_sample(tmp_path: Path, dialect: dict[str, Any], grouped: bool) -> None:
     times, samples = times_of(2000), samples_of(2000)
-    path = log_in(tmp_path, long(Dialect(LABELS, **dialect), times, samples, grouped=grouped))
+    path = log_in(tmp_path, long(TextLog(LABELS, **dialect), times, samples, grouped=grouped))
     toml = require_it_reads(tmp_path, path, times, samples)
     assert 'layout = "long"' in toml
 
@@ -269,7 +269,7 @@ def test_units_in_a_column_of_a_long_log(tmp_path: Path) -> None:
 )
 def test_a_file_a_channel(tmp_path: Path, names: dict[str, str], dialect: dict[str, Any]) -> None:
     times, samples = times_of(), samples_of()
-    written = Dialect(LABELS, **dialect)
+    written = TextLog(LABELS, **dialect)
     paths = {
         channel: log_in(tmp_path, of_one_channel(written, times, samples, channel), name)
         for channel, name in names.items()
@@ -388,7 +388,7 @@ def test_a_mark_that_may_be_either_is_said(tmp_path: Path) -> None:
 
 def test_a_decimal_comma_between_commas_is_refused(tmp_path: Path) -> None:
     path = log_in(
-        tmp_path, wide(Dialect(LABELS, decimal=",", quoted=True), times_of(), samples_of())
+        tmp_path, wide(TextLog(LABELS, decimal=",", quoted=True), times_of(), samples_of())
     )
     with pytest.raises(LogError, match="another separator") as refused:
         suggest(path)
@@ -429,7 +429,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
 
 
 def test_the_command_prints_it(tmp_path: Path) -> None:
-    path = log_in(tmp_path, wide(Dialect(LABELS), times_of(), samples_of()))
+    path = log_in(tmp_path, wide(TextLog(LABELS), times_of(), samples_of()))
     result = CliRunner().invoke(app, ["check", "--suggest", str(path)])
     assert result.exit_code == 0
     assert result.output == suggest(path)
@@ -489,7 +489,7 @@ def labels(draw: st.DrawFn) -> dict[str, Label]:
 
 
 @st.composite
-def dialects(draw: st.DrawFn) -> Dialect:
+def dialects(draw: st.DrawFn) -> TextLog:
     separator = draw(st.sampled_from(",;\t|"))
     decimal = draw(st.sampled_from("." if separator == "," else ".,"))
     marks = {".", ",", "'", " ", "\u00a0"} - {separator, decimal}
@@ -500,7 +500,7 @@ def dialects(draw: st.DrawFn) -> Dialect:
         form, clock = draw(st.sampled_from(SPLIT))
     found = draw(labels())
     lines = ["Logger 7 of the mill", "Nr.: 4711", "", f"Anlage{separator}Presse 3", "Öl VG 68"]
-    return Dialect(
+    return TextLog(
         labels=found,
         layout=draw(st.sampled_from(["wide", "wide", "long", "file_per_channel"])),
         separator=separator,
@@ -530,7 +530,7 @@ MEANS = {"pressure": 200.0, "temperature": 50.0, "speed": 30.0, "flow": 2.0}
 
 
 @st.composite
-def recordings(draw: st.DrawFn, dialect: Dialect) -> tuple[list[datetime], dict[str, list[Any]]]:
+def recordings(draw: st.DrawFn, dialect: TextLog) -> tuple[list[datetime], dict[str, list[Any]]]:
     count = draw(st.integers(12, 30))
     day = draw(st.dates(datetime(2002, 1, 1).date(), datetime(2026, 6, 1).date()))
     start = datetime(day.year, day.month, day.day, draw(st.integers(0, 23)), tzinfo=UTC)
@@ -546,7 +546,7 @@ def recordings(draw: st.DrawFn, dialect: Dialect) -> tuple[list[datetime], dict[
     return times, samples
 
 
-def written(folder: Path, dialect: Dialect, times: Any, samples: Any) -> list[Path]:
+def written(folder: Path, dialect: TextLog, times: Any, samples: Any) -> list[Path]:
     if dialect.layout == "file_per_channel":
         return [
             log_in(
@@ -609,7 +609,7 @@ def test_any_parquet_reads_back_what_was_written(
     """Wide, nested or a row a sample; figures of any type; units in names or in the metadata."""
     draw = data.draw
     layout = draw(st.sampled_from(["wide", "nested", "long"]))
-    dialect = Dialect(draw(labels()), layout, units=draw(st.sampled_from(["name", "word"])))
+    dialect = TextLog(draw(labels()), layout, units=draw(st.sampled_from(["name", "word"])))
     times, samples = draw(recordings(dialect))
     number = draw(st.sampled_from([pa.float64(), pa.float32(), pa.decimal128(18, 6)]))
     columns = {

@@ -150,7 +150,7 @@ def test_status_tells_of_the_run_that_is_under_way(workshop: Workshop) -> None:
     ("state", "age_s", "words"),
     [
         ("running", 1, "a run is under way since "),
-        ("running", 61, "died or hangs: its last sign of life is of "),
+        ("running", 61, "died or hangs: last heartbeat "),
         ("failed", 999, "failed (store_write), 2 of 3 motors done"),
         ("finished", 999, None),
     ],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import json
+import shutil
 from pathlib import Path
 
 import polars as pl
@@ -26,7 +27,7 @@ from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
-    """Two nights, done; tests read it only."""
+    """Two nights, done; tests only read it."""
     made = Workshop.at(tmp_path_factory.mktemp("manifest"))
     for day in range(2):
         made.log(NIGHT + day * DAY, seed=day)
@@ -35,12 +36,10 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
 
 
 @pytest.fixture
-def own(tmp_path: Path) -> Workshop:
-    made = Workshop.at(tmp_path)
-    for day in range(2):
-        made.log(NIGHT + day * DAY, seed=day)
-    made.run()
-    return made
+def own(done: Workshop, tmp_path: Path) -> Workshop:
+    """A copy of it."""
+    shutil.copytree(done.folder, tmp_path / "copy")
+    return Workshop(tmp_path / "copy")
 
 
 def codes(output: Path) -> list[str]:

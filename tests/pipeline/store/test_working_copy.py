@@ -46,6 +46,15 @@ def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[Server]:
         yield found
 
 
+@pytest.fixture
+def shop(server: Server, tmp_path: Path) -> Workshop:
+    """A motor with one night that is published."""
+    made = Workshop.at(tmp_path)
+    made.log(FIRST)
+    run(made.fleet, made.output)
+    return made
+
+
 def run(fleet_file: Path, output: Path, **changed: Any) -> RunResult:
     fleet = load_fleet(fleet_file)
     how = fleet.execution.model_copy(update={"backend": "sequential"})
@@ -125,11 +134,8 @@ def test_queries_by_the_list_of_files_see_each_row_once(server: Server, tmp_path
     assert {key for key, _ in document["superseded"]} >= set(every) - set(keys)
 
 
-def test_a_query_engine_reads_the_list_itself(server: Server, tmp_path: Path) -> None:
+def test_a_query_engine_reads_the_list_itself(shop: Workshop, tmp_path: Path) -> None:
     """The words of `scale.md`, on a copy of the bucket on the disk."""
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
     copy, store = tmp_path / "bucket", ObjectStore.at(URL)
     for one in store.list():
         (copy / one.key).parent.mkdir(parents=True, exist_ok=True)
@@ -145,10 +151,9 @@ def test_a_query_engine_reads_the_list_itself(server: Server, tmp_path: Path) ->
     assert found == [("M1", FIRST, "ok")]
 
 
-def test_puts_that_fail_leave_what_was_published(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_puts_that_fail_leave_what_was_published(
+    server: Server, shop: Workshop, tmp_path: Path
+) -> None:
     before, tables = ObjectStore.at(URL).get(ROOT), published()
     shop.log(FIRST + DAY)
     for failing in ("files/", "lists/", ROOT):
@@ -178,19 +183,15 @@ def test_every_fourth_put_that_fails_costs_nothing(server: Server, tmp_path: Pat
     assert published() == table_files(shop.output)
 
 
-def test_pull_makes_a_copy_to_read_from(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_pull_makes_a_copy_to_read_from(shop: Workshop, tmp_path: Path) -> None:
     fleet = replace(load_fleet(shop.fleet), output=tmp_path / "copy", object_store=URL)
     assert refresh(fleet) == len(read_snapshot(ObjectStore.at(URL)).files)
     assert table_files(tmp_path / "copy") == table_files(shop.output)
 
 
-def test_of_two_runs_at_a_time_one_is_published(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_of_two_runs_at_a_time_one_is_published(
+    server: Server, shop: Workshop, tmp_path: Path
+) -> None:
     shop.log(FIRST + DAY)
     raced: list[RunResult] = []
 
@@ -209,10 +210,7 @@ def test_of_two_runs_at_a_time_one_is_published(server: Server, tmp_path: Path) 
     assert table_files(shop.output) == published()
 
 
-def test_an_interrupted_run_s_folder_is_brought_back(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_an_interrupted_run_s_folder_is_brought_back(shop: Workshop) -> None:
     tables = table_files(shop.output)
     (fits,) = (shop.output / "tables" / "fits").rglob("*.parquet")
     store = ObjectStore.at(URL)
@@ -231,12 +229,9 @@ def test_an_interrupted_run_s_folder_is_brought_back(server: Server, tmp_path: P
 
 @pytest.mark.parametrize("name", ["tables/predictions", "tables/trends", "manifest"])
 def test_what_is_gone_from_a_copy_is_brought_back_and_not_from_the_store(
-    server: Server, tmp_path: Path, name: str
+    shop: Workshop, name: str
 ) -> None:
     """A run took what its folder lacked for removed, and published that."""
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
     (path,) = (shop.output / name / "month=2026-01").glob(f"{FIRST}.*")
     tables, content = published(), path.read_bytes()
     path.unlink()
@@ -299,10 +294,7 @@ def test_a_folder_with_tables_of_its_own_is_no_copy(server: Server, tmp_path: Pa
     assert error.value.code == "store_copy"
 
 
-def test_a_damaged_object_is_not_believed(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_a_damaged_object_is_not_believed(shop: Workshop, tmp_path: Path) -> None:
     store = ObjectStore.at(URL)
     entry = read_snapshot(store).files[f"tables/fits/month=2026-01/{FIRST}.parquet"]
     found = store.get(entry.key)
@@ -327,10 +319,9 @@ def test_nothing_is_published_without_credentials(
 # A run that is not published
 
 
-def test_a_run_into_another_output_is_private(server: Server, tmp_path: Path) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_a_run_into_another_output_is_private(
+    server: Server, shop: Workshop, tmp_path: Path
+) -> None:
     shop.log(FIRST + DAY)
     url = f'[folders]\nobject_store = "{URL}"\n'
     shop.fleet.write_text(shop.fleet.read_text("utf-8").replace("[folders]\n", url), "utf-8")
@@ -344,12 +335,7 @@ def test_a_run_into_another_output_is_private(server: Server, tmp_path: Path) ->
     assert published().keys() == table_files(tmp_path / "private").keys()
 
 
-def test_a_working_copy_is_not_written_to_without_being_published(
-    server: Server, tmp_path: Path
-) -> None:
-    shop = Workshop.at(tmp_path)
-    shop.log(FIRST)
-    run(shop.fleet, shop.output)
+def test_a_working_copy_is_not_written_to_without_being_published(shop: Workshop) -> None:
     tables = table_files(shop.output)
     shop.log(FIRST + DAY)
     with pytest.raises(StoreError, match="is the working copy of an object store") as error:

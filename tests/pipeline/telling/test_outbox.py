@@ -16,6 +16,8 @@ import pytest
 from pipeline.errors import StoreError
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, frame
+from pipeline.store import sealed
+from pipeline.store.sealed import DamagedError, put_sealed
 from pipeline.store.tables import night_file, write_table
 from pipeline.telling import outbox as module
 from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
@@ -23,10 +25,11 @@ from pipeline.telling.delivery import Delivery, UndeliveredError
 from pipeline.telling.outbox import (
     MOST_CHANGES,
     OUTBOX_FILES,
+    Outbox,
     backlogs,
     open_outbox,
-    parsed,
     read_outbox,
+    read_outbox_file,
     take_up,
     write_outbox,
 )
@@ -346,7 +349,7 @@ def test_either_of_its_files_is_enough(
     assert [one["change"] for one in receiver.changes()] == ["new"]
     contents = {(tmp_path / one).read_bytes() for one in OUTBOX_FILES}
     assert len(contents) == 1
-    after = parsed(contents.pop())
+    after = read_outbox(tmp_path)
     assert before is not None
     assert after is not None
     assert after.known == before.known
@@ -377,10 +380,13 @@ def test_without_both_the_receivers_begin_anew_and_the_run_says_so(
         {"known": [1]},
     ],
 )
-def test_a_sealed_file_of_another_shape_is_damaged(harm: dict[str, Any]) -> None:
-    sound = {"queues": {}, "known": [], "stamps": {}}
-    assert parsed(module.seal(sound)) is not None
-    assert parsed(module.seal(sound | harm)) is None
+def test_a_sealed_file_of_another_shape_is_damaged(tmp_path: Path, harm: dict[str, Any]) -> None:
+    path, sound = tmp_path / OUTBOX_FILES[0], {"queues": {}, "known": [], "stamps": {}}
+    put_sealed(path, sound)
+    assert read_outbox_file(path) == Outbox()
+    put_sealed(path, sound | harm)
+    with pytest.raises(DamagedError, match="is damaged"):
+        read_outbox_file(path)
 
 
 def test_one_that_cannot_be_read_is_not_taken_for_none(
@@ -391,7 +397,7 @@ def test_one_that_cannot_be_read_is_not_taken_for_none(
     def unreadable(path: Path) -> bytes:
         raise OSError(5, "Input/output error", str(path))
 
-    monkeypatch.setattr(module, "read", unreadable)
+    monkeypatch.setattr(sealed, "read", unreadable)
     with pytest.raises(StoreError, match="cannot be read: Input/output error"):
         read_outbox(tmp_path)
 
@@ -446,7 +452,7 @@ def test_nothing_is_written_where_nothing_changed(
     def forbidden(*_: Any) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(module, "put", forbidden)
+    monkeypatch.setattr(sealed, "put", forbidden)
     with caplog.at_level(logging.WARNING):
         run(tmp_path, [], receiver)
     assert caplog.text == ""

@@ -73,6 +73,15 @@ def test_a_changed_line_is_left_out(tmp_path: Path, spoil: object) -> None:
     assert [one.motor_id for one in read_decisions(tmp_path)] == ["M3"]
 
 
+def test_a_line_of_an_older_version_is_read(tmp_path: Path) -> None:
+    """They had 16 digits of the SHA-256; nobody can say again what people said."""
+    record_decision(tmp_path, SAID)
+    document = json.loads(journal_file(tmp_path).read_bytes())
+    document["sha256"] = document["sha256"][:16]
+    journal_file(tmp_path).write_text(json.dumps(document) + "\n", "utf-8")
+    assert read_decisions(tmp_path) == (SAID,)
+
+
 def test_many_may_write_at_once(tmp_path: Path) -> None:
     said = [replace(SAID, motor_id=f"M{number}", note="x" * 500) for number in range(40)]
     with ThreadPoolExecutor(8) as pool:

@@ -167,7 +167,7 @@ def refit(fleet: Fleet) -> None:
 
 
 def written_anew(fleet: Fleet) -> None:
-    """The same rows in other files, as `migrate` leaves them, and a night more."""
+    """The same rows in other files, and a night more."""
     fleet.publish(*range(8, 20))
 
 

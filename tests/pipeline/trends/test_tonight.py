@@ -13,11 +13,12 @@ import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
-import pipeline.run.fleet
+import pipeline.run.publishing
 from pipeline.config import load_fleet
 from pipeline.logs import files as logs
 from pipeline.report.explain import explain
-from pipeline.run.fleet import RunRequest, RunResult, fleets_tonight, run_fleet
+from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.publishing import fleets_tonight
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, TRENDS, Table
 from pipeline.store.tables import nights_back, read_rows
@@ -125,7 +126,7 @@ def poisoned(watched: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(watched, folder)
     junk(folder, f"x_{WRONG}.parquet")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pipeline.run.fleet, "fleets_tonight", lambda *_: Tonight(WRONG))
+        patch.setattr(pipeline.run.publishing, "fleets_tonight", lambda *_: Tonight(WRONG))
         run(folder, clock=at(WRONG))
     assert rows(folder, FITS).filter(night=WRONG)["status"].to_list() == ["failed"]
     newest = rows(folder, TRENDS).filter(night=WRONG, indicator="K_piston_ring")

@@ -207,7 +207,7 @@ def test_a_scheduler_that_does_not_answer_is_no_error_of_a_task(tmp_path: Path) 
     client: Any = SimpleNamespace(nthreads=gone)
     engine = DaskEngine(client, Execution(backend="dask"), Surroundings({}))
     # How many tasks with much to carry may be in flight depends on how many workers there are.
-    joining = SimpleNamespace(parts=("a",), staging=tmp_path)
+    joining = SimpleNamespace(chunks=("a",), staging=tmp_path)
     flight = _Flight(engine, abs, {0: joining, 1: joining, 2: joining})
     flight.waiting.extend([0, 1, 2])
     assert [flight._may_send() for _ in range(3)] == [[0], [1], [2]]

@@ -18,6 +18,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
+import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
@@ -47,6 +48,10 @@ TIMEOUT_S = 5.0
 
 def execution(workers: int = 2, timeout_s: float = TIMEOUT_S) -> Execution:
     return Execution(workers=workers, timeout_s=timeout_s, memory_limit_mib=MEMORY_MIB)
+
+
+def not_lost(_: object, loss: Loss) -> Any:
+    raise AssertionError(loss)
 
 
 def results(tasks: Sequence[str], how: Execution) -> tuple[set[str], dict[str, Loss]]:
@@ -117,10 +122,7 @@ def test_a_single_task_and_a_single_worker_are_isolated_too() -> None:
 
 
 def test_each_part_has_the_whole_time() -> None:
-    def lost(_: int, loss: Loss) -> int:
-        raise AssertionError(loss)
-
-    assert list(run_tasks(slow_by_parts, [2], lost, execution())) == [2]
+    assert list(run_tasks(slow_by_parts, [2], not_lost, execution())) == [2]
 
 
 @pytest.mark.parametrize(
@@ -142,9 +144,9 @@ def test_a_log_that_a_task_waits_for_is_named(asked: bool, how: str) -> None:
 def test_the_first_time_nobody_is_waited_for() -> None:
     losses: list[Loss] = []
     limits = execution(timeout_s=60.0).model_copy(update={"answer_s": 0.5})
-    with Crew() as crew:
+    with Crew(limits) as crew:
         tasks = ["hang_in_python", "kill", "good"]
-        done = crew.run_tasks(do, tasks, lambda _, loss: losses.append(loss), limits, first=True)
+        done = crew.run_tasks(do, tasks, lambda _, loss: losses.append(loss), first=True)
         assert [one for one in done if one is not None] == ["good done"]
     assert sorted(loss.code for loss in losses) == ["task_timeout", "worker_died"]
     assert (
@@ -155,49 +157,36 @@ def test_the_first_time_nobody_is_waited_for() -> None:
 
 def test_many_files_take_as_long_as_they_take() -> None:
     """Each answers; together they take longer than one task may be silent."""
-
-    def lost(_: int, loss: Loss) -> int:
-        raise AssertionError(loss)
-
     limits = execution().model_copy(update={"answer_s": 2.0})
-    with Crew() as crew:
-        done = crew.run_tasks(slow_by_items, [3 * ITEMS_A_SIGN], lost, limits, first=True)
+    with Crew(limits) as crew:
+        done = crew.run_tasks(slow_by_items, [3 * ITEMS_A_SIGN], not_lost, first=True)
         assert list(done) == [3 * ITEMS_A_SIGN]
 
 
 def test_a_task_that_is_lost_once_is_done_the_second_time(tmp_path: Path) -> None:
-    def lost(_: str, loss: Loss) -> str:
-        raise AssertionError(loss)
-
-    assert list(run_tasks(die_once, [str(tmp_path / "died")], lost, execution())) == ["done"]
+    assert list(run_tasks(die_once, [str(tmp_path / "died")], not_lost, execution())) == ["done"]
     assert (tmp_path / "died").exists()
 
 
 def test_workers_stay_for_the_tasks_that_follow() -> None:
-    def lost(_: int, loss: Loss) -> int:
-        raise AssertionError(loss)
-
-    with Crew(2, ["json"]) as crew:
-        first = set(crew.run_tasks(own_pid, range(6), lost, execution()))
-        assert set(crew.run_tasks(own_pid, range(6), lost, execution())) <= first
+    with Crew(execution()) as crew:
+        first = set(crew.run_tasks(own_pid, range(6), not_lost))
+        assert set(crew.run_tasks(own_pid, range(6), not_lost)) <= first
         assert len(first) <= 2
         # One that nobody waits for any more is ended, and there is another for what follows.
-        slow = crew.run_tasks(own_pid_slowly, [0.0, 60.0], lost, execution())
+        slow = crew.run_tasks(own_pid_slowly, [0.0, 60.0], not_lost)
         next(slow)
         slow.close()  # type: ignore[attr-defined]
-        assert len(list(crew.run_tasks(own_pid, range(6), lost, execution()))) == 6
+        assert len(list(crew.run_tasks(own_pid, range(6), not_lost))) == 6
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="counts processes in /proc")
 def test_the_second_time_it_is_alone(tmp_path: Path) -> None:
     markers = [str(tmp_path / name) for name in "ab"]
 
-    def lost(_: str, loss: Loss) -> int:
-        raise AssertionError(loss)
-
     # Other tests may have left idle workers to this process.
     idle = workers_of(os.getpid())
-    beside = list(run_tasks(count_beside_or_die, markers, lost, execution()))
+    beside = list(run_tasks(count_beside_or_die, markers, not_lost, execution()))
     assert len(beside) == 2
     assert max(beside) <= idle
 
@@ -273,10 +262,8 @@ def test_no_worker_outlives_the_run(tmp_path: Path, number: signal.Signals) -> N
 # A motor of a fleet
 
 
-def fit(
-    fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str | None, **how: Any
-) -> RunResult:
-    """Run a fleet in which one motor misbehaves, in all its work or in one night of it."""
+def fit(fleet_file: Path, monkeypatch: pytest.MonkeyPatch, what: str, night: str) -> RunResult:
+    """Run a fleet in which one motor misbehaves in a night."""
 
     def run_or_misbehave(task: MotorTask) -> MotorOutcome:
         if task.spec.motor_id == BAD:
@@ -284,18 +271,16 @@ def fit(
         return run_motor(task)
 
     fleet = load_fleet(fleet_file)
-    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500} | how)
+    limits = execution().model_copy(update={"timeout_s": 20.0, "memory_limit_mib": 1500})
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.run.fleet, "run_motor", run_or_misbehave)
         return run_fleet(RunRequest(replace(fleet, execution=limits)))
 
 
-def misbehave_at(night: str | None, what: str) -> None:
-    """In a worker: have the fit of a night misbehave; at once if no night is named."""
+def misbehave_at(night: str, what: str) -> None:
+    """In a worker: have the fit of a night misbehave."""
     import pipeline.run.motor_task as module
 
-    if night is None:
-        MISBEHAVIOUR[what]()
     fit_night = module.fit_night
 
     def fit_or_misbehave(spec: Any, here: Any, *arguments: Any) -> Any:
@@ -321,33 +306,13 @@ def output_of(fleet_file: Path) -> Path:
     return fleet_file.parent.parent / "out"
 
 
-def test_a_motor_that_takes_its_worker_along_costs_no_other_anything(
-    own_fleet: OwnFleet, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    fleet = own_fleet(GOOD, BAD, OTHER)
-    result = fit(fleet, monkeypatch, "segfault", None)
-    assert {one.motor_id: one.status for one in result.outcomes} == {
-        GOOD: "ok",
-        BAD: "failed",
-        OTHER: "ok",
-    }
-    for motor in (GOOD, OTHER):
-        assert_frame_equal(fits(output_of(fleet), motor), fits(fitted_output, motor))
-    row = outcome_rows(output_of(fleet))[BAD]
-    assert (row["status"], row["error_code"]) == ("failed", "worker_died")
-    assert "SIGSEGV, in string_at" in row["message"]
-    assert fits(output_of(fleet), BAD).is_empty()
-
-
 @pytest.mark.parametrize(
     ("what", "code"),
     [
         ("kill", "worker_died"),
         pytest.param("hang_in_c", "task_timeout", marks=pytest.mark.full),
-        pytest.param("eat_with_polars", "task_memory", marks=pytest.mark.full),
         pytest.param("eat_with_numpy", "task_memory", marks=pytest.mark.full),
         pytest.param("panic", "internal", marks=pytest.mark.full),
-        pytest.param("raise_error", "internal", marks=pytest.mark.full),
     ],
 )
 def test_a_night_that_takes_its_worker_along_costs_no_other_night(
@@ -392,7 +357,7 @@ def test_trends_that_take_their_worker_along_cost_their_motor_alone(
         module.indicators_of = die
         return run_trends(task)
 
-    monkeypatch.setattr(pipeline.run.fleet, "run_trends", run_or_die)
+    monkeypatch.setattr(pipeline.run.publishing, "run_trends", run_or_die)
     limits = execution().model_copy(update={"timeout_s": 60.0, "memory_limit_mib": 1500})
     result = run_fleet(RunRequest(replace(load_fleet(fleet), execution=limits)))
     assert [one.motor_id for one in result.failed] == [BAD]
@@ -420,7 +385,7 @@ def wait(task):
     while True:
         signal.pause()
 
-pipeline.run.fleet.run_trends = wait
+pipeline.run.publishing.run_trends = wait
 main()
 """
 

@@ -417,13 +417,15 @@ module motor_msgs {
     {
       builtin_interfaces::msg::Time stamp;
       @unit(value="bar") @range(min=-1.0, max=1e3)
-      double high, low;
+      double high;
+      double low;
       short__6 grid;
       sequence<sequence<double> > rows;
       Rows row;
       motor_msgs__msg__Port__2 ports;
       @default (value=123)
-      octet side, after;  // as a number
+      octet side;
+      octet after;  // as a number
       sequence<string<16>, Hydraulics_Constants::PORTS> names;
       boolean running;
       char letter;
@@ -506,7 +508,9 @@ def idl_of(members: str, others: str = "") -> str:
         (idl_of("double value; @optional long more;"), "value", "log_encoding"),
         (idl_of("double value; long more[2 + 2];"), "value", "log_encoding"),
         (idl_of("double value; long more[SIZE];", "const long SIZE = 2;"), "value", "log_encoding"),
-        (idl_of("double value; map<string, double> more;"), "value", "log_damaged"),
+        (idl_of("double value; long more[2][2];"), "value", "log_encoding"),
+        (idl_of("double value; long one, two;"), "value", "log_encoding"),
+        (idl_of("double value; map<string> more;"), "value", "log_damaged"),
         (idl_of("double value; U more;", "union U switch (long) { };"), "value", "log_damaged"),
         (idl_of("double value; E more;", "enum E { A, C };"), "value", "log_damaged"),
         (idl_of("double value; S more;", "struct S : T { long a; };"), "value", "log_damaged"),

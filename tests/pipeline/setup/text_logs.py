@@ -1,4 +1,4 @@
-"""Logs as text in any dialect, for what reads a dialect off a log.
+"""Text logs in any dialect, for tests of suggestions.
 
 The forms are written out here from their definitions and know nothing of the readers.
 """
@@ -34,7 +34,7 @@ Samples = Mapping[str, Sequence[float | None]]
 
 @dataclass(frozen=True)
 class Label:
-    """What a channel is called in a log, its unit, and how that is spelled there."""
+    """Name of a channel in a log, its unit, and the spelling of the unit there."""
 
     name: str
     unit: str
@@ -42,8 +42,8 @@ class Label:
 
 
 @dataclass(frozen=True)
-class Dialect:
-    """How a text log is written.
+class TextLog:
+    """Form of a text log.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class Dialect:
     clock
         Form of the time of day, where it has a column of its own; `time` is then the date's.
     units
-        Where units stand: "name" ("p [bar]"), "word" ("p_bar"), "row" (a line below the header)
+        Place of the units: "name" ("p [bar]"), "word" ("p_bar"), "row" (a line below the header)
         or "nowhere".
     columns
         Order of the columns, time included; "extra" is one that is no channel.
@@ -139,7 +139,7 @@ def in_unit(value: float, unit: str) -> float:
     return value + 273.15 if unit == "K" else value * PER_CANONICAL.get(unit, 1.0)
 
 
-def wide(dialect: Dialect, times: Sequence[datetime], samples: Samples) -> bytes:
+def wide(dialect: TextLog, times: Sequence[datetime], samples: Samples) -> bytes:
     """A column a channel, and one that is none."""
     order = dialect.columns or ("time", *samples)
     head: list[str] = []
@@ -161,11 +161,11 @@ def wide(dialect: Dialect, times: Sequence[datetime], samples: Samples) -> bytes
     return dialect.table(rows, units)
 
 
-def _name(dialect: Dialect, column: str) -> str:
+def _name(dialect: TextLog, column: str) -> str:
     return dialect.label(column) if column in dialect.labels else "operator"
 
 
-def long(dialect: Dialect, times: Sequence[datetime], samples: Samples, *, grouped: bool) -> bytes:
+def long(dialect: TextLog, times: Sequence[datetime], samples: Samples, *, grouped: bool) -> bytes:
     """A row a sample; `grouped`: all of a channel before the next."""
     rows = [
         [*dialect.stamps(moment), dialect.label(name), dialect.number(name, samples[name][i])]
@@ -180,7 +180,7 @@ def long(dialect: Dialect, times: Sequence[datetime], samples: Samples, *, group
 
 
 def of_one_channel(
-    dialect: Dialect, times: Sequence[datetime], samples: Samples, channel: str
+    dialect: TextLog, times: Sequence[datetime], samples: Samples, channel: str
 ) -> bytes:
     """The file of a channel."""
     rows = [

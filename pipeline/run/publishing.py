@@ -1,0 +1,146 @@
+"""Publishing of a run: nights of its motors, then their trends."""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pipeline.clock import latest_us
+from pipeline.config import Fleet, MotorSpec
+from pipeline.config.hashes import settings_of
+from pipeline.config.nights import night_of
+from pipeline.errors import EngineError, StoreError
+from pipeline.logs.ledger import Ledger, forget_nights, write_months, write_settings
+from pipeline.run.tasks import MotorOutcome
+from pipeline.schema import (
+    ALARMS,
+    DATA_DICTIONARY,
+    DECISIONS,
+    NIGHT_TABLES,
+    TREND_TABLES,
+    TRENDS,
+    data_dictionary,
+    frame,
+)
+from pipeline.store.interrupts import interrupts_held
+from pipeline.store.publishing import Publisher
+from pipeline.trends.decisions import read_decisions
+from pipeline.trends.record import forget_records, note_touched, write_record
+from pipeline.trends.stage import (
+    TrendOutcome,
+    lost_trends,
+    run_trends,
+    trend_tasks,
+    with_q_values,
+    without_lost_motor,
+)
+from pipeline.trends.tonight import Tonight, tonight_of
+from pipeline.workers.engine import RunTasks, results_of
+from pipeline.workers.process import Loss
+
+log = logging.getLogger(__name__)
+
+# A task of trends reads the tables of all its motors at once.
+MOTORS_A_TREND_TASK = 32
+
+
+def publish_motors(
+    publisher: Publisher, outcomes: Sequence[MotorOutcome], specs: Mapping[str, MotorSpec]
+) -> int:
+    """Publish what the motors' tasks have staged, then what was remembered of it."""
+    for outcome in outcomes:
+        if outcome.nights:
+            note_touched(publisher.output, outcome.motor_id, min(outcome.nights))
+    # Of a motor without a new night there may be the row of a log that is of none.
+    staged = [outcome.motor_id for outcome in outcomes if outcome.finished]
+    publisher.nights(NIGHT_TABLES, staged, forget_nights)
+    publisher.whole(DATA_DICTIONARY, data_dictionary())
+    for outcome in outcomes:
+        write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
+        if outcome.finished:
+            spec = specs[outcome.motor_id]
+            write_settings(publisher.output, outcome.motor_id, settings_of(spec))
+    return sum(len(outcome.nights) for outcome in outcomes)
+
+
+def _remembered(publisher: Publisher, outcome: MotorOutcome) -> Mapping[str, Ledger]:
+    """The ledger of a motor, but for nights whose published rows were lost."""
+    months = dict(outcome.ledger)
+    for night, kept in publisher.lost.items():
+        if outcome.motor_id not in kept:
+            months = {month: ledger.without({night}) for month, ledger in months.items()}
+    return months
+
+
+def publish_trends(
+    fleet: Fleet,
+    clock: dt.datetime,
+    publisher: Publisher,
+    outcomes: Sequence[MotorOutcome],
+    run_tasks: RunTasks,
+) -> tuple[Mapping[str, Loss], list[Mapping[str, Any]], bool]:
+    """Make and publish the trends of the run's motors.
+
+    Returns failures by motor, new alarms, and whether an interrupt came while publishing.
+    """
+    decisions = read_decisions(fleet.output)
+    said = [asdict(one) | {"run_id": publisher.run_id} for one in decisions]
+    publisher.whole(DECISIONS, frame(DECISIONS, said).sort(DECISIONS.key))
+    changed = {one.motor_id: min(one.nights, default=None) for one in outcomes}
+    try:
+        tonight = fleets_tonight(fleet, clock)
+    except StoreError as error:
+        return dict.fromkeys(changed, Loss(error.code, error.message)), [], False
+    if tonight is None:
+        return {}, [], False
+    tasks = trend_tasks(
+        fleet.motors,
+        fleet.output,
+        publisher.staging,
+        changed,
+        tonight,
+        decisions,
+        MOTORS_A_TREND_TASK,
+    )
+    made: list[TrendOutcome] = []
+    try:
+        made += results_of(run_tasks, run_trends, tasks, lost_trends, without_lost_motor)
+    except EngineError as error:  # the nights are published: the next run makes the trends
+        log.warning("%s; the next run makes the trends", error)
+        made = [lost_trends(task, Loss(error.code, error.message)) for task in tasks]
+    failures = {motor_id: loss for one in made for motor_id, loss in one.failures.items()}
+    # All tasks first: a night's q-values are over the slopes of the whole fleet.
+    with interrupts_held() as came:
+        alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
+    return failures, alarms, bool(came)
+
+
+def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:
+    """Tonight, as `tonight_of`, by the clock of a run."""
+    latest = night_of(latest_us(clock), fleet.settings.nights)
+    return tonight_of(fleet.output, [spec.motor_id for spec in fleet.motors], latest)
+
+
+def _publish_trend_rows(
+    publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
+) -> list[Mapping[str, Any]]:
+    """Publish what the tasks have staged; returns the new rows of `alarms`."""
+    fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
+    lost: list[Collection[str]] = []
+
+    def forget(output: Path, _: Collection[dt.date], keep: Collection[str]) -> None:
+        lost.append(keep)
+        forget_records(output, keep)
+
+    finish = partial(with_q_values, false_discovery_rate=false_discovery_rate)
+    publisher.nights(TREND_TABLES, fresh, forget, {TRENDS.name: finish})
+    for motor_id, record in [item for one in made for item in one.records.items()]:
+        if all(motor_id in keep for keep in lost):
+            write_record(publisher.output, motor_id, record)
+    new = [row for one in made for row in one.alarms]
+    return sorted(new, key=lambda row: tuple(str(row[name]) for name in ALARMS.key))

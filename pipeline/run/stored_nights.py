@@ -1,0 +1,80 @@
+"""Published rows of a motor's nights, read month by month for a fit without a log."""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+
+from pipeline.config import MotorSpec
+from pipeline.errors import StoreError
+from pipeline.night.fit_night import NightOutcome, PreviousModel
+from pipeline.night.refit import PublishedNight, judge_again, refit
+from pipeline.night.stored_blocks import BLOCK_COLUMNS
+from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, Table
+from pipeline.store.tables import read_rows
+
+log = logging.getLogger(__name__)
+
+
+class StoredNights:
+    """The published nights of a motor."""
+
+    def __init__(self, output: Path, spec: MotorSpec, *, with_starts: bool = False) -> None:
+        self._output = output
+        self._spec = spec
+        self._with_starts = with_starts
+        self._month = ""
+        self._nights: dict[str, dict[dt.date, pl.DataFrame]] = {}
+
+    def refit(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+        """Fit a night anew; None where the log has to be read."""
+        night = PublishedNight(
+            label,
+            self._rows(FITS, label),
+            self._rows(PARAMETERS, label),
+            self._of_night(BLOCK_STATISTICS, label),
+        )
+        return refit(self._spec, night, previous, with_starts=self._with_starts)
+
+    def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+        """Judge another model before on a night; None where the log has to be read."""
+        night = PublishedNight(label, self._rows(FITS, label), (), None)
+        return judge_again(self._spec, night, previous)
+
+    def refitted(self) -> set[dt.date]:
+        """Nights whose fits were made from their published rows."""
+        try:
+            columns = ("night", "is_refitted")
+            rows = read_rows(self._output, FITS, [self._spec.motor_id], columns)
+        except StoreError:
+            return set()
+        return set(rows.filter("is_refitted")["night"])
+
+    def _rows(self, table: Table, label: dt.date) -> list[dict[str, Any]]:
+        """Rows of the motor in a night; none where its month's files are absent or damaged."""
+        rows = self._of_night(table, label)
+        return [] if rows is None else rows.to_dicts()
+
+    def _of_night(self, table: Table, label: dt.date) -> pl.DataFrame | None:
+        month = f"{label:%Y-%m}"
+        if month != self._month:
+            self._nights, self._month = {}, month
+        if table.name not in self._nights:
+            self._nights[table.name] = self._read(table, month)
+        return self._nights[table.name].get(label)
+
+    def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
+        columns = BLOCK_COLUMNS
+        if table is not BLOCK_STATISTICS:
+            columns = tuple(name for name in table.schema if name != "run_id")
+        try:
+            rows = read_rows(self._output, table, [self._spec.motor_id], columns, month)
+        except StoreError as error:
+            log.warning("%s; no night of %s is made from it", error, month)
+            return {}
+        nights = rows.sort(table.key).partition_by("night", as_dict=True, maintain_order=True)
+        return {key[0]: part for key, part in nights.items()}

@@ -1,0 +1,113 @@
+"""States and trends as the report reads them from the published tables."""
+
+from __future__ import annotations
+
+import datetime as dt
+from typing import Any
+
+from pipeline.report.status import motor_state
+from pipeline.report.tables import ReportTables
+from pipeline.report.trends import motor_states, trend_payload
+from pipeline.schema import (
+    ALARMS,
+    BASELINES,
+    CHANGE_POINTS,
+    FITS,
+    PARAMETERS,
+    TRENDS,
+    frame,
+)
+from pipeline.trends.decisions import Decision
+from tests.pipeline.report.nights import FIRST, ONE_DAY, fit
+from tests.pipeline.report.packed import unpacked
+
+
+def trend(motor: str, number: int, indicator: str, state: str, **more: Any) -> dict[str, Any]:
+    row = {"motor_id": motor, "night": FIRST + number * ONE_DAY, "indicator": indicator}
+    row |= {"value": 1.0 + number, "unit": "l/min", "baseline_mean": 1.0, "n_slope": 30}
+    return row | {"state": state, "sensor_health": "ok"} | more
+
+
+def tables(decisions: tuple[Decision, ...] = ()) -> ReportTables:
+    trends = [
+        trend("M", 0, "reference_leakage", "alarm"),
+        trend("M", 1, "reference_leakage", "ok", slope_per_year=0.2, deviation_percent=3.0),
+        trend("M", 1, "K_balance_sleeve", "warning", state_reason="sleeve +38 % [29, 47]"),
+        trend("M", 1, "leakage_balance_sleeve", "warning", n_slope=None),
+        trend("N", 0, "reference_leakage", "stale", state_reason="no figure for 8 nights"),
+        trend("O", 0, "reference_leakage", "ok", sensor_health="drifted"),
+    ]
+    alarm = {"motor_id": "M", "indicator": "K_balance_sleeve", "from_state": "ok"}
+    alarm |= {"to_state": "warning", "reason": "sleeve +38 %", "night": FIRST + ONE_DAY}
+    baseline = {"motor_id": "M", "indicator": "reference_leakage", "start": FIRST, "end": FIRST}
+    changes = {"motor_id": "M", "indicator": "reference_leakage", "size_percent": 5.0}
+    return ReportTables(
+        fits=frame(FITS, [fit(0), fit(1)]),
+        parameters=frame(PARAMETERS, []),
+        trends={
+            "trends": frame(TRENDS, trends),
+            "alarms": frame(ALARMS, [alarm | {"time": dt.datetime(2026, 1, 2, 6, tzinfo=dt.UTC)}]),
+            "baselines": frame(
+                BASELINES,
+                [baseline | {"night": FIRST + n * ONE_DAY, "mean": 1.0 + n} for n in range(2)],
+            ),
+            "change_points": frame(
+                CHANGE_POINTS,
+                [
+                    changes | {"night": FIRST + n * ONE_DAY, "change_night": FIRST + m * ONE_DAY}
+                    for n, m in ((0, 0), (1, 1))
+                ],
+            ),
+        },
+        decisions=decisions,
+    )
+
+
+SEEN = Decision(
+    motor_id="M",
+    indicator="K_balance_sleeve",
+    time=dt.datetime(2026, 1, 3, 9, tzinfo=dt.UTC),
+    kind="acknowledged",
+    night=FIRST + ONE_DAY,
+    note="ordered a sleeve",
+)
+
+
+def test_states_are_those_of_the_command_status() -> None:
+    read = tables((SEEN,))
+    found = motor_states(read, ["M", "N", "new"])
+    for motor_id, said in {"M": [SEEN], "N": [], "new": []}.items():
+        trends, fits = read.trends["trends"], read.fits
+        own = (trends.filter(motor_id=motor_id), fits.filter(motor_id=motor_id))
+        assert found[motor_id] == motor_state(motor_id, *own, said)
+    assert found["M"].why == "sleeve +38 % [29, 47] (acknowledged: ordered a sleeve)"
+    assert (found["new"].state, found["new"].why) == ("insufficient", "no night yet")
+
+
+def test_without_trends_each_motor_has_a_state() -> None:
+    read = ReportTables(frame(FITS, [fit(0)]), frame(PARAMETERS, []))
+    assert motor_states(read, ["M"])["M"].why == "no trends yet"
+
+
+def test_trends_of_a_motor_go_to_its_page_and_no_other_s() -> None:
+    payload = trend_payload("M", tables((SEEN,)))
+    # The one that asks for attention first, and of these what alarms are raised on.
+    assert [one["indicator"] for one in payload["indicators"]] == [
+        "K_balance_sleeve",
+        "leakage_balance_sleeve",
+        "reference_leakage",
+    ]
+    leakage = payload["indicators"][2]
+    assert leakage["name"] == "reference leakage"
+    days = unpacked(leakage["days"]).tolist()
+    assert days == [(FIRST + n * ONE_DAY - dt.date(1970, 1, 1)).days for n in range(2)]
+    assert unpacked(leakage["value"]).tolist() == [1.0, 2.0]
+    assert [payload["order"][int(place)] for place in leakage["states"]] == ["alarm", "ok"]
+    assert leakage["latest"]["slope_per_year"] == 0.2
+    assert [alarm["reason"] for alarm in payload["alarms"]] == ["sleeve +38 %"]
+    # Of what was frozen or seen anew, the newest.
+    assert [one["mean"] for one in payload["baselines"]] == [2.0]
+    assert [one["change_night"] for one in payload["change_points"]] == ["2026-01-02"]
+    assert [one["note"] for one in payload["decisions"]] == ["ordered a sleeve"]
+    other = trend_payload("unknown", tables((SEEN,)))
+    assert not any(other[name] for name in other if name != "order")
