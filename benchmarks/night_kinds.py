@@ -49,19 +49,7 @@ NO_SEARCH = SearchSettings(starting_points=0)
 
 @dataclass(frozen=True, slots=True)
 class SimulatedNights:
-    """Nights of one duty.
-
-    Attributes
-    ----------
-    motor, theta
-        The motor, and its true coefficients.
-    seen
-        The duty as the log has it.
-    compressed
-        Its regressors.
-    generator
-        Source of the errors.
-    """
+    """Nights of one duty of a motor of known θ; `seen` is the duty as the log has it."""
 
     motor: Motor
     theta: Array

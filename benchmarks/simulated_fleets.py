@@ -70,15 +70,9 @@ def night_errors(kind: Kind) -> NightErrors:
             nights = SimulatedNights.of(kind, seed)
             flow = nights.flow(kind)
             means = np.mean(nights.compressed.columns, axis=0) * np.append(nights.theta, 1.0)
-            for night, found in enumerate(figures(nights, flow)):
-                error = {one.name: one.error for one in found if np.isfinite(one.half_width)}
-                errors.append(
-                    [
-                        *(error.get(name, np.nan) for name in INDICATORS[:PATHS]),
-                        error.get("reference", np.nan),
-                        float(np.mean(flow[:, night]) / means.sum()) - 1.0,
-                    ]
-                )
+            for found, mean in zip(figures(nights, flow), flow.mean(axis=0), strict=True):
+                known = [one.error if one.half_width > 0.0 else np.nan for one in found[:4]]
+                errors.append([*known, float(mean / means.sum()) - 1.0])
             answers += [answers_to_wander(nights)] * NIGHTS_A_DUTY
             shares += [means[:PATHS] / means.sum()] * NIGHTS_A_DUTY
             mean_flow += [means.sum()] * NIGHTS_A_DUTY
@@ -127,26 +121,10 @@ def fleet(
     generator: np.random.Generator,
     wanders: bool = True,
 ) -> tuple[Array, Array]:
-    """Nightly indicators of motors side by side.
+    """Indicators of motors over their values as built, and the mean drain flow [l/min].
 
-    Parameters
-    ----------
-    of
-        Errors to draw from.
-    growth
-        K of ring, piston and sleeve over those of the first night, shape (nights, 3).
-    motors
-        Their number.
-    generator
-        Source of randomness.
-    wanders
-        Whether the sensors wander from night to night.
-
-    Returns
-    -------
-    indicators, flow
-        Indicators over their values as built, shape (nights, motors, 5), nan where unknown; and
-        the mean drain flow [l/min], shape (nights, motors).
+    Shapes (nights, motors, 5), nan where unknown, and (nights, motors). `growth` is K of ring,
+    piston and sleeve over those of the first night, shape (nights, 3).
     """
     shape = (len(growth), motors)
     drawn = generator.integers(len(of.errors), size=shape)
