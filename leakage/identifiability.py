@@ -7,7 +7,7 @@ would be a false one: a coefficient that is not identified never gets an interva
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -28,6 +28,7 @@ Verdict: TypeAlias = Literal[
 ]
 # Verdicts of a leakage that has a value.
 TOLD = ("identified", "uncertain", "extrapolated", "fixed")
+OUTSIDE = ("extrapolated", "outside_fitted_range")
 
 # Limits of model.md, section 5: half-width over K, and √VIF.
 WIDEST_COEFFICIENT = 0.5
@@ -63,6 +64,30 @@ class Excitation:
 
 
 @dataclass(frozen=True, slots=True)
+class Information:
+    """What an interval rests on.
+
+    Attributes
+    ----------
+    degrees_of_freedom
+        Bell and McCaffrey's.
+    largest_block_share
+        Share of what the samples say of a combination that rests on one single block.
+    """
+
+    degrees_of_freedom: float
+    largest_block_share: float
+
+    @classmethod
+    def of(cls, distribution: ClusterRobust | None, contrast: Array) -> Information | None:
+        """Information on a combination of coefficients; None where there is none."""
+        interval = None if distribution is None else distribution.interval(contrast)
+        if distribution is None or interval is None:
+            return None
+        return cls(interval.degrees_of_freedom, distribution.largest_block_share(contrast))
+
+
+@dataclass(frozen=True, slots=True)
 class Judgement:
     """The verdict on a coefficient or a figure.
 
@@ -74,11 +99,14 @@ class Judgement:
         In words, with what operation would help; empty where identified.
     interval
         Its 95 % interval; None unless identified.
+    information
+        What an interval of it rests on; None where the samples do not span it.
     """
 
     verdict: Verdict
     reason: str
     interval: Interval | None
+    information: Information | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +163,13 @@ def identify(
     distribution = cluster_robust(factors, fit.coefficients, free, inflation * widening)
     paths = Parametrisation.of(fit.motor).paths
     judged = tuple(
-        _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)
+        replace(
+            _judge(place, path, fit, distribution, excitation),
+            information=Information.of(distribution, _unit(place, len(paths)))
+            if free[place]
+            else None,
+        )
+        for place, path in enumerate(paths)
     )
     return Identification(judged, slow, len(factors), distribution)
 
@@ -263,12 +297,15 @@ class LeakageJudgement:
         ``not_identified``, ``outside_fitted_range`` or ``too_little_data``, which are not.
     reason
         In words; empty where identified.
+    information
+        What its interval rests on; None where there is none.
     """
 
     leakage_l_per_min: float
     interval: Interval | None
     verdict: str
     reason: str
+    information: Information | None = None
 
     @property
     def is_told(self) -> bool:
@@ -300,6 +337,19 @@ def judge_leakage(
         Within the samples' range ``identified`` where the whole half-width is at most 10 %,
         ``uncertain`` up to 25 %; ``extrapolated`` at most 20 bar or 10 K beyond it, up to 12 %.
     """
+    contrast = np.append(regressors(fit.motor, conditions)[0, :-2], 0.0)
+    judged = _judged_leakage(fit, identification, excitation, conditions, systematic_l_per_min)
+    return replace(judged, information=Information.of(identification.distribution, contrast))
+
+
+def _judged_leakage(
+    fit: Fit,
+    identification: Identification,
+    excitation: Excitation,
+    conditions: OperatingConditions,
+    systematic_l_per_min: float,
+) -> LeakageJudgement:
+    """Verdict on a leakage: its range first, then what it rests on, then its width."""
     row = regressors(fit.motor, conditions)[0]
     contrast = np.append(row[:-2], 0.0)
     leakage = float(contrast @ fit.coefficients + row[-1])

@@ -242,7 +242,7 @@ def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | No
 
 def _within(factors: Array, means: Array, short: ShortBlocks) -> Array:
     """Grams about the means of the short blocks, by stored block."""
-    gram = np.einsum("bij,bik->bjk", factors, factors)
+    gram: Array = np.einsum("bij,bik->bjk", factors, factors)
     np.subtract.at(gram, short.stored, _squares(means, short.n))
     return gram
 
@@ -277,7 +277,7 @@ def _innovations(
     noise = 1.0 / np.maximum(short.n, 0.5)
     size = ratio / float(np.median(short.n))
     steps = np.diff(short.number, prepend=short.number[:1])
-    fading = {int(step): memory**step for step in np.unique(steps)}
+    fading: dict[int, Array] = {step: memory**step for step in set(steps.tolist())}
     rows = np.empty((len(means), len(memory), means.shape[1]))
     logarithm = np.zeros(len(memory))
     state, spread = np.zeros(rows.shape[1:]), np.zeros(len(memory))

@@ -16,7 +16,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage.identifiability import LEAST_MINUTES_INTERVAL
+from leakage.identifiability import OUTSIDE, TOLD
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import INSUFFICIENT_DATA, OK
 
@@ -25,7 +25,6 @@ Array = NDArray[np.float64]
 Records = NDArray[Any]
 
 FLUSHING = "C_f"
-TRUSTED = ("identified", "fixed")
 HISTOGRAMS = ("pressure_histogram", "temperature_histogram", "speed_histogram")
 BINS = (20, 28, 15)
 OPERATED = (
@@ -204,7 +203,7 @@ def records_of(
     records = blank_records(layout, fits["night"].to_list())
     minutes = _numbers(fits, "n_training") * _numbers(fits, "sample_period_s") / 60.0
     ok = (fits["status"] == OK).to_numpy()
-    short = ok & (minutes < LEAST_MINUTES_INTERVAL)
+    short = ok & fits["coefficient_covariance"].is_null().to_numpy()
     records["fitted"] = ok & ~short
     records["minutes"] = minutes
     records["poor"] = short | (fits["status"] == INSUFFICIENT_DATA).to_numpy()
@@ -287,7 +286,7 @@ def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> li
     before = np.column_stack([_numbers(fits, name) for name in REFERENCE_CONDITIONS])
     elsewhere = np.isfinite(before).all(axis=1) & (before != now).any(axis=1)
     verdicts, reasons = _texts(fits, "reference_verdict"), _texts(fits, "reference_reason")
-    records["outside"] = [verdict == "outside_fitted_range" for verdict in verdicts]
+    records["outside"] = [verdict in OUTSIDE for verdict in verdicts]
     for place, column in enumerate(REFERENCE):
         records["reference"][:, place] = _numbers(fits, column)
     words = []
@@ -334,6 +333,6 @@ def _fill_figures(
 
 def _gate(verdict: str, reason: str) -> str:
     """Why a figure does not count, by its verdict."""
-    if verdict in TRUSTED:
+    if verdict in TOLD:
         return ""
     return reason or verdict.replace("_", " ") or "no figure"

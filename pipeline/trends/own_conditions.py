@@ -15,7 +15,7 @@ from scipy.special import stdtrit
 
 from leakage import LeakageError, OperatingConditions, regressors
 from leakage.baseline import LEAKAGE_FLOOR
-from leakage.identifiability import WIDEST_LEAKAGE
+from leakage.identifiability import WIDEST_UNCERTAIN
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.history import History
 from pipeline.trends.indicators import NO_BASELINE, OWN_REFERENCE, Indicator
@@ -97,10 +97,10 @@ def own_leakage(history: History, segment: Segment, own: OwnConditions) -> OwnLe
             gated[place] = NO_INTERVAL
         elif outside[place]:
             gated[place] = OUTSIDE
-        elif not half[place] <= WIDEST_LEAKAGE * abs(value[place]):
+        elif not half[place] <= WIDEST_UNCERTAIN * abs(value[place]):
             percent = 100 * half[place] / abs(value[place])
             gated[place] = (
-                f"known to ± {percent:.1f} % only; {100 * WIDEST_LEAKAGE:.0f} % are needed"
+                f"known to ± {percent:.1f} % only; {100 * WIDEST_UNCERTAIN:.0f} % are needed"
             )
     counts = np.array([not one for one in gated], dtype=np.bool_)
     return OwnLeakage(

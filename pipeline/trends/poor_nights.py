@@ -15,18 +15,21 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import Fit, LeakageError
+from leakage import LeakageError
 from leakage.block_statistics import merge
-from leakage.identifiability import LEAST_MINUTES_COEFFICIENT, LEAST_MINUTES_INTERVAL
-from pipeline.night.block_fit import BlockFit, SampleFacts, fit_stored_blocks
+from leakage.identifiability import ONE_BLOCK, OUTSIDE
+from pipeline.night.block_fit import BlockFit, fit_stored_blocks
 from pipeline.night.rows import upper_triangle
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.windows import TRAINING
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
-from pipeline.trends.night_records import HISTOGRAMS, TRUSTED, Array, NightWords, Records
+from pipeline.trends.night_records import HISTOGRAMS, Array, NightWords, Records
 from pipeline.trends.segments import segments
 
+# Minutes of kept training samples at which nights together are fitted, and at least so many of the
+# most that may be taken together.
+LEAST_MINUTES_COEFFICIENT, LEAST_MINUTES_INTERVAL = 60.0, 30.0
 BLOCKS_GONE = "statistics of their blocks are not there any more"
 # Reads the blocks of a motor's nights, in order of time.
 ReadBlocks = Callable[[Sequence[dt.date]], pl.DataFrame]
@@ -185,32 +188,25 @@ def _fit(
     whole = StoredBlocks.of(pl.concat(parts), history.layout.columns)
     if whole is None:
         return BLOCKS_GONE
-    training = whole.part(TRAINING)
     spec, label = history.spec, history.nights[group[-1]]
-    facts = SampleFacts(
-        minutes=float(records["minutes"][list(group)].sum()),
-        own=training.means(),
-        charge_bar=_last_known(records["charge"][: group[-1] + 1]),
-        inflation=float(np.nanmax([1.0, *records["inflation"][list(group)]])),
-    )
-    memory_s = records["memory_s"][list(group)]
+    charge_bar = _last_known(records["charge"][: group[-1] + 1])
     try:
         found = fit_stored_blocks(
             spec,
             label,
             spec.file.flushing.mode,
-            training,
-            facts,
-            lambda fit: _memory_s(training, fit, memory_s),
+            whole,
+            charge_bar,
+            float(np.nanmax([1.0, *records["inflation"][list(group)]])),
             search=False,
             bootstrap=False,
         )
     except LeakageError as error:
         return str(error)
-    if found.identification.interval_status != "ok":
-        return found.identification.interval_status
+    if found.identification.distribution is None:
+        return ONE_BLOCK
     record = records[group[-1]].copy()
-    _fill(record, found, facts)
+    _fill(record, found, charge_bar, float(records["minutes"][list(group)].sum()))
     record["n_nights"], record["mode"] = len(group), spec.file.flushing.mode
     record["model"] = records["kind"][group[-1]]
     record["factor"] = upper_triangle(merge(whole.factors))
@@ -219,7 +215,7 @@ def _fit(
     return record, _words(found)
 
 
-def _fill(record: Any, found: BlockFit, facts: SampleFacts) -> None:
+def _fill(record: Any, found: BlockFit, charge_bar: float | None, minutes: float) -> None:
     """What a fit says, into a record."""
     distribution = found.identification.distribution
     assert distribution is not None
@@ -228,12 +224,12 @@ def _fill(record: Any, found: BlockFit, facts: SampleFacts) -> None:
     covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
     record["fitted"], record["poor"] = True, False
     record["theta"], record["covariance"] = theta, upper_triangle(covariance)
-    record["blocks"], record["minutes"] = found.identification.n_blocks, facts.minutes
-    record["own"] = facts.own
-    record["charge"] = np.nan if facts.charge_bar is None else facts.charge_bar
-    record["outside"] = found.reference.verdict == "outside_fitted_range"
+    record["blocks"], record["minutes"] = found.identification.n_blocks, minutes
+    record["own"] = found.own_means
+    record["charge"] = np.nan if charge_bar is None else charge_bar
+    record["outside"] = found.reference.verdict in OUTSIDE
     record["reference"], record["figures"] = np.nan, np.nan
-    if found.reference.verdict in TRUSTED:
+    if found.reference.is_told:
         interval = found.reference.interval
         half = np.nan if interval is None else interval.half_width
         leakage = found.reference.leakage_l_per_min
@@ -248,7 +244,7 @@ def _fill(record: Any, found: BlockFit, facts: SampleFacts) -> None:
 def _words(found: BlockFit) -> NightWords:
     """Why figures of a fit do not count."""
     reference = found.reference
-    trusted = reference.verdict in TRUSTED
+    trusted = reference.is_told
     return NightWords(
         "",
         "" if trusted else reference.reason or reference.verdict.replace("_", " "),
@@ -275,37 +271,3 @@ def _together(words: NightWords, more: str) -> NightWords:
 def _last_known(values: Array) -> float | None:
     known = values[np.isfinite(values)]
     return float(known[-1]) if len(known) else None
-
-
-def _memory_s(training: StoredBlocks, fit: Fit, known_s: Array) -> float:
-    """Longest memory of the errors of several nights; from blocks where a night has none."""
-    known = known_s[np.isfinite(known_s)]
-    if len(known) < len(known_s):
-        found = memory_of_blocks(training.factors, fit.coefficients, training.length_s)
-        known = np.append(known, found)
-    return float(known.max())
-
-
-def memory_of_blocks(factors: Array, coefficients: Array, block_s: float) -> float:
-    r"""Time over which prediction errors forget, from blocks alone [s].
-
-    Means over a block of length L scatter by :math:`\sigma^2 2 \tau / L` where errors of scatter σ
-    forget over τ ≪ L; both are known from the blocks' factors.
-
-    Parameters
-    ----------
-    factors
-        Triangular factors of the blocks, shape (b, c, c).
-    coefficients
-        θ of their fit, shape (p + 1,).
-    block_s
-        Length of a block [s].
-    """
-    error = factors @ np.concatenate([coefficients, (1.0, -1.0)])
-    n = np.sum(factors[:, :, -3] ** 2, axis=1)
-    error, ones, n = error[n > 0.5], factors[n > 0.5, :, -3], n[n > 0.5]
-    mean = np.sum(ones * error, axis=1) / n
-    variance = float(np.sum(error**2) / n.sum())
-    if variance <= 0.0 or len(n) < 2:
-        return 0.0
-    return block_s * float(np.average(mean**2, weights=n)) / (2.0 * variance)
