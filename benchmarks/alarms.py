@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 RATE_PER_MOTOR = 0.1
 YEAR = 365
 MOTORS, WORN_MOTORS = 1000, 200
-BASELINE, PROVISIONAL = 60, 30
+BASELINE, PROVISIONAL = BaselineSettings().nights, BaselineSettings().provisional_nights
 RING, PISTON, SLEEVE = range(PATHS)
 RAISED = ("warning", "alarm")
 KINDS = (
@@ -88,9 +88,7 @@ def raised(values: Array, others: Array | None = None) -> list[list[int]]:
         floor = COEFFICIENT_FLOOR if place < PATHS else LEAKAGE_FLOOR
         settings = MonitorSettings(
             false_alarms_per_year=RATE_PER_MOTOR / known,
-            baseline=BaselineSettings(
-                nights=BASELINE, provisional_nights=PROVISIONAL, relative_floor=floor
-            ),
+            baseline=BaselineSettings(relative_floor=floor),
         )
         common = None if others is None else others[:, place]
         changes = monitor(np.arange(len(values)), values[:, place], settings, common).changes
@@ -127,7 +125,7 @@ def false_alarms() -> Part:
     return Part(
         "False alarms",
         f"{MOTORS} healthy motors a row, each watched for a year from its provisional baseline of "
-        f"{PROVISIONAL} nights on ({BASELINE} later); all indicators together "
+        f"{PROVISIONAL} nights on; all indicators together "
         f"({', '.join(INDICATORS)}). Configured: {RATE_PER_MOTOR:g} a motor-year. *Wander*: "
         "temperature 0.3 °C and gain 0.3 % with φ = 0.6 from night to night, pressure 0.3 bar.",
         (
@@ -171,7 +169,7 @@ def detection() -> Part:
         "Night of detection",
         f"{WORN_MOTORS} motors a row, sensors wander; night of the first warning, counted from the "
         "first of 120 nights, the median (and 90 % quantile): by K of the worn path, then by any "
-        "indicator. The provisional baseline ends on night 29, so that even wear is part of it.",
+        f"indicator. Even wear is a part of the baseline of {PROVISIONAL} nights.",
         (*KIND_HEADER, *(wear.words for wear in WEARS)),
         rows,
     )
