@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import datetime as dt
+import math
+from collections.abc import Mapping
+from typing import Any
+
 from leakage.attribution import Attribution
 from leakage.monitoring import ChangeSize
+from leakage.temperature_correction import TemperatureCorrection
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 
 NAMES = {
@@ -11,10 +17,18 @@ NAMES = {
     OWN_REFERENCE: "leakage at the motor's own conditions",
     DEVIATION: "drain flow against the baseline's model",
     "peer_deviation": "drain flow against the other motors of the circuit",
+    "drain_flow": "drain flow",
+    "temperature_effect": "effect of temperature on the loss factors",
+    "comparable_drain_flow": "drain flow at the reference conditions",
+    "baseline_progress": "progress towards a baseline",
     "C_f": "flushing",
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
 }
+# Statuses of a time to a limit that have dates.
+DATED = ("finite", "not_before", "beyond_horizon")
+# Days ahead up to which a date is told to the day, not to the month.
+TO_THE_DAY = 60
 MONTHS = (
     "January",
     "February",
@@ -56,6 +70,57 @@ def day(date: object) -> str:
     """
     text = str(date)
     return f"{int(text[8:10])} {MONTHS[int(text[5:7]) - 1]} {text[:4]}"
+
+
+def limit_dates(row: Mapping[str, Any]) -> str:
+    """Dates between which a row of `trends` has its limit reached; empty without an earliest one.
+
+    Examples
+    --------
+    >>> import datetime as dt
+    >>> row = {"night": dt.date(2026, 10, 3), "days_to_limit_status": "not_before"}
+    >>> limit_dates(row | {"days_to_limit_lower": 320.0, "days_to_limit_upper": None})
+    'not before August 2027'
+    >>> row = row | {"days_to_limit_status": "finite", "days_to_limit_upper": 200.0}
+    >>> limit_dates(row | {"days_to_limit_lower": 20.0})
+    'between 23 October 2026 and April 2027'
+    """
+    if row["days_to_limit_status"] not in DATED:
+        return ""
+    earliest = _date_ahead(row["night"], row["days_to_limit_lower"])
+    if row["days_to_limit_upper"] is None:
+        return f"not before {earliest}"
+    return f"between {earliest} and {_date_ahead(row['night'], row['days_to_limit_upper'])}"
+
+
+def _date_ahead(night: dt.date, days: float) -> str:
+    """A day in the next two months, a month later on."""
+    date = day(night + dt.timedelta(days=int(days)))
+    return date if days < TO_THE_DAY else date.split(" ", 1)[1]
+
+
+def temperature_words(frozen: TemperatureCorrection, now: TemperatureCorrection) -> str:
+    """Effect of temperature on the loss factors, and its change; empty where neither is certain.
+
+    Examples
+    --------
+    >>> falls, none = TemperatureCorrection(-0.0097, 0.002, 50.0), TemperatureCorrection(0, 1e-3, 9)
+    >>> temperature_words(falls, falls)
+    "K falls by 0.97 % a kelvin: the sensor is not where the gap is, or the oil's curve is off"
+    >>> temperature_words(none, falls)
+    'K falls by 0.97 % a kelvin, since the baseline: the sensor or the oil has changed'
+    """
+    changed = abs(now.per_kelvin - frozen.per_kelvin) > math.hypot(
+        now.half_width, frozen.half_width
+    )
+    if not (changed or frozen.is_certain):
+        return ""
+    told = now if changed else frozen
+    way = "falls" if told.per_kelvin < 0.0 else "rises"
+    effect = f"K {way} by {100.0 * abs(told.per_kelvin):.2f} % a kelvin"
+    if changed:
+        return f"{effect}, since the baseline: the sensor or the oil has changed"
+    return f"{effect}: the sensor is not where the gap is, or the oil's curve is off"
 
 
 def size_words(indicator: str, size: ChangeSize, since: object) -> str:

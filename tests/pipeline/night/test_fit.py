@@ -1,4 +1,4 @@
-"""What a night says of its fit: verdicts, intervals, budgets, and the choices beyond the thesis."""
+"""A night's fit: verdicts, intervals, budgets, and the choices beyond the thesis."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from tests.pipeline.simulated import (
     night_of,
     operate,
     raw,
+    with_settings,
 )
 
 Array = NDArray[np.float64]
@@ -59,11 +60,6 @@ def parameters(outcome: NightOutcome) -> dict[str, dict[str, Any]]:
 
 def primary(outcome: NightOutcome) -> dict[str, Any]:
     return next(row for row in outcome.rows["fits"] if row["is_primary"])
-
-
-def with_settings(spec: MotorSpec, section: str, **keys: Any) -> MotorSpec:
-    changed = getattr(spec.settings, section).model_copy(update=keys)
-    return replace(spec, settings=spec.settings.model_copy(update={section: changed}))
 
 
 def true_k(spec: MotorSpec) -> dict[str, float]:
@@ -152,7 +148,7 @@ def test_an_hour_of_steps_identifies_every_loss_factor(spec: MotorSpec) -> None:
     for name in true_k(spec):
         found = parameters(outcome)[name]
         assert found["verdict"] == "identified"
-        assert found["degrees_of_freedom"] >= 4
+        assert found["interval_degrees_of_freedom"] >= 4
         assert found["largest_block_share"] <= 0.5
 
 

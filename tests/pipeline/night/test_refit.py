@@ -194,7 +194,6 @@ def test_a_setting_that_is_taken_back_leaves_the_figures_as_they_were(workshop: 
 
 
 def test_damaged_statistics_are_made_anew_from_the_log(workshop: Workshop) -> None:
-    """What cannot be trusted is not fitted."""
     for path in (workshop.output / "tables" / "block_statistics").rglob("*.parquet"):
         content = bytearray(path.read_bytes())
         content[len(content) // 2] ^= 1

@@ -40,7 +40,7 @@ Row = dict[str, Any]
 FIRST = dt.date(2026, 1, 2)
 DAY = dt.timedelta(days=1)
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve")
-# Relative scatter of the estimates, as simulated nights have it (benchmarks/results/alarms.md).
+# Relative scatter of the estimates, as simulated nights of one to three hours have it.
 SCATTER = {"piston_ring": 0.013, "balance_piston": 0.024, "balance_sleeve": 0.016, "C_f": 0.002}
 CONDITIONS = tuple(product((20.0, 60.0, 120.0, 200.0, 280.0), (42.0, 50.0, 58.0), (10.0, 30.0, 90)))
 HOURS = 12.0
@@ -219,6 +219,8 @@ class Nights:
         changed = self.changes.get(place, {})
         row |= changed
         rows["fits"].append(row)
+        if row["status"] in ("ok", "insufficient_data"):
+            rows["operation"].append(key | self._operated(place))
         if row["status"] != "ok":
             return
         names = [*(f"K_{path}" for path in PATHS), *(["C_f"] if self.mode != "none" else [])]
@@ -240,7 +242,6 @@ class Nights:
                     "reason": None if known else f"{name} is {verdict}",
                 }
             )
-        rows["operation"].append(key | self._operated(place))
 
     def _operated(self, place: int) -> Row:
         row: Row = {

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.config import load_fleet
@@ -20,12 +22,9 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
 from pipeline.store.retention import old_files, prune
-from pipeline.store.sealed import seal_bytes
 from pipeline.store.tables import night_file, read_rows, write_table
 from pipeline.trends import kept_nights, reading, stage
 from pipeline.trends.decisions import record_decision
-from pipeline.trends.kept_nights import key_of
-from pipeline.trends.night_records import Layout
 from pipeline.trends.reading import read_nights
 from pipeline.trends.record import note_touched
 from pipeline.trends.tonight import Tonight
@@ -85,7 +84,7 @@ class Fleet:
         nothing = dict.fromkeys(these(6, 7, 8, 19, 20, 21), NOTHING)
         zero = 0.05 * (np.arange(n) >= self.before + 12) + 0.001 * np.cos(np.arange(n))
         self.motors = {
-            # Groups of three, one of them across the end of the first run; and no log.
+            # Poor nights in rows, one of them across the end of the first run; and no log.
             "M1": Nights(
                 m1,
                 n,
@@ -150,7 +149,7 @@ def late_log(fleet: Fleet) -> None:
 
 
 def late_log_of_the_other(fleet: Fleet) -> None:
-    """In files that hold nights of a group of the first motor."""
+    """In files that hold poor nights of the first motor."""
     changes = fleet.motors["M2"].changes
     poor = dict.fromkeys((fleet.before + 12, fleet.before + 13), POOR)
     fleet.motors["M2"] = replace(fleet.motors["M2"], changes={**changes, **poor})
@@ -174,7 +173,7 @@ def written_anew(fleet: Fleet) -> None:
 def a_reset_and_a_setting(fleet: Fleet) -> None:
     """And a motor less."""
     record_decision(fleet.output, reset(fleet.before + 4))
-    configure(fleet.folder, ["M1"], more="[trend]\nmerge_nights = 2\n")
+    configure(fleet.folder, ["M1"], more="[trend]\nbaseline_nights = 40\n")
 
 
 def damaged(fleet: Fleet) -> None:
@@ -287,10 +286,9 @@ def test_a_night_reads_what_is_new(
         fleet.publish(place)
         fleet.run()
         tonight = [night_of(place)]
-        expected = {"fits": tonight, "parameters": tonight, "operation": tonight}
-        if place == 18:
-            # The third poor night in a row: they are fitted together, and no other.
-            expected["block_statistics"] = [night_of(one) for one in (16, 17, 18)]
+        # Both are nights without intervals of one motor, whose blocks inform the filter.
+        tables = ("fits", "parameters", "operation", "block_statistics")
+        expected = dict.fromkeys(tables, tonight)
         assert {name: nights for name, nights in reads if name != "alarms"} == expected
         reads.clear()
 
@@ -321,15 +319,33 @@ def test_nights_of_a_month_that_is_gone_are_gone(two_months: Fleet) -> None:
     assert read(two_months)[0] == "2026-02-01"
 
 
-@pytest.mark.parametrize("content", [b"", b"{}\n", b'{"key": 7}\n', b"[]\n", b"\xff"])
+def as_parquet(table: pa.Table) -> bytes:
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink)
+    return bytes(sink.getvalue())
+
+
+def another_number(content: bytes) -> bytes:
+    """A sound Parquet file that says something else than was written."""
+    table = pq.read_table(pa.BufferReader(content))
+    place = table.schema.get_field_index("kept_hours")
+    return as_parquet(table.set_column(place, "kept_hours", pa.array([7.0] * table.num_rows)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda _: b"",
+        lambda whole: whole[:-9],
+        lambda _: as_parquet(pa.table({"night": [1]})),
+        another_number,
+    ],
+)
 def test_what_cannot_be_understood_is_read_again(
-    two_months: Fleet, reads: Reads, content: bytes
+    two_months: Fleet, reads: Reads, change: Callable[[bytes], bytes]
 ) -> None:
-    (spec, _) = load_fleet(two_months.config).motors
-    key = key_of(spec, Layout.of(spec, night_of(0)), ())
-    whole = content.replace(b"7", f'"{key}"'.encode())
     (old, _) = two_months.kept()
-    old.write_bytes(seal_bytes(whole))
+    old.write_bytes(change(old.read_bytes()))
     before = read(two_months)
     assert ("fits", [night_of(26 + place) for place in range(4)]) in reads
     reads.clear()

@@ -1,0 +1,94 @@
+"""Rows of `trends` that are told and not watched: drain flow, baseline, effect of temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pipeline.trends.attribution import reference_row
+from pipeline.trends.baseline_flow import column_sums, expected_flow
+from pipeline.trends.indicators import (
+    BASELINE_PROGRESS,
+    COMPARABLE_FLOW,
+    DEVIATION,
+    DRAIN_FLOW,
+    TEMPERATURE_EFFECT,
+)
+from pipeline.trends.reasons import good_nights, why_no_baseline
+from pipeline.trends.standing import Standing
+from pipeline.trends.temperature import NIGHTS, correction_of
+from pipeline.trends.words import temperature_words
+
+Row = dict[str, Any]
+
+
+def first_rows(standing: Standing, place: int) -> Iterator[Row]:
+    """Rows of a night from the motor's first on."""
+    state = {"state": standing.states[DEVIATION][place]}
+    sums = column_sums(standing.history, slice(place, place + 1))[0]
+    if np.isfinite(sums).all() and sums[-3] > 0.0:
+        yield _row(DRAIN_FLOW, "l/min", float(sums[-1] / sums[-3])) | state
+        comparable = _comparable_flow(standing, place, sums)
+        if comparable is not None:
+            yield _row(COMPARABLE_FLOW, "l/min", comparable) | state
+    _, _, baseline = standing.watched[DEVIATION].at(place)
+    if baseline is None:
+        good, needed = good_nights(standing, DEVIATION, place)
+        row = _row(BASELINE_PROGRESS, "%", 100.0 * min(good / needed, 1.0))
+        yield row | state | {"state_reason": why_no_baseline(standing, DEVIATION, place)}
+    if (effect := temperature_row(standing, place)) is not None:
+        yield effect
+
+
+def temperature_row(standing: Standing, place: int) -> Row | None:
+    """Effect of temperature on the loss factors, of the last nights and of the baseline's [%/K].
+
+    None before the baseline's is known, or where the last nights cannot tell it.
+    """
+    history, era = standing.history, standing.era(place)
+    if era.model is None or era.temperature is None or place < era.temperature_from:
+        return None
+    fitted = era.segment.first + np.flatnonzero(history.fitted[era.segment.first : place + 1])
+    last = fitted[-NIGHTS:]
+    now = correction_of(history, last, era.model)
+    if now is None:
+        return None
+    frozen = era.temperature
+    now = now.referred_to(frozen.reference_c)
+    row = _row(TEMPERATURE_EFFECT, "%/K", 100.0 * now.per_kelvin)
+    return row | {
+        "lower": 100.0 * (now.per_kelvin - now.half_width),
+        "upper": 100.0 * (now.per_kelvin + now.half_width),
+        "n_nights": len(last),
+        "baseline_mean": 100.0 * frozen.per_kelvin,
+        "state": standing.states[DEVIATION][place],
+        "state_reason": temperature_words(frozen, now) or None,
+    }
+
+
+def _row(indicator: str, unit: str, value: float) -> Row:
+    return {
+        "indicator": indicator,
+        "unit": unit,
+        "value": value,
+        "n_nights": 1,
+        "outside_fitted_range": False,
+    }
+
+
+def _comparable_flow(standing: Standing, place: int, sums: np.ndarray[Any, Any]) -> float | None:
+    """Drain flow at the fleet's reference conditions, flushing excluded [l/min].
+
+    By the baseline's model, until it is known by the configured one: the measured flow times what
+    the model says there over what it says here.
+    """
+    history, era = standing.history, standing.era(place)
+    known = era.model is not None and place >= era.known_from
+    theta = np.array(history.layout.configured) if era.model is None or not known else era.model
+    row = reference_row(standing, place)
+    measured, expected = (float(one[0]) for one in expected_flow(sums[None], theta))
+    if isinstance(row, str) or expected <= 0.0:
+        return None
+    return measured / expected * float(row[:-2] @ theta[:-1] + row[-1])
