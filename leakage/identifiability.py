@@ -335,7 +335,7 @@ def judge_leakage(
     conditions
         One condition.
     systematic_l_per_min
-        ± from stated tolerances at that condition [l/min].
+        ± of sensors and of the model at that condition [l/min].
 
     Returns
     -------
@@ -394,6 +394,11 @@ def _not_told(
     if outside:
         verdict, reason = "outside_fitted_range", f"{outside}; {reason}"
     return LeakageJudgement(leakage, interval, verdict, reason)
+
+
+def is_outside(excitation: Excitation, conditions: OperatingConditions) -> bool:
+    """Whether a condition lies outside of what the samples saw."""
+    return bool(_beyond(excitation, conditions)[1])
 
 
 def _beyond(excitation: Excitation, conditions: OperatingConditions) -> tuple[bool, str]:

@@ -43,6 +43,8 @@ ModelVerdict: TypeAlias = Literal["supported", "doubtful", "disproved"]
 # Columns that a right model does not need, in order; the ones come last, as in the statistics.
 COLUMNS = ("known flow", "temperature", "pressure", "speed", "pressure and speed", "constant")
 IN_FRONT = len(COLUMNS) - 1
+UPPER = np.triu_indices(len(COLUMNS))
+MISFIT_NUMBERS = 2 + len(COLUMNS) + 3 * len(UPPER[0])
 # What each of them speaks for.
 KINDS: dict[str, tuple[int, ...]] = {"temperature": (1,), "load": (2, 4, 5), "speed": (0, 3)}
 ROLLER = (0,)
@@ -58,6 +60,9 @@ CAUSES = {
     'film_pressure "slot", check zeros',
     "speed": "the cam roller's curve or count; check them, or free its scale",
 }
+# Half-widths that a misfit adds, over what it can do: of a leakage, and of a coefficient.
+LEAKAGE_FACTOR = 2.0
+COEFFICIENT_FACTOR = 2.5
 # Structured misfit over the mean leakage from which a model is disproved: in one night, over ten.
 DISPROVED_IN_ONE = 0.015
 DISPROVED_OVER_TEN = 0.010
@@ -99,6 +104,23 @@ class Misfit:
     information: Array
     score: Array
     meat: Array
+
+    def numbers(self) -> Array:
+        """All of it in one row, upper triangles row by row, shape (`MISFIT_NUMBERS`,)."""
+        upper = (part[UPPER] for part in (self.gram, self.information, self.meat))
+        return np.concatenate([(self.n, self.flow_l_per_min), self.score, *upper])
+
+    @classmethod
+    def of(cls, numbers: Array) -> Misfit:
+        """What :meth:`numbers` made a row of."""
+        (n, flow), score, *upper = np.split(numbers, (2, 8, 29, 50))
+        wholes = []
+        for triangle in upper:
+            whole = np.zeros((len(COLUMNS),) * 2)
+            whole[UPPER] = triangle
+            wholes.append(whole + np.triu(whole, 1).T)
+        gram, information, meat = wholes
+        return cls(float(n), float(flow), gram, information, score, meat)
 
 
 @dataclass(frozen=True, slots=True)
@@ -292,8 +314,9 @@ def _inverse(gram: Array) -> Array:
     """Inverse of a Gram over the directions that it spans."""
     scale = np.sqrt(np.diag(gram))
     scale = np.where(scale > 0.0, scale, 1.0)
-    inverse: Array = np.linalg.pinv(gram / np.outer(scale, scale), RANK_TOLERANCE, hermitian=True)
-    return inverse / np.outer(scale, scale)
+    size = np.outer(scale, scale)
+    inverse: Array = np.linalg.pinv(gram / size, RANK_TOLERANCE, hermitian=True) / size
+    return inverse
 
 
 def model_verdict(misfit: StructuredMisfit) -> ModelVerdict | None:

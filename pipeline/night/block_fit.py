@@ -5,14 +5,14 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 import math
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from leakage import Fit, OperatingConditions, Parametrisation, SearchSettings, fit
+from leakage import Fit, OperatingConditions, Parametrisation, SearchSettings, fit, regressors
 from leakage.block_statistics import merge
 from leakage.certificate import Certificate, certify
 from leakage.identifiability import (
@@ -20,14 +20,26 @@ from leakage.identifiability import (
     Identification,
     LeakageJudgement,
     identify,
+    is_outside,
     judge_leakage,
+)
+from leakage.model_verdict import (
+    COEFFICIENT_FACTOR,
+    LEAKAGE_FACTOR,
+    Misfit,
+    misfit,
+    model_error,
+    structured_misfit,
 )
 from leakage.slow_errors import slow_errors, whitened
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
+from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
 from pipeline.night.residuals import PartResiduals
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.windows import TRAINING
+
+Array = NDArray[np.float64]
 
 REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
 
@@ -56,6 +68,10 @@ class BlockFit:
         Percentile limits, a cross-check.
     systematic
         ± from stated tolerances by indicator, in its unit; without those that have none.
+    misfit
+        What the blocks say of the model; None where they are too few.
+    errors
+        Parts of the ± by indicator.
     memory_s
         Time over which the training errors forget [s]; it needs samples, nan without.
     residuals
@@ -73,6 +89,8 @@ class BlockFit:
     own: LeakageJudgement
     bootstrap: Bootstrap
     systematic: Mapping[str, float]
+    misfit: Misfit | None
+    errors: Mapping[str, ErrorParts]
     memory_s: float = math.nan
     residuals: tuple[PartResiduals, ...] = ()
 
@@ -137,12 +155,13 @@ def fit_stored_blocks(
         blocks.span("pressure_bar"), blocks.span("temperature_c"), blocks.span("speed_rpm")
     )
     identification = identify(fitted, factors, excitation, inflation, slow)
-    systematic = systematic_errors(sensitivities)
-    at_reference, at_own = conditions(spec, blocks, charge_bar)
-
-    def leakage(name: str, at: OperatingConditions) -> LeakageJudgement:
-        return judge_leakage(fitted, identification, excitation, at, systematic.get(name, 0.0))
-
+    at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
+    told = misfit(blocks.factors, short, fitted.coefficients, lower == upper, blocks.block_means())
+    errors = _errors(fitted, identification, excitation, blocks.factors, told, at, sensitivities)
+    reference, own = (
+        judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
+        for name in (REFERENCE, OWN)
+    )
     return BlockFit(
         name=mode,
         fit=fitted,
@@ -150,9 +169,9 @@ def fit_stored_blocks(
         identification=identification,
         excitation=excitation,
         own_means=blocks.means(),
-        reference_conditions=at_reference,
-        reference=leakage(REFERENCE, at_reference),
-        own=leakage(OWN, at_own),
+        reference_conditions=at[REFERENCE],
+        reference=reference,
+        own=own,
         bootstrap=block_bootstrap(
             factors,
             fitted.coefficients,
@@ -161,8 +180,55 @@ def fit_stored_blocks(
             generator(f"{mode}|bootstrap"),
             resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
-        systematic=systematic,
+        systematic=stated(sensitivities),
+        misfit=told,
+        errors=errors,
     )
+
+
+def _errors(
+    fitted: Fit,
+    identification: Identification,
+    excitation: Excitation,
+    factors: Array,
+    told: Misfit | None,
+    at: Mapping[str, OperatingConditions],
+    sensitivities: Sequence[Mapping[str, Any]],
+) -> dict[str, ErrorParts]:
+    """Parts of the ± of each leakage and coefficient."""
+    fixed, distribution = fitted.certificate.fixed, identification.distribution
+    tau = None if told is None else structured_misfit([told]).l_per_min
+    sensors = of_sensors(sensitivities)
+
+    def parts(name: str, contrast: Array, factor: float, constants: float = 0.0) -> ErrorParts:
+        interval = None if distribution is None else distribution.interval(contrast)
+        return ErrorParts(
+            None if interval is None else interval.half_width,
+            sensors.get(name, 0.0),
+            None if tau is None else factor * model_error(factors, fixed, contrast, tau),
+            constants,
+        )
+
+    rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
+    leakages = {name: row[:-2] @ fitted.coefficients[:-1] + row[-1] for name, row in rows.items()}
+    constants = 0.0
+    if is_outside(excitation, at[REFERENCE]) and leakages[OWN] > 0.0:
+        ratio = float(leakages[REFERENCE] / leakages[OWN])
+        constants = of_extrapolation(sensitivities, REFERENCE, OWN, ratio)
+    found = {
+        name: parts(
+            name,
+            np.append(row[:-2], 0.0),
+            LEAKAGE_FACTOR,
+            constants if name == REFERENCE else 0.0,
+        )
+        for name, row in rows.items()
+    }
+    for place, path in enumerate(Parametrisation.of(fitted.motor).paths):
+        if path is not None and not fixed[place]:
+            unit = np.eye(len(fixed))[place]
+            found[path.coefficient_name] = parts(path.coefficient_name, unit, COEFFICIENT_FACTOR)
+    return found
 
 
 def conditions(
@@ -176,14 +242,6 @@ def conditions(
         ),
         OperatingConditions.from_bar(*blocks.means(), charge_bar),
     )
-
-
-def systematic_errors(sensitivities: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """± of each indicator from rows of `sensitivities`: the sum of all effects by squares."""
-    squares: defaultdict[str, float] = defaultdict(float)
-    for row in sensitivities:
-        squares[row["indicator"]] += row["effect"] ** 2
-    return {indicator: math.sqrt(square) for indicator, square in squares.items()}
 
 
 def night_seed(seed: int, motor_id: str, night: dt.date, purpose: str) -> int:

@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions, regressors
 from leakage.correlation import slowest_correlation_time
-from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
+from leakage.sensitivities import ErrorBudget, error_budget
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
 from pipeline.night.parameter_rows import Row, sensitivity_rows
 from pipeline.night.residuals import ROUNDING, night_residuals
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.tolerances import assumed_sensors, tolerances
 from pipeline.night.transport_delay import estimated_delay_s
 from pipeline.night.windows import TRAINING
 
@@ -45,7 +46,8 @@ def fit_modes(
     fits, rows = [], []
     for mode in spec.file.flushing.modes:
         motor = spec.motor(night, mode)
-        sensitivities = sensitivity_rows(motor, _budget(spec, statistics, motor, at, night))
+        budget = _budget(spec, statistics, motor, at, night)
+        sensitivities = sensitivity_rows(motor, budget, assumed_sensors(spec))
         found = fit_stored_blocks(
             spec, night, mode, blocks, charge_bar, statistics.inflation, sensitivities
         )
@@ -130,7 +132,7 @@ def _budget(
     at: tuple[OperatingConditions, OperatingConditions],
     night: dt.date,
 ) -> ErrorBudget:
-    """The stated tolerances carried through evenly thinned samples; empty beyond validity."""
+    """All tolerances carried through evenly thinned samples; empty beyond validity."""
     n = len(statistics.samples.index)
     wanted = min(spec.settings.estimation.sensitivity_samples, n)
     chosen = np.linspace(0, n - 1, wanted).round().astype(np.int64)
@@ -147,26 +149,3 @@ def _budget(
         return error_budget(motor, thinned, flow, tolerances(spec, night), at)
     except LeakageError:
         return ErrorBudget(())
-
-
-def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
-    """Tolerances of channels, oil and model; of two ports the difference's, by squares."""
-
-    def of(*names: str) -> ChannelTolerance:
-        channels = [spec.file.channels[name] for name in names if name in spec.file.channels]
-        return ChannelTolerance(
-            float(np.hypot.reduce([channel.offset_tolerance for channel in channels])),
-            float(np.hypot.reduce([channel.gain_tolerance_percent for channel in channels])) / 100,
-        )
-
-    oil, model = spec.oil_on(night), spec.settings.model
-    return Tolerances(
-        pressure_bar=of("pressure_difference", "high_port_pressure", "low_port_pressure"),
-        temperature_c=of("oil_temperature"),
-        speed_rpm=of("speed"),
-        flow_l_per_min=of("leakage_flow"),
-        pressure_viscosity=oil.pressure_viscosity_tolerance_percent / 100,
-        density=oil.density_tolerance_percent / 100,
-        film_pressure_share=model.film_pressure_share_tolerance,
-        charge_pressure_bar=model.charge_pressure_tolerance_bar,
-    )

@@ -68,6 +68,7 @@ def _coefficient_row(
     row["bootstrap_lower"] = _finite(mode.bootstrap.lower[place])
     row["bootstrap_upper"] = _finite(mode.bootstrap.upper[place])
     row["systematic"] = mode.systematic.get(path.coefficient_name)
+    row |= mode.errors[path.coefficient_name].columns()
     return row
 
 
@@ -166,9 +167,13 @@ def _share_row(mode: BlockFit, path: LeakagePath, share: float, gradient: Array)
     return row | {"verdict": "identified"} | _interval(share, interval.half_width)
 
 
-def sensitivity_rows(motor: Motor, budget: ErrorBudget) -> list[Row]:
-    """Rows of `sensitivities`: effect of each stated tolerance on each figure."""
-    return [row for effect in budget.effects for row in _effect_rows(motor, effect)]
+def sensitivity_rows(motor: Motor, budget: ErrorBudget, assumed: Mapping[str, str]) -> list[Row]:
+    """Rows of `sensitivities`: effect of each tolerance, stated or assumed, on each figure."""
+    return [
+        row | {"assumed_sensor": assumed.get(effect.source.name.split()[0])}
+        for effect in budget.effects
+        for row in _effect_rows(motor, effect)
+    ]
 
 
 def _effect_rows(motor: Motor, effect: Effect) -> list[Row]:

@@ -11,6 +11,12 @@ from numpy.typing import NDArray
 
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
+from leakage.model_verdict import (
+    Misfit,
+    model_verdict,
+    structured_misfit,
+    verdict_in_words,
+)
 from leakage.validation import (
     Agreement,
     agreement,
@@ -351,17 +357,37 @@ def leakage_columns(mode: BlockFit) -> Row:
         "outside_fitted_range": mode.reference.verdict in OUTSIDE,
         "own_conditions_verdict": mode.own.verdict,
         "own_conditions_reason": mode.own.reason or None,
-        **_leakage(REFERENCE, mode.reference, mode.systematic),
-        **_leakage(OWN, mode.own, mode.systematic),
+        **_leakage(REFERENCE, mode.reference, mode),
+        **_leakage(OWN, mode.own, mode),
+        **model_columns(mode.misfit),
     }
 
 
-def _leakage(name: str, found: LeakageJudgement, systematic: Mapping[str, float]) -> Row:
-    ends = ("l_per_min", "lower", "upper", "systematic")
+def model_columns(told: Misfit | None) -> Row:
+    """Verdict on the model; none where the night has too few blocks for it."""
+    names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
+    row: Row = dict.fromkeys(f"model_{name}" for name in names)
+    if told is None:
+        return row
+    found = structured_misfit([told])
+    verdict = model_verdict(found)
+    return row | {
+        "model_verdict": verdict,
+        "model_misfit_percent": 100.0 * found.share,
+        "model_noise_percent": 100.0 * found.noise_share,
+        "model_reason": verdict_in_words(found) if verdict in ("doubtful", "disproved") else None,
+        "model_misfit_statistics": told.numbers().tolist(),
+    }
+
+
+def _leakage(name: str, found: LeakageJudgement, mode: BlockFit) -> Row:
+    parts = mode.errors[name].columns()
+    ends = ("l_per_min", "lower", "upper", "systematic", *parts)
     row: Row = dict.fromkeys(f"{name}_{end}" for end in ends)
     if found.is_told:
+        row |= {f"{name}_{end}": half_width for end, half_width in parts.items()}
         row[f"{name}_l_per_min"] = found.leakage_l_per_min
-        row[f"{name}_systematic"] = systematic.get(name)
+        row[f"{name}_systematic"] = mode.systematic.get(name)
         if found.interval is not None:
             row[f"{name}_lower"] = found.leakage_l_per_min - found.interval.half_width
             row[f"{name}_upper"] = found.leakage_l_per_min + found.interval.half_width

@@ -124,6 +124,12 @@ class StoredBlocks:
         low = self.rows[f"minimum_{channel}"].to_numpy().min()
         return float(low), float(self.rows[f"maximum_{channel}"].to_numpy().max())
 
+    def block_means(self) -> Array:
+        """Mean temperature [°C], pressure [bar] and speed [rpm] of each block, shape (b, 3)."""
+        names = ("mean_temperature_c", "mean_pressure_bar", "mean_speed_rpm")
+        means: Array = self.rows.select(names).to_numpy()
+        return means
+
     def means(self) -> tuple[float, float, float]:
         """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the samples."""
         weights = self.rows["n"].cast(pl.Float64).to_numpy()

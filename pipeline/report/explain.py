@@ -29,6 +29,7 @@ Row = dict[str, Any]
 # A rule that refused less than this is not worth a line.
 WORTH_TELLING = 0.005
 LARGEST_EFFECTS = 3
+PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
 # Fits of a night by the column of `fits`, in words.
 FITS_OF_A_NIGHT = {
     "training_fit_percent": "training",
@@ -59,7 +60,7 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
     if primary["status"] == "ok":
         parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
         sensitivities = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
-        lines += [*_fit(primary), *_leakage(primary), *_verdicts(parameters)]
+        lines += [*_fit(primary), *_model(primary), *_leakage(primary), *_verdicts(parameters)]
         lines += _budget(primary, sensitivities)
         lines += explain_residuals(
             primary, _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
@@ -144,6 +145,21 @@ def fit_words(name: str, percent: float) -> str:
     return f"{name} {percent:.1f} %{poor}"
 
 
+def _model(fit: Row) -> Iterator[str]:
+    """Verdict on the model itself."""
+    if fit["model_misfit_percent"] is None:
+        return
+    verdict = fit["model_verdict"]
+    if verdict is None:
+        yield (
+            f"model: this night cannot tell; noise alone looks like a misfit of "
+            f"{fit['model_noise_percent']:.1f} %"
+        )
+        return
+    told = fit["model_reason"] or f"misfit {fit['model_misfit_percent']:.2f} % of the leakage"
+    yield f"model: {verdict}: {told}"
+
+
 def _leakage(fit: Row) -> Iterator[str]:
     at = (
         f"{fit['reference_pressure_bar']:g} bar, {fit['reference_temperature_c']:g} °C, "
@@ -170,6 +186,13 @@ def _figure(fit: Row, name: str) -> str:
         text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
     if fit[f"{name}_systematic"] is not None:
         text += f" ± {fit[f'{name}_systematic']:.2g} from stated tolerances"
+    if fit[f"{name}_total_half_width"] is not None:
+        parts = (
+            f"{part} {fit[f'{name}_{column}_half_width']:.2g}"
+            for part, column in PARTS_OF_A_TOTAL.items()
+            if fit[f"{name}_{column}_half_width"] is not None
+        )
+        text += f"; in all ± {fit[f'{name}_total_half_width']:.2g} ({', '.join(parts)})"
     stem = name.removesuffix("_leakage")
     verdict, reason = fit[f"{stem}_verdict"], fit[f"{stem}_reason"]
     if verdict not in ("identified", "fixed"):
@@ -198,10 +221,14 @@ def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
         return
     largest = sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]
     told = ", ".join(
-        f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
+        f"{row['source']} of {_tolerance(row)}{_assumed(row)} {100 * row['effect'] / leakage:+.1f} %"
         for row in largest
     )
     yield f"largest systematic errors of the {name.replace('_', ' ')}: {told}"
+
+
+def _assumed(row: Row) -> str:
+    return f" (assumed: {row['assumed_sensor']})" if row["assumed_sensor"] else ""
 
 
 def _tolerance(row: Row) -> str:

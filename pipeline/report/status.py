@@ -31,7 +31,7 @@ ORDER = (*CHANGED, "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_flow")
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
-TEMPERATURE_EFFECT = "temperature_effect"
+TEMPERATURE_EFFECT, MODEL_MISFIT = "temperature_effect", "model_misfit"
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
@@ -75,6 +75,8 @@ class MotorState:
         Dates between which the indicator reaches its limit, in words; empty without one.
     temperature_effect
         That loss factors change with temperature, in words; empty where they do not.
+    model_misfit
+        That the model does not describe the motor, in words; empty where it does.
     """
 
     motor_id: str
@@ -99,13 +101,15 @@ class MotorState:
     leakage_verdict: str | None = None
     limit_dates: str = ""
     temperature_effect: str = ""
+    model_misfit: str = ""
 
     @property
     def why(self) -> str:
         """The state in words, with what else is to be known, and an acknowledgement."""
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         reason = self.reason or "no change of external leakage"
-        parts = (reason, dates, self.temperature_effect, self.failure, self.poor_fit)
+        beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
+        parts = (reason, dates, *beside)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -220,6 +224,7 @@ def motor_state(
     is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
+    misfits = tonight.filter(indicator=MODEL_MISFIT)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
     leakage_night, leakage = _leakage(trends, began)
@@ -243,6 +248,7 @@ def motor_state(
         gap_change_percent=gap.get("value"),
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
+        model_misfit=next(iter(misfits), None) or "",
     )
 
 

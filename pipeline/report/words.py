@@ -26,6 +26,9 @@ VERDICTS: Final[Mapping[str, str]] = {
     "outside_fitted_range": "outside what the night's data cover",
     "uncertain": "known, but not well",
     "extrapolated": "extrapolated from close by",
+    "supported": "the data support the model",
+    "doubtful": "the data cast doubt on the model",
+    "disproved": "the data disprove the model",
 }
 UNITS: Final[Mapping[str, str]] = {
     "m3": "m³",

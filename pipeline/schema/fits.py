@@ -27,6 +27,18 @@ def _interval(name: str, unit: str, what: str) -> tuple[Column, Column]:
     )
 
 
+def _parts(prefix: str, unit: str) -> tuple[Column, ...]:
+    return tuple(
+        Column(f"{prefix}{name}_half_width", pl.Float64, unit, what)
+        for name, what in (
+            ("statistical", "± from the samples: half of the 95 % interval"),
+            ("sensor", "± from tolerances of sensors, stated or assumed by their kind"),
+            ("model", "± from the night's structured misfit; null where it is not known"),
+            ("total", "± of all parts by their squares: of the figure itself; verdicts go by it"),
+        )
+    )
+
+
 FITS = Table(
     "fits",
     "a motor, a night, a flushing mode",
@@ -337,6 +349,31 @@ FITS = Table(
             "",
             "Share of what is known of it that rests on one single block; at most 0.5",
         ),
+        Column(
+            "model_misfit_statistics",
+            NUMBERS,
+            "",
+            "Behind the misfit of several nights together: samples, sum of their leakage, score of γ; "
+            "upper triangles of S, of the information on γ and of the score's covariance",
+        ),
+        *_parts("reference_leakage_", "l/min"),
+        *_parts("own_conditions_leakage_", "l/min"),
+        Column(
+            "model_verdict",
+            pl.String,
+            "",
+            "supported, doubtful (misfit above 0.68 %) or disproved (above 1.5 %); null where the "
+            "night cannot tell: fewer than 20 blocks, or errors that would hide such a misfit",
+        ),
+        Column(
+            "model_misfit_percent",
+            pl.Float64,
+            "%",
+            "Structured misfit τ over the mean leakage: what goes with temperature, load and speed "
+            "and the model does not describe",
+        ),
+        Column("model_noise_percent", pl.Float64, "%", "What noise alone would make of it"),
+        Column("model_reason", pl.String, "", "Likely causes in order, and what to try"),
     ),
 )
 
@@ -395,6 +432,7 @@ PARAMETERS = Table(
             "",
             "Share of what is known of a coefficient that rests on one block; at most 0.5",
         ),
+        *_parts("", "see unit"),
     ),
 )
 
@@ -416,6 +454,13 @@ SENSITIVITIES = Table(
         Column("effect", pl.Float64, "see unit", "Change of the indicator, signed"),
         Column("unit", pl.String, "", "m3, l_per_min or 1"),
         RUN_ID,
+        Column(
+            "assumed_sensor",
+            pl.String,
+            "",
+            "Kind of sensor whose tolerance is assumed, as none is stated: class 1, Pt100 class B "
+            "or gear meter; it is in no `systematic`. Null where it is stated",
+        ),
     ),
 )
 

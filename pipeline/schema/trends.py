@@ -31,7 +31,7 @@ INDICATOR = Column(
     "",
     "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
     "and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, drain_flow, "
-    "comparable_drain_flow, baseline_progress or temperature_effect",
+    "comparable_drain_flow, baseline_progress, temperature_effect or model_misfit",
 )
 
 TRENDS = Table(
@@ -139,6 +139,13 @@ TRENDS = Table(
             pl.Date,
             "",
             "First night of the change that the state tells; null where it tells none",
+        ),
+        Column(
+            "model_verdict",
+            pl.String,
+            "",
+            "Of model_misfit, over the last ten nights that tell it: supported, doubtful (above "
+            "0.59 %) or disproved (above 1 %; 1.5 % before there are ten); null where they cannot tell",
         ),
     ),
 )

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from leakage.model_verdict import model_verdict
 from pipeline.trends.attribution import reference_row
 from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import (
@@ -14,8 +15,10 @@ from pipeline.trends.indicators import (
     COMPARABLE_FLOW,
     DEVIATION,
     DRAIN_FLOW,
+    MODEL_MISFIT,
     TEMPERATURE_EFFECT,
 )
+from pipeline.trends.model import misfit_at, misfit_words
 from pipeline.trends.reasons import good_nights, why_no_baseline
 from pipeline.trends.standing import Standing
 from pipeline.trends.temperature import NIGHTS, correction_of
@@ -40,6 +43,8 @@ def first_rows(standing: Standing, place: int) -> Iterator[Row]:
         yield row | state | {"state_reason": why_no_baseline(standing, DEVIATION, place)}
     if (effect := temperature_row(standing, place)) is not None:
         yield effect
+    if (misfit := model_row(standing, place)) is not None:
+        yield misfit
 
 
 def temperature_row(standing: Standing, place: int) -> Row | None:
@@ -65,6 +70,19 @@ def temperature_row(standing: Standing, place: int) -> Row | None:
         "baseline_mean": 100.0 * frozen.per_kelvin,
         "state": standing.states[DEVIATION][place],
         "state_reason": temperature_words(frozen, now) or None,
+    }
+
+
+def model_row(standing: Standing, place: int) -> Row | None:
+    """Structured misfit of the model over the last nights, with its verdict."""
+    found = misfit_at(standing, place)
+    if found is None:
+        return None
+    return _row(MODEL_MISFIT, "%", 100.0 * found.share) | {
+        "n_nights": found.n_nights,
+        "state": standing.states[DEVIATION][place],
+        "state_reason": misfit_words(standing, place, found),
+        "model_verdict": model_verdict(found),
     }
 
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from leakage import Parametrisation
 from leakage.identifiability import OUTSIDE, TOLD
+from leakage.model_verdict import MISFIT_NUMBERS
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import OK
 
@@ -62,6 +63,7 @@ FIT_COLUMNS = (
     "reference_verdict",
     "reference_reason",
     "model_hash",
+    "model_misfit_statistics",
     *REFERENCE,
     *REFERENCE_CONDITIONS,
     *OWN,
@@ -143,6 +145,8 @@ class Layout:
                 ("covariance", "f8", triangle(theta)),
                 ("factor", "f8", triangle(len(self.columns))),
                 ("own", "f8", 3),
+                # What the blocks say of the model, as `Misfit.numbers`.
+                ("misfit", "f8", MISFIT_NUMBERS),
                 *((name, "f8") for name in SINGLE),
                 *((name, "f8") for name in OPERATED),
                 *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),
@@ -246,6 +250,7 @@ def records_of(
         records[name] = _numbers(fits, column)
     for place, column in enumerate(OWN):
         records["own"][:, place] = _numbers(fits, column)
+    records["misfit"] = _vectors(fits, "model_misfit_statistics", MISFIT_NUMBERS)
     expected = list(layout.columns)
     same = np.array([columns == expected for columns in fits["columns"].to_list()], dtype=np.bool_)
     for name, column, size in (

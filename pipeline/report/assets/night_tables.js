@@ -42,7 +42,7 @@ motorLeakage.nightTables = (() => {
         parameterName(one.parameter),
         cell(value),
         cell(range(scaled(one.lower), scaled(one.upper), 3)),
-        cell(one.systematic === undefined ? null : `± ${format(scaled(one.systematic), 2)}`),
+        cell(inAll(one.total_half_width)),
         share ? "%" : unit(one.unit),
         words,
       ];
@@ -50,9 +50,10 @@ motorLeakage.nightTables = (() => {
     rows.unshift(
       leakageRow(night.fit, "reference", "leakage at reference conditions"),
       leakageRow(night.fit, "own", "leakage at the night's own conditions"),
+      modelRow(night.fit),
     );
     const made = table(
-      ["Parameter", "Value or range", "95 % interval", "Systematic", "Unit", "What the data say"],
+      ["Parameter", "Value or range", "95 % interval", "In all", "Unit", "What the data say"],
       rows,
     );
     made.querySelectorAll("td:last-child").forEach((one) => one.classList.add("words"));
@@ -64,6 +65,8 @@ motorLeakage.nightTables = (() => {
 
   const cell = (value, ...marks) =>
     element("span", { class: "figure" }, value ?? ABSENT, ...marks);
+  /* ± of samples, sensors and model together. */
+  const inAll = (halfWidth) => (halfWidth === undefined ? null : `± ${format(halfWidth, 2)}`);
   const fitCell = (percent, digits) =>
     cell(
       format(percent, digits),
@@ -83,13 +86,26 @@ motorLeakage.nightTables = (() => {
       .join(", ");
     const words = element("span", {}, word("verdicts", fit[`${verdict}_verdict`]));
     if (fit[`${verdict}_reason`]) words.append(element("small", {}, fit[`${verdict}_reason`]));
-    const systematic = fit[`${stem}_systematic`];
     return [
       element("b", {}, name, element("small", {}, at)),
       element("b", { class: "figure" }, format(fit[`${stem}_l_per_min`])),
       cell(range(fit[`${stem}_lower`], fit[`${stem}_upper`], 4)),
-      cell(systematic === undefined ? null : `± ${format(systematic, 2)}`),
+      cell(inAll(fit[`${stem}_total_half_width`])),
       "l/min",
+      words,
+    ];
+  }
+
+  /* What the night says of the model itself. */
+  function modelRow(fit) {
+    const words = element("span", {}, word("verdicts", fit.model_verdict ?? "too_little_data"));
+    if (fit.model_reason) words.append(element("small", {}, fit.model_reason));
+    return [
+      element("b", {}, "misfit of the model", element("small", {}, "share of the leakage")),
+      cell(format(fit.model_misfit_percent, 2)),
+      cell(null),
+      cell(null),
+      "%",
       words,
     ];
   }

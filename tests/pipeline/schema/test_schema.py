@@ -144,7 +144,9 @@ def test_rows_of_a_night_can_be_replaced(table: Table) -> None:
 def in_name(column: Column, table: Table) -> bool:
     """True if the unit is in the name, or in that of the figure that the column goes with."""
     suffix = SUFFIXES[column.unit]
-    stem = re.sub(r"_(lower|upper|systematic)$", "", column.name)
+    stem = re.sub(
+        r"_(lower|upper|systematic|(statistical|sensor|model|total)_half_width)$", "", column.name
+    )
     if stem != column.name:
         return f"{stem}{suffix}" in table.schema
     return column.name.endswith(suffix) or column.name == "seconds"
