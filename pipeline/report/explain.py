@@ -221,20 +221,17 @@ def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
         return
     largest = sorted(effects, key=lambda row: -abs(row["effect"]))[:LARGEST_EFFECTS]
     told = ", ".join(
-        f"{row['source']} of {_tolerance(row)}{_assumed(row)} {100 * row['effect'] / leakage:+.1f} %"
+        f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
         for row in largest
     )
     yield f"largest systematic errors of the {name.replace('_', ' ')}: {told}"
 
 
-def _assumed(row: Row) -> str:
-    return f" (assumed: {row['assumed_sensor']})" if row["assumed_sensor"] else ""
-
-
 def _tolerance(row: Row) -> str:
+    assumed = f" (assumed: {row['assumed_sensor']})" if row["assumed_sensor"] else ""
     if row["tolerance_unit"] == "1":
-        return f"{100 * row['tolerance']:g} %"
-    return f"{row['tolerance']:g} {_in_words(row['tolerance_unit'])}"
+        return f"{100 * row['tolerance']:g} %{assumed}"
+    return f"{row['tolerance']:g} {_in_words(row['tolerance_unit'])}{assumed}"
 
 
 def _in_words(unit: str) -> str:

@@ -24,7 +24,14 @@ ByMotor = dict[str, Any]
 Row = tuple[Any, ...]
 
 # Neither shown nor needed beside the rows that the page is of.
-LEFT_OUT_OF_FITS = {"motor_id", "night", "run_id", "model_hash", "singular_values"}
+LEFT_OUT_OF_FITS = {
+    "motor_id",
+    "night",
+    "run_id",
+    "model_hash",
+    "model_misfit_statistics",
+    "singular_values",
+}
 MODE_COLUMNS = ("flushing_mode", "is_primary", "validation_fit_percent", "bic_effective")
 FILE_COLUMNS = ("path", "format", "status", "rows", "first_time", "last_time", "message")
 RULE_COLUMNS = ("channel", "reason", "n_samples", "n_refused", "n_noted")

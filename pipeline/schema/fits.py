@@ -353,8 +353,8 @@ FITS = Table(
             "model_misfit_statistics",
             NUMBERS,
             "",
-            "Behind the misfit of several nights together: samples, sum of their leakage, score of γ; "
-            "upper triangles of S, of the information on γ and of the score's covariance",
+            "Behind the misfit of several nights together: samples, sum of their leakage, score "
+            "of γ; upper triangles of S, of the information on γ and of the score's covariance",
         ),
         *_parts("reference_leakage_", "l/min"),
         *_parts("own_conditions_leakage_", "l/min"),

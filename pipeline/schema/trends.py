@@ -145,7 +145,7 @@ TRENDS = Table(
             pl.String,
             "",
             "Of model_misfit, over the last ten nights that tell it: supported, doubtful (above "
-            "0.59 %) or disproved (above 1 %; 1.5 % before there are ten); null where they cannot tell",
+            "0.59 %) or disproved (above 1 %; 1.5 % before there are ten); else null",
         ),
     ),
 )
