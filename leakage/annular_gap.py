@@ -3,23 +3,27 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from leakage.errors import ParameterError
+from leakage.film import film_thickness_ratio
 from leakage.law import (
     LITRES_PER_MINUTE,
     CoefficientUnit,
+    DerivedFigure,
     Law,
     Parameter,
+    PathTolerance,
     Values,
     require_parameter,
     require_positive,
 )
 
+MICROMETRE = 1e-6
 MICROMETRES_PER_METRE = 1e6
 
 
@@ -51,6 +55,8 @@ class AnnularGap(Law):
         Factor c on the gap height, [-].
     geometry_is_placeholder
         Whether r, l or n are placeholders, so that h in micrometres means nothing.
+    deformation_tolerance
+        Stated tolerance of X, relative; 0: none stated.
 
     Raises
     ------
@@ -87,6 +93,7 @@ class AnnularGap(Law):
     deformation_pressure_pa: float | None = None
     height_factor: float = 1.0
     geometry_is_placeholder: bool = True
+    deformation_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive(
@@ -254,6 +261,65 @@ class AnnularGap(Law):
             float(self.gap_um_from_coefficient(coefficient_m3, self.eccentricity.highest)),
             float(self.gap_um_from_coefficient(coefficient_m3, self.eccentricity.lowest)),
         )
+
+    def tolerances(self) -> tuple[PathTolerance, ...]:
+        """The path with a larger deformation constant, where a tolerance is stated."""
+        share, pressure = self.deformation_tolerance, self.deformation_pressure_pa
+        if not share or pressure is None:
+            return ()
+        stiffer = replace(self, deformation_pressure_pa=pressure * (1 + share))
+        return (PathTolerance("deformation constant", share, stiffer),)
+
+    def derived_figures(
+        self,
+        coefficient: float,
+        limits: tuple[float, float] | None,
+        roughness_m: tuple[float, float],
+    ) -> tuple[DerivedFigure, ...]:
+        """Gap height, eccentricity where there is one, and film thickness ratio."""
+        gaps_um, eccentricities = self._feasible(coefficient)
+        ratios = film_thickness_ratio(
+            np.array(gaps_um) * MICROMETRE, np.array(eccentricities)[::-1], *roughness_m
+        ).tolist()
+        e = self.eccentricity
+        shared = e is not None and e.is_free and self.gap.is_free
+        gap_limits = None
+        if limits is not None and self.gap.is_free and eccentricities[0] == eccentricities[1]:
+            # Alone in its loss factor, a gap is known as well as that: h goes with its cube root.
+            low, high = self.gap_um_from_coefficient(np.maximum(limits, 0.0), eccentricities[0])
+            gap_limits = float(low), float(high)
+
+        def figure(
+            name: str, unit: str, ends: tuple[float, float], own: tuple[float, float] | None = None
+        ) -> DerivedFigure:
+            combination = f"{self.coefficient_name} ∝ h³(1 + 1.5e²)" if shared else ""
+            placeholder = self.geometry_is_placeholder
+            return DerivedFigure(f"{name}_{self.name}", unit, *ends, own, combination, placeholder)
+
+        figures = [figure("h", "um", gaps_um, gap_limits)]
+        if e is not None:
+            figures.append(figure("e", "1", eccentricities))
+        return (*figures, figure("film_thickness_ratio", "1", ratios))
+
+    def _feasible(self, coefficient_m3: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible."""
+        e = self.eccentricity
+        smallest, largest = self.feasible_gap_um(coefficient_m3)
+        if e is None:
+            return (smallest, largest), (0.0, 0.0)
+        low = min(max(smallest, self.gap.lowest), self.gap.highest)
+        high = max(min(largest, self.gap.highest), low)
+
+        def eccentricity(h: float) -> float:
+            # The ends of the range as they are: the root below makes 1e-8 of a rounding error.
+            if h in (smallest, largest):
+                return e.highest if h == smallest else e.lowest
+            widening = coefficient_m3 / float(self.coefficient([h, 0.0])) - 1.0
+            return float(np.clip(np.sqrt(max(widening, 0.0) / 1.5), e.lowest, e.highest))
+
+        if not e.is_free:
+            return (low, high), (e.value, e.value)
+        return (low, high), (eccentricity(high), eccentricity(low))
 
     @property
     def _concentric_m3_per_um3(self) -> float:

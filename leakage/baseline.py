@@ -33,7 +33,9 @@ from leakage.slope import check_series, fit_slope
 BaselineStatus: TypeAlias = Literal["frozen", "provisional", "insufficient"]
 
 # With fewer, no limit is calibrated.
-LEAST_NIGHTS = 30
+LEAST_NIGHTS = 15
+# Memory of nights up to which limits are calibrated.
+HIGHEST_TRUE_PHI = 0.6
 # Floors of model.md, section 7, relative to the baseline's mean.
 COEFFICIENT_FLOOR = 0.05
 LEAKAGE_FLOOR = 0.01
@@ -66,7 +68,7 @@ class BaselineSettings:
     """
 
     nights: int = 60
-    provisional_nights: int = 30
+    provisional_nights: int = LEAST_NIGHTS
     relative_floor: float = LEAKAGE_FLOOR
     absolute_floor: float = 0.0
     winsorised_at: float = 4.0
@@ -83,6 +85,20 @@ class BaselineSettings:
                 "baseline_settings",
                 "a floor of the baseline is negative or its winsorising not positive",
             )
+
+    @property
+    def lengths(self) -> tuple[int, ...]:
+        """Good nights of the baselines that serve one after the other.
+
+        Examples
+        --------
+        >>> BaselineSettings().lengths
+        (15, 30, 60)
+        """
+        found = [self.provisional_nights]
+        while found[-1] < self.nights:
+            found.append(min(2 * found[-1], self.nights))
+        return tuple(found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,9 +152,10 @@ class Baseline:
         r"""Upper bound of the standard deviation of the nights [unit].
 
         From χ² with :math:`n (1 - \varphi^2) / (1 + \varphi^2) - 1` degrees of freedom, as nights
-        that remember tell less of their scatter.
+        that remember tell less of their scatter; φ at most 0.6, the highest that is allowed for,
+        since short baselines tell it poorly.
         """
-        squared = self.phi**2
+        squared = min(self.phi, HIGHEST_TRUE_PHI) ** 2
         freedom = max(self.n * (1.0 - squared) / (1.0 + squared) - 1.0, 1.0)
         return self.sd * math.sqrt(freedom / float(chdtri(freedom, coverage)))
 
@@ -181,7 +198,7 @@ def fit_baseline(
     >>> found.status, found.n, round(found.mean, 2), round(found.floored_sd, 4)
     ('frozen', 60, 1.37, 0.0137)
     >>> fit_baseline(np.arange(5), np.ones(5)).reason
-    '5 good nights; a provisional baseline needs 30'
+    '5 good nights; a provisional baseline needs 15'
     """
     chosen = settings or BaselineSettings()
     check_series(nights, values)

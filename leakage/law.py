@@ -1,4 +1,4 @@
-"""What all laws of leakage paths share: parameters within bounds, and one surface."""
+"""Base of the laws of leakage paths: parameters within bounds, and one surface."""
 
 from __future__ import annotations
 
@@ -73,9 +73,61 @@ class Parameter:
         """Largest value the parameter can take: the value itself where it is fixed, [unit]."""
         return self.value if self.fixed else self.maximum
 
+    @property
+    def is_free(self) -> bool:
+        """Free to be estimated; bounds that are equal fix a parameter, too."""
+        return self.lowest < self.highest
+
+
+@dataclass(frozen=True, slots=True)
+class PathTolerance:
+    """A path as it would be with one of its constants off by the stated tolerance.
+
+    Attributes
+    ----------
+    constant
+        Name of the constant, in words.
+    share
+        Stated tolerance, relative.
+    path
+        The path with the constant that much larger.
+    """
+
+    constant: str
+    share: float
+    path: Law
+
+
+@dataclass(frozen=True, slots=True)
+class DerivedFigure:
+    """A figure that a path's coefficient implies, such as a gap height.
+
+    Attributes
+    ----------
+    name, unit
+        As in tables.
+    lowest, highest
+        Values that coefficient and bounds leave possible [unit]; equal where there is one.
+    limits
+        Interval that follows from the coefficient's [unit]; None where none does.
+    combination
+        Combination of parameters that alone shows in the data; empty: the coefficient's verdict
+        is the figure's.
+    is_placeholder
+        Whether the geometry behind it is one.
+    """
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+    limits: tuple[float, float] | None = None
+    combination: str = ""
+    is_placeholder: bool = False
+
 
 class Law(ABC):
-    """What every law offers; the laws below differ only in equation and parameters."""
+    """Surface of every law; laws differ in equation, parameters, tolerances and figures."""
 
     __slots__ = ()
     name: str
@@ -146,9 +198,36 @@ class Law(ABC):
             φ, shape (n,), [l/min per coefficient_unit].
         """
 
+    def tolerances(self) -> tuple[PathTolerance, ...]:
+        """The path with each constant off whose tolerance is stated; none by default."""
+        return ()
+
+    def derived_figures(
+        self,
+        coefficient: float,  # noqa: ARG002
+        limits: tuple[float, float] | None,  # noqa: ARG002
+        roughness_m: tuple[float, float],  # noqa: ARG002
+    ) -> tuple[DerivedFigure, ...]:
+        """Figures that a coefficient implies; none by default.
+
+        Parameters
+        ----------
+        coefficient
+            Estimate, [coefficient_unit].
+        limits
+            Its interval; None where there is none.
+        roughness_m
+            R_a of the two surfaces, [m].
+        """
+        return ()
+
+    def is_beyond(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Mask of |ω| outside the speeds for which the law holds, shape (n,)."""
+        return np.zeros(np.shape(speed_rpm), dtype=np.bool_)
+
     @property
     def is_free(self) -> bool:
-        """Whether any parameter is estimated."""
+        """At least one parameter is estimated."""
         return not all(parameter.fixed for parameter in self.parameters)
 
     @property

@@ -80,8 +80,8 @@ class Track:
     Attributes
     ----------
     baselines
-        In the order in which they served: a provisional one, then the whole, or the provisional
-        one again where it is kept; none where there are too few good nights, or their mean is not
+        In the order in which they served: provisional ones, then the whole, or the last of them
+        again where it is kept; none where there are too few good nights, or their mean is not
         positive.
     served_from
         Place in the series from which each served.
@@ -216,7 +216,7 @@ def monitor(
     >>> nights = np.arange(120)
     >>> values = 1.37 * (1 + 0.004 * generator.standard_normal(120)) * (1 + 0.2 * (nights >= 90))
     >>> [(one.night, one.before, one.after) for one in monitor(nights, values).changes]
-    [(30, 'insufficient', 'ok'), (92, 'ok', 'warning')]
+    [(15, 'insufficient', 'ok'), (92, 'ok', 'warning')]
     """
     chosen = settings or MonitorSettings()
     own = track(nights, values, chosen)
@@ -236,9 +236,9 @@ def monitor(
 def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
     """Follow one series against its own baseline.
 
-    The first 30 good nights make a provisional baseline, which serves until there are 60. The whole
-    then takes its place, unless a change stands told by then, or the whole has a slope that the
-    first 30 have not: wear must not become its own baseline.
+    The first good nights make a provisional baseline, and longer ones take its place
+    (`BaselineSettings.lengths`), unless a change stands told by then, or the longer one rises, or
+    has a slope that the shorter has not: wear must not become its own baseline.
 
     Parameters
     ----------
@@ -392,38 +392,35 @@ def _serve(
     nights: Nights, values: Array, settings: MonitorSettings, parts: _Parts
 ) -> list[tuple[int, Baseline]]:
     """Baselines with the places from which they serve; fills the parts by them."""
-    shorter = replace(settings.baseline, nights=settings.baseline.provisional_nights)
-    first = fit_baseline(nights, values, shorter)
-    # A relative deviation needs something to be relative to.
-    if first.status == "insufficient" or first.mean <= 0.0:
-        return []
-    start = int(np.searchsorted(nights, first.last_night)) + 1
-    whole = fit_baseline(nights, values, settings.baseline)
-    if whole.n == first.n and whole.status == "frozen":
-        parts.follow(nights, values, whole, settings, start)
-        return [(start, whole)]
-    end = int(np.searchsorted(nights, whole.last_night)) + 1
-    words = f"provisional: {first.n} of {settings.baseline.nights} good nights"
-    provisional = replace(first, status="provisional", reason=_joined(words, first.reason))
-    if whole.status != "frozen":
-        parts.follow(nights, values, provisional, settings, start)
-        return [(start, provisional)]
-    parts.follow(nights[:end], values[:end], provisional, settings, start)
-    kept = _why_kept(first, whole, bool(parts.severity[end - 1]))
-    if kept:
-        # As a baseline of its own: what was said before it was decided stays as it was said.
-        first = replace(first, reason=_joined(kept, first.reason))
-        parts.follow(nights, values, first, settings, start)
-        return [(start, provisional), (end, first)]
-    parts.follow(nights, values, whole, settings, end)
-    return [(start, provisional), (end, whole)]
+    served: list[tuple[int, Baseline]] = []
+    *_, whole = lengths = settings.baseline.lengths
+    for length in lengths:
+        chosen = replace(settings.baseline, nights=length, provisional_nights=length)
+        found = fit_baseline(nights, values, chosen)
+        # A relative deviation needs something to be relative to.
+        if found.status == "insufficient" or found.mean <= 0.0:
+            break
+        begin = int(np.searchsorted(nights, found.last_night)) + 1
+        kept = _why_kept(served[-1][1], found, bool(parts.severity[begin - 1])) if served else ""
+        if kept and length < whole:
+            continue
+        if kept:
+            # As a baseline of its own: what was said before it was decided stays as it was said.
+            found = replace(served[-1][1], status="frozen", reason=kept)
+        elif length < whole:
+            words = f"provisional: {length} of {whole} good nights"
+            found = replace(found, status="provisional", reason=_joined(words, found.reason))
+        if not kept:
+            parts.follow(nights, values, found, settings, begin)
+        served.append((begin, found))
+    return served
 
 
 def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
     """Why the provisional baseline is to stay; empty where the whole takes its place."""
     if told:
         return f"kept at {first.n} good nights: a change was told before there were {whole.n}"
-    if whole.sloped and not first.sloped:
+    if whole.sloped and (not first.sloped or whole.mean > first.mean):
         return f"kept at {first.n} good nights: {whole.n} have a slope"
     return ""
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from leakage.conditions import OperatingConditions
 from leakage.errors import ParameterError
 from leakage.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil, flow_drive_per_s
-from leakage.paths import Constant, LeakagePath, SpeedCurve
+from leakage.paths import Constant, LeakagePath
 
 __all__ = [
     "FIXED_COLUMNS",
@@ -290,7 +290,7 @@ def leakage_l_per_min(
 
 
 def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
-    """Samples whose speed lies outside the range of a speed curve's points.
+    """Samples whose speed lies outside the range for which a path's law holds.
 
     Parameters
     ----------
@@ -307,8 +307,7 @@ def speed_beyond_curve(motor: Motor, speed_rpm: ArrayLike) -> NDArray[np.bool_]:
     speed = np.asarray(speed_rpm, dtype=np.float64)
     beyond = np.zeros(speed.shape, dtype=np.bool_)
     for path in motor.paths:
-        if isinstance(path, SpeedCurve):
-            beyond |= path.is_beyond(speed)
+        beyond |= path.is_beyond(speed)
     return beyond
 
 

@@ -80,7 +80,7 @@ class SearchSettings:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """What came of one starting point; a failure is a row with its reason, not an exception.
+    """Outcome of one starting point; a failure is a row with its reason, not an exception.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ class Parametrisation:
             for path in self.paths
             if path
             for parameter in path.parameters
-            if _is_free(parameter)
+            if parameter.is_free
         )
 
     def bounds(self) -> tuple[Array, Array]:
@@ -164,7 +164,7 @@ class Parametrisation:
         for row, path in enumerate(self.paths):
             if path is None:
                 continue
-            unknown = [_is_free(parameter) for parameter in path.parameters]
+            unknown = [parameter.is_free for parameter in path.parameters]
             own = slice(taken, taken + sum(unknown))
             values = np.empty((*points, len(unknown)))
             values[...] = [parameter.value for parameter in path.parameters]
@@ -173,11 +173,6 @@ class Parametrisation:
             jacobian[..., row, own] = path.coefficient_gradient(values)[..., unknown]
             taken = own.stop
         return theta, jacobian
-
-
-def _is_free(parameter: Parameter) -> bool:
-    """Whether there is anything to search: bounds that are equal fix a parameter too."""
-    return not parameter.fixed and parameter.minimum < parameter.maximum
 
 
 def starting_points(
@@ -311,7 +306,7 @@ def _differences(
 
 
 def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:
-    """Which starts ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
+    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
 
     Parameters
     ----------

@@ -182,4 +182,4 @@ class Constant(Law):
         return np.ones_like(drive_per_s)
 
 
-LeakagePath: TypeAlias = AnnularGap | SpeedCurve | Laminar | Constant
+LeakagePath: TypeAlias = Law

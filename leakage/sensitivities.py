@@ -10,20 +10,18 @@ sources add by their squares:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.annular_gap import AnnularGap
 from leakage.block_statistics import factor
 from leakage.certificate import certify
 from leakage.motor import Motor, OperatingConditions, regressors
 from leakage.multi_start import Parametrisation
 from leakage.paths import LeakagePath
-from leakage.speed_curve import SpeedCurve
 
 Array = NDArray[np.float64]
 
@@ -48,16 +46,14 @@ class ChannelTolerance:
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """Stated tolerances of channels and constants; 0 and absent ones are left out of the budget.
+    """Stated tolerances of channels and of what paths share; 0: none stated.
+
+    A path carries its own.
 
     Attributes
     ----------
     pressure_bar, temperature_c, speed_rpm, flow_l_per_min
         Of the channels.
-    deformation
-        Of a gap's deformation constant X, relative, by path.
-    speed_curve
-        Of a speed curve's level, relative, by path.
     pressure_viscosity, density
         Of the oil's α and density, relative.
     film_pressure_share
@@ -70,8 +66,6 @@ class Tolerances:
     temperature_c: ChannelTolerance = ChannelTolerance()
     speed_rpm: ChannelTolerance = ChannelTolerance()
     flow_l_per_min: ChannelTolerance = ChannelTolerance()
-    deformation: Mapping[str, float] = field(default_factory=dict)
-    speed_curve: Mapping[str, float] = field(default_factory=dict)
     pressure_viscosity: float = 0.0
     density: float = 0.0
     film_pressure_share: float = 0.0
@@ -127,7 +121,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """What one source does to every figure, signed, for its tolerance taken as positive."""
+    """Effect of one source on every figure, signed, for its tolerance taken as positive."""
 
     source: Source
     coefficients: Array
@@ -232,15 +226,9 @@ def _figures(
 def _sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
     yield from _channel_sources(tolerances)
     for path in motor.paths:
-        if isinstance(path, AnnularGap) and path.deformation_pressure_pa is not None:
-            share = tolerances.deformation.get(path.name, 0.0)
-            if share:
-                yield Source(
-                    f"{path.name} deformation constant", share, "1", _deformation(path.name, share)
-                )
-        if isinstance(path, SpeedCurve) and tolerances.speed_curve.get(path.name, 0.0):
-            share = tolerances.speed_curve[path.name]
-            yield Source(f"{path.name} curve", share, "1", _curve(path.name, share))
+        for stated in path.tolerances():
+            name = f"{path.name} {stated.constant}"
+            yield Source(name, stated.share, "1", _with_path(stated.path))
     if tolerances.pressure_viscosity:
         share = tolerances.pressure_viscosity
         yield Source("pressure-viscosity coefficient", share, "1", _pressure_viscosity(share))
@@ -318,26 +306,13 @@ def _flow(offset_l_per_min: float, gain: float) -> Disturbance:
     return disturbed
 
 
-def _with_path(window: Window, name: str, changed: Callable[[LeakagePath], LeakagePath]) -> Window:
-    paths = tuple(changed(path) if path.name == name else path for path in window.motor.paths)
-    return window._replace(motor=replace(window.motor, paths=paths))
+def _with_path(changed: LeakagePath) -> Disturbance:
+    def disturbed(window: Window) -> Window:
+        motor = window.motor
+        paths = tuple(changed if path.name == changed.name else path for path in motor.paths)
+        return window._replace(motor=replace(motor, paths=paths))
 
-
-def _deformation(name: str, share: float) -> Disturbance:
-    def changed(path: LeakagePath) -> LeakagePath:
-        assert isinstance(path, AnnularGap)
-        assert path.deformation_pressure_pa is not None
-        return replace(path, deformation_pressure_pa=path.deformation_pressure_pa * (1 + share))
-
-    return lambda window: _with_path(window, name, changed)
-
-
-def _curve(name: str, share: float) -> Disturbance:
-    def changed(path: LeakagePath) -> LeakagePath:
-        assert isinstance(path, SpeedCurve)
-        return replace(path, coefficients=tuple(c * (1 + share) for c in path.coefficients))
-
-    return lambda window: _with_path(window, name, changed)
+    return disturbed
 
 
 def _pressure_viscosity(share: float) -> Disturbance:

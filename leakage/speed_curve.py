@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -14,6 +14,7 @@ from leakage.law import (
     CoefficientUnit,
     Law,
     Parameter,
+    PathTolerance,
     Values,
     only_value,
     require_parameter,
@@ -43,6 +44,8 @@ class SpeedCurve(Law):
         ΔP₀, [Pa], and η₀, [Pa·s], of the simulation.
     scale
         Factor s on the whole curve, [1]; 1 and fixed in the thesis.
+    curve_tolerance
+        Stated tolerance of the curve's level, relative; 0: none stated.
 
     Raises
     ------
@@ -77,6 +80,7 @@ class SpeedCurve(Law):
     reference_pressure_pa: float
     reference_viscosity_pa_s: float
     scale: Parameter
+    curve_tolerance: float = 0.0
 
     def __post_init__(self) -> None:
         require_positive(
@@ -139,8 +143,16 @@ class SpeedCurve(Law):
             flow += coefficient
         return flow
 
+    def tolerances(self) -> tuple[PathTolerance, ...]:
+        """The path with a higher curve, where a tolerance is stated."""
+        share = self.curve_tolerance
+        if not share:
+            return ()
+        raised = tuple(coefficient * (1 + share) for coefficient in self.coefficients)
+        return (PathTolerance("curve", share, replace(self, coefficients=raised)),)
+
     def is_beyond(self, speed_rpm: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Whether |ω| lies outside the range of the curve's points, shape (n,)."""
+        """Mask of |ω| outside the range of the curve's points, shape (n,)."""
         speed = np.abs(speed_rpm)
         beyond: NDArray[np.bool_] = speed > self.speed_maximum_rpm
         beyond |= speed < self.speed_minimum_rpm

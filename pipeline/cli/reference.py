@@ -142,7 +142,7 @@ def table_reference() -> str:
             ),
         ]
         if table is QUALITY:
-            reasons = (f"- `{name}`: {meaning}." for name, meaning in QUALITY_REASONS.items())
+            reasons = (f"- `{name}`: {one.meaning}." for name, one in QUALITY_REASONS.items())
             lines += ["What each reason refuses:", "\n".join(reasons)]
     return "\n\n".join(lines) + "\n"
 

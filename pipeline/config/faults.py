@@ -11,8 +11,8 @@ from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from pipeline.errors import MotorLeakageError, one_line
 
-# What pydantic puts into the place of a fault and no file has: tags of a union, marks of a key.
-NO_KEYS = frozenset({"annular_gap", "speed_curve", "laminar", "[key]"})
+# Stands in the place of a fault for a key itself.
+KEY_MARK = "[key]"
 LONGEST_QUOTE = 80
 # Keys whose values may hold a secret: nothing of them is quoted.
 UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret"})
@@ -82,7 +82,7 @@ def fault_at(file: str, place: Place, message: str, given: object) -> Fault:
 
 
 def _fault(detail: ErrorDetails, file: str, prefix: str, document: object) -> Fault:
-    place = [part for part in detail["loc"] if part not in NO_KEYS]
+    place = _in_file(detail["loc"], document)
     kind = detail["type"]
     if kind.startswith("union_tag"):
         place.append("law")
@@ -110,6 +110,17 @@ def _key(place: Iterable[str | int], document: object) -> str:
         else:
             key, between = f"{key}{between}{part}", "."
     return key
+
+
+def _in_file(place: Iterable[str | int], document: object) -> list[str | int]:
+    """A place without what pydantic adds and no file has: marks of a key, the law of a path."""
+    found = []
+    for part in place:
+        if part == KEY_MARK or (part == _below(document, "law") and _below(document, part) is None):
+            continue
+        found.append(part)
+        document = _below(document, part)
+    return found
 
 
 def _below(document: object, part: str | int) -> object:

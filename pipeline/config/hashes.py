@@ -23,18 +23,9 @@ from pipeline.config.periods import ChosenPeriods
 # with new ones.
 STATISTICS_VERSION = 2
 
-# Keys that leave the columns of a free path as they are: they scale its coefficient, or only say
-# how well something is known.
-SCALE_ONLY = {
-    "annular_gap": {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"},
-    "speed_curve": {"scale"},
-    "laminar": {"count", "coefficient_m3"},
-}
 WORDS_AND_TOLERANCES = {
     "name",
     "source",
-    "deformation_tolerance_percent",
-    "curve_tolerance_percent",
     "pressure_viscosity_tolerance_percent",
     "density_tolerance_percent",
     "offset_tolerance",
@@ -225,7 +216,8 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         {"name": declared.name}
         | declared.model_dump(
             exclude=WORDS_AND_TOLERANCES
-            | (SCALE_ONLY[declared.law] if declared.name in free else set())
+            | declared.tolerance_keys
+            | (declared.scale_keys if declared.name in free else frozenset())
         )
         for declared in spec.motor_type.path
     ]

@@ -6,7 +6,7 @@ Other motor families, and paths that the thesis leaves out, are files, not code.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -86,12 +86,32 @@ class Scale(Unknown):
     fixed: bool = Field(True, description="Held at `value`")
 
 
-class AnnularGapPath(Section):
-    """`annular_gap`: laminar flow through an annular gap, with deformation and eccentricity."""
+class PathSection(Section):
+    """A `[[path]]` table: base of the models, one for each law."""
+
+    # Keys that scale the coefficient of a free path and leave its column as it is.
+    scale_keys: ClassVar[frozenset[str]]
+    # Keys that say how well something is known.
+    tolerance_keys: ClassVar[frozenset[str]] = frozenset()
 
     name: Name = Field(description="Name of the path in the tables")
-    law: Literal["annular_gap"] = Field(description="The path's law")
+    law: str
     source: Source
+
+    def path(self) -> LeakagePath:
+        """The path as the physics knows it."""
+        raise NotImplementedError
+
+
+class AnnularGapPath(PathSection):
+    """`annular_gap`: laminar flow through an annular gap, with deformation and eccentricity."""
+
+    scale_keys = frozenset(
+        {"count", "radius_mm", "length_mm", "height_factor", "gap_um", "eccentricity"}
+    )
+    tolerance_keys = frozenset({"deformation_tolerance_percent"})
+
+    law: Literal["annular_gap"] = Field(description="The path's law")
     count: int = Field(ge=1, description="Interfaces at high pressure at any time")
     radius_mm: Positive = Field(description="Radius of the gap")
     length_mm: Positive = Field(description="Length of the gap in the direction of flow")
@@ -129,6 +149,7 @@ class AnnularGapPath(Section):
             deformation_pressure_pa=self._deformation_pressure_pa(),
             height_factor=self.height_factor,
             geometry_is_placeholder=self.source == "placeholder",
+            deformation_tolerance=self.deformation_tolerance_percent / 100,
         )
 
     def _eccentricity(self) -> Parameter | None:
@@ -145,12 +166,13 @@ class AnnularGapPath(Section):
         ).deformation_pressure_pa
 
 
-class SpeedCurvePath(Section):
+class SpeedCurvePath(PathSection):
     """`speed_curve`: a curve over the speed from a simulation, scaled by pressure and viscosity."""
 
-    name: Name = Field(description="Name of the path in the tables")
+    scale_keys = frozenset({"scale"})
+    tolerance_keys = frozenset({"curve_tolerance_percent"})
+
     law: Literal["speed_curve"] = Field(description="The path's law")
-    source: Source
     count: int = Field(ge=1, description="Interfaces at high pressure at any time")
     coefficients: tuple[float, ...] | None = Field(
         None, description="Coefficients, highest power first, l/min over rpm", min_length=1
@@ -195,15 +217,16 @@ class SpeedCurvePath(Section):
             reference_pressure_pa=self.reference_pressure_bar * BAR,
             reference_viscosity_pa_s=self.reference_viscosity_mpa_s * 1e-3,
             scale=self.scale.parameter(f"scale_{self.name}", "1"),
+            curve_tolerance=self.curve_tolerance_percent / 100,
         )
 
 
-class LaminarPath(Section):
+class LaminarPath(PathSection):
     """`laminar`: flow in proportion to pressure difference over viscosity."""
 
-    name: Name = Field(description="Name of the path in the tables")
+    scale_keys = frozenset({"count", "coefficient_m3"})
+
     law: Literal["laminar"] = Field(description="The path's law")
-    source: Source
     count: int = Field(ge=1, description="Interfaces at high pressure at any time")
     coefficient_m3: Unknown = Field(description="Loss factor of one interface, m³")
 
@@ -217,6 +240,7 @@ class LaminarPath(Section):
         return Laminar(self.name, self.count, self.coefficient_m3.parameter(f"C_{self.name}", "m3"))
 
 
+# The laws that a `[[path]]` can name.
 DeclaredPath = Annotated[AnnularGapPath | SpeedCurvePath | LaminarPath, Field(discriminator="law")]
 
 

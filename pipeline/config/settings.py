@@ -326,9 +326,9 @@ class SensorHealth(Section):
 class Trend(Section):
     """The motor against its own past: baseline, slope, change and time to limit."""
 
-    baseline_nights: int = Field(60, ge=30, description="Good nights of a frozen baseline")
+    baseline_nights: int = Field(60, ge=15, description="Good nights of a frozen baseline")
     provisional_nights: int = Field(
-        30, ge=30, description="Good nights after which a provisional baseline is used"
+        15, ge=15, description="Good nights after which a provisional baseline is used"
     )
     confidence: Share = Field(0.95, lt=1, description="Coverage of the slope's interval")
     horizon_years: Positive = Field(
@@ -336,12 +336,6 @@ class Trend(Section):
     )
     false_discovery_rate: Share = Field(
         0.1, lt=1, description="Slopes with a `q_value` below this are called trends"
-    )
-    merge_nights: int = Field(
-        7,
-        ge=1,
-        description="Largest number of nights in a row with too few samples that are fitted "
-        "together; 1: never",
     )
 
     @model_validator(mode="after")

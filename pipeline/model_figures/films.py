@@ -85,8 +85,8 @@ def _stribeck(
     """Rows: the regimes below, the gaps above, each from 0 bar to the reference pressure."""
     regimes = REGIME_TABLES[TABLE]
     for row, (low, high) in enumerate(regimes.values()):
-        ends = max(low, limits[0]), min(high, limits[1])
-        axes.barh(row, ends[1] - ends[0], left=ends[0], color=_REGIME_COLOURS[row], height=0.7)
+        left, right = max(low, limits[0]), min(high, limits[1])
+        axes.barh(row, right - left, left=left, color=_REGIME_COLOURS[row], height=0.7)
     names = [path.name for path in gaps]
     for place, path in enumerate(gaps):
         row = len(regimes) + place

@@ -6,13 +6,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from leakage import Laminar, SpeedCurve
+from leakage import Laminar, LeakagePath, SpeedCurve
 from pipeline.config.motor_types import BAR
 from pipeline.model_figures.canvas import QUIET, Array, dots, label, line, new_figure, pen
 from pipeline.model_figures.gaps import DIFFERENCE, MILLILITRES, ONE_INTERFACE, PRESSURE
 from pipeline.model_figures.subject import ModelSubject
 
 SPEED = "Speed ω / rpm"
+ALL_INTERFACES = "Leakage of the path / (ml/min)"
 
 _STEPS = 351
 _SPEED_STEPS = 251
@@ -78,19 +79,34 @@ def _curve(path: SpeedCurve, speed_rpm: Array) -> Array:
 
 
 def laminar_figure(subject: ModelSubject, path: Laminar) -> Figure:
-    """Leakage of a laminar path over pressure; thesis, equation (8)."""
+    """Leakage of one interface of a laminar path over pressure; thesis, equation (8)."""
+    value = f"C = {path.loss_factor.value:.4g} m³, as configured, not fitted. Equations (3) and (8)"
+    coefficient = path.configured_coefficient / path.count
+    return _over_pressure(subject, path, coefficient, value, ONE_INTERFACE)
+
+
+def pressure_figure(subject: ModelSubject, path: LeakagePath) -> Figure:
+    """Leakage of a path of any law over pressure, at the reference speed."""
+    coefficient = path.configured_coefficient
+    value = f"{subject.speed_rpm:g} rpm; {path.coefficient_name} = {coefficient:.4g}, not fitted"
+    return _over_pressure(subject, path, coefficient, value, ALL_INTERFACES)
+
+
+def _over_pressure(
+    subject: ModelSubject, path: LeakagePath, coefficient: float, value: str, flow_label: str
+) -> Figure:
     figure, (axes,) = new_figure(
         f"{subject.motor.motor_type}, {path.name}: leakage over pressure",
         1,
-        note=f"{subject.conditions_words()}, {subject.film_words()}; "
-        f"C = {path.loss_factor.value:.4g} m³, as configured, not fitted. Equations (3) and (8).",
+        note=f"{subject.conditions_words()}, {subject.film_words()}; {value}.",
         mark=subject.marks(path, oil=True),
     )
     pressure = np.linspace(0.0, subject.highest_pressure_bar, _STEPS)
     regressor = path.regressor(
-        subject.film_drive_per_s(pressure), pressure * BAR, np.zeros_like(pressure)
+        subject.film_drive_per_s(pressure),
+        pressure * BAR,
+        np.full_like(pressure, subject.speed_rpm),
     )
-    flow = path.configured_coefficient / path.count * regressor
-    line(axes, pressure, MILLILITRES * flow, 0)
-    label(axes, "", PRESSURE, ONE_INTERFACE)
+    line(axes, pressure, MILLILITRES * coefficient * regressor, 0)
+    label(axes, "", PRESSURE, flow_label)
     return figure

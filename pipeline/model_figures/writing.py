@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from functools import partial
+from functools import partial, singledispatch
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from leakage import AnnularGap, Laminar, LeakageError, LeakagePath, SpeedCurve
+from leakage import AnnularGap, Constant, Laminar, LeakageError, LeakagePath, SpeedCurve
 from pipeline.errors import UsageError
 from pipeline.model_figures.canvas import ImageFormat, drawing, save
 from pipeline.model_figures.films import films_figure
-from pipeline.model_figures.flows import laminar_figure, speed_curve_figure
+from pipeline.model_figures.flows import laminar_figure, pressure_figure, speed_curve_figure
 from pipeline.model_figures.gaps import deformation_figure, leakage_figure
 from pipeline.model_figures.shares import shares_figure
 from pipeline.model_figures.subject import ModelSubject
@@ -28,7 +28,7 @@ def model_figures(subject: ModelSubject) -> Mapping[str, Draw]:
     """
     figures: dict[str, Draw] = {}
     for path in subject.motor.paths:
-        figures |= dict(_of_path(subject, path))
+        figures |= dict(_figures_of(path, subject))
     figures["viscosity"] = partial(viscosity_figure, subject)
     figures["shares"] = partial(shares_figure, subject)
     gaps = [path for path in subject.motor.paths if isinstance(path, AnnularGap)]
@@ -37,15 +37,32 @@ def model_figures(subject: ModelSubject) -> Mapping[str, Draw]:
     return figures
 
 
-def _of_path(subject: ModelSubject, path: LeakagePath) -> Iterator[tuple[str, Draw]]:
-    if isinstance(path, AnnularGap):
-        yield f"{path.name}_leakage", partial(leakage_figure, subject, path)
-        if path.deformation_pressure_pa is not None:
-            yield f"{path.name}_deformation", partial(deformation_figure, subject, path)
-    elif isinstance(path, SpeedCurve):
-        yield f"{path.name}_speed_curve", partial(speed_curve_figure, subject, path)
-    elif isinstance(path, Laminar):
-        yield f"{path.name}_leakage", partial(laminar_figure, subject, path)
+@singledispatch
+def _figures_of(path: LeakagePath, subject: ModelSubject) -> Iterator[tuple[str, Draw]]:
+    """Figures of a path of a law that has none of its own: leakage over pressure."""
+    yield f"{path.name}_leakage", partial(pressure_figure, subject, path)
+
+
+@_figures_of.register
+def _(path: AnnularGap, subject: ModelSubject) -> Iterator[tuple[str, Draw]]:
+    yield f"{path.name}_leakage", partial(leakage_figure, subject, path)
+    if path.deformation_pressure_pa is not None:
+        yield f"{path.name}_deformation", partial(deformation_figure, subject, path)
+
+
+@_figures_of.register
+def _(path: SpeedCurve, subject: ModelSubject) -> Iterator[tuple[str, Draw]]:
+    yield f"{path.name}_speed_curve", partial(speed_curve_figure, subject, path)
+
+
+@_figures_of.register
+def _(path: Laminar, subject: ModelSubject) -> Iterator[tuple[str, Draw]]:
+    yield f"{path.name}_leakage", partial(laminar_figure, subject, path)
+
+
+@_figures_of.register
+def _(path: Constant, subject: ModelSubject) -> Iterator[tuple[str, Draw]]:  # noqa: ARG001
+    yield from ()
 
 
 def write_model_figures(

@@ -57,17 +57,7 @@ class ChannelRules:
     def of(
         cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
     ) -> ChannelRules:
-        """The rules of a channel: its own keys where stated, else the fleet's.
-
-        Parameters
-        ----------
-        name, channel
-            The channel.
-        cleaning
-            Settings of the fleet, or the motor's own.
-        logs
-            The motor's logs, for their layout; None: columns side by side.
-        """
+        """The rules of a channel: its own keys where stated, else the fleet's."""
         is_temperature = name == "oil_temperature"
         fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
         # A value that did not change was not sent: silence is no sign of a frozen sensor.

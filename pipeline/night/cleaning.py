@@ -6,7 +6,7 @@ interpolated to 10 Hz, would spoil nineteen. The rules themselves are in `pipeli
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -107,20 +107,8 @@ def clean_channel(
 ) -> CleanChannel:
     """Apply every rule of a channel to its own samples.
 
-    Parameters
-    ----------
-    raw
-        Samples as read, in the order of the log.
-    rules
-        The channel's rules.
-    night_start_us
-        Of what lies before it, the last sample of an on-change channel carries over, and no rule
-        counts it; None: all samples are of the night.
-
-    Returns
-    -------
-    CleanChannel
-        Sorted, with blank cells that are no sample left out and all others judged.
+    Of what lies before `night_start_us`, the last sample of an on-change channel carries over, and
+    no rule counts it; None: all samples are of the night.
     """
     stamps = Stamps()
     return judged_channel(ordered_channel(raw, rules, night_start_us, stamps), rules, stamps)
@@ -194,17 +182,8 @@ def _judged(
         "at_maximum": at_maximum(value, rules.sensor_maximum, rules.resolution),
     }
     credible = ~np.logical_or.reduce(list(masks.values()))
-    seen = _Seen.of(time, value, credible, longest_gap_us)
-    resolution = max(rules.resolution, sampling.resolution_l_per_min(period_us))
-    resolution = resolution or step_of_readings(seen.value)
-    # A compressed archive holds only what differs from its neighbourhood.
-    stands_out = (
-        np.zeros(len(seen.value), dtype=np.bool_)
-        if sampling.on_change
-        else seen.spikes(rules, resolution)
-    )
-    masks["spike"] = _within(credible, stands_out)
-    masks["frozen"] = _within(credible, seen.frozen(rules))
+    course = Course.of(time, value, credible, rules, period_us, longest_gap_us)
+    masks |= {reason: _within(credible, rule(course)) for reason, rule in CHANNEL_RULES.items()}
     return time, value, masks
 
 
@@ -216,48 +195,45 @@ def _within(chosen: Mask, flags: Mask) -> Mask:
 
 
 @dataclass(frozen=True, slots=True)
-class _Seen:
-    """Credible samples of a channel, and where nobody saw the sensor.
+class Course:
+    """Credible samples of a channel, as the rules for one channel judge them.
 
     Attributes
     ----------
     time_us, value
         Shape (n,).
     borders
-        First samples after a gap.
+        First samples after a gap, in which nobody saw the sensor.
+    rules
+        The channel's limits.
+    resolution
+        Step of the readings: stated, of a counter's periods, or as the readings show it.
     """
 
     time_us: Times
     value: Values
     borders: NDArray[np.intp]
+    rules: ChannelRules
+    resolution: float
 
     @classmethod
-    def of(cls, time_us: Times, value: Values, credible: Mask, longest_gap_us: float) -> _Seen:
+    def of(
+        cls,
+        time_us: Times,
+        value: Values,
+        credible: Mask,
+        rules: ChannelRules,
+        period_us: float | None,
+        longest_gap_us: float,
+    ) -> Course:
+        """The credible ones of some samples."""
         rows = chosen_rows(credible)
-        time_us = time_us[rows]
+        time_us, value = time_us[rows], value[rows]
         borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
-        return cls(time_us, value[rows], borders)
+        stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
+        return cls(time_us, value, borders, rules, stated or step_of_readings(value))
 
-    def spikes(self, rules: ChannelRules, resolution: float) -> Mask:
-        """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
-        window, threshold = rules.hampel_window, rules.hampel_threshold
-        parts = np.split(self.value, self.borders)
-        return np.concatenate([spike(part, window, threshold, resolution) for part in parts])
-
-    def frozen(self, rules: ChannelRules) -> Mask:
-        """Frozen values; a gap, in which nobody saw the sensor, adds no time to a stretch."""
-        stuck = frozen(
-            self._time_in_sight_us(), self.value, rules.resolution, rules.frozen_after_s * SECOND_US
-        )
-        if stuck.any():
-            # As many counts in each period are a steady flow; none for long is a counter that
-            # stopped.
-            at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
-            counts = rules.sampling.counts
-            stuck &= (self.value == 0.0) if counts else np.abs(self.value) >= at_rest_below
-        return stuck
-
-    def _time_in_sight_us(self) -> Times:
+    def time_in_sight_us(self) -> Times:
         """Times without those of the gaps."""
         if not len(self.borders):
             return self.time_us
@@ -267,6 +243,36 @@ class _Seen:
         before_us *= -1
         before_us += self.time_us
         return before_us
+
+
+def _spikes(course: Course) -> Mask:
+    """Spikes among the samples between two gaps: what was before a gap is no neighbourhood."""
+    rules = course.rules
+    # A compressed archive holds only what differs from its neighbourhood.
+    if rules.sampling.on_change:
+        return np.zeros(len(course.value), dtype=np.bool_)
+    window, threshold = rules.hampel_window, rules.hampel_threshold
+    parts = np.split(course.value, course.borders)
+    return np.concatenate([spike(part, window, threshold, course.resolution) for part in parts])
+
+
+def _stuck(course: Course) -> Mask:
+    """Frozen values; a gap adds no time to a stretch."""
+    rules = course.rules
+    after_us = rules.frozen_after_s * SECOND_US
+    stuck = frozen(course.time_in_sight_us(), course.value, rules.resolution, after_us)
+    if stuck.any():
+        # As many counts in each period are a steady flow; none for long is a counter that
+        # stopped.
+        at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
+        counts = rules.sampling.counts
+        stuck &= (course.value == 0.0) if counts else np.abs(course.value) >= at_rest_below
+    return stuck
+
+
+# Rules for the credible samples of one channel, by their reason in `quality`. Each gives a mask
+# of the samples that it refuses; `QUALITY_REASONS` has the words.
+CHANNEL_RULES: dict[str, Callable[[Course], Mask]] = {"spike": _spikes, "frozen": _stuck}
 
 
 def _longest_gap_us(period_us: float | None, rules: ChannelRules) -> float:

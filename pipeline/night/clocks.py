@@ -97,13 +97,6 @@ def written_late(time_us: Times, backward: Mask) -> Mask:
     A clock that was set back runs over times that are taken, and a row of samples of which one
     does so is no late one; a lone wrong stamp lies near nothing. Neither is restored.
 
-    Parameters
-    ----------
-    time_us
-        Times in the order of the log, shape (n,).
-    backward
-        Those that `backward_time` names, shape (n,).
-
     Examples
     --------
     >>> time = np.array([0, 10, 20, 40, 50, 30])
@@ -129,13 +122,6 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
 
     Of two rows that contradict each other either may be named backward; where the other one goes
     back in order and this one lies near nothing, this one has the wrong stamp.
-
-    Parameters
-    ----------
-    time_us
-        Times in the order of the log, shape (n,).
-    late
-        Those that `written_late` names, shape (n,).
     """
     stray = np.zeros(len(time_us), dtype=np.bool_)
     period = typical_period_us(time_us[~late]) if late.any() else None
@@ -148,7 +134,7 @@ def stray_time(time_us: Times, late: Mask) -> Mask:
 
 
 def _distance_of_nearest(time_us: Times, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """How far some stamps are from the nearest of all others."""
+    """Distance of some stamps from the nearest of all others."""
     # Stable: the sort that is quick where most are in order.
     ordered, stamps = np.sort(time_us, kind="stable"), time_us[rows]
     before = np.searchsorted(ordered, stamps, side="left") - 1
@@ -160,15 +146,7 @@ def _distance_of_nearest(time_us: Times, rows: NDArray[np.intp]) -> NDArray[np.f
 
 
 def jittered(time_us: Times, period_us: float | None) -> Mask:
-    """Samples that come neither one nor several periods after the one before.
-
-    Parameters
-    ----------
-    time_us
-        Times, increasing, shape (n,).
-    period_us
-        The channel's typical period; None: nothing can be told.
-    """
+    """Samples that come neither one nor several periods after the one before."""
     mask = np.zeros(len(time_us), dtype=np.bool_)
     if not period_us:
         return mask

@@ -150,7 +150,7 @@ def _budget(
 
 
 def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
-    """The tolerances that a motor's config states; of two ports the difference's, by squares."""
+    """Tolerances of channels, oil and model; of two ports the difference's, by squares."""
 
     def of(*names: str) -> ChannelTolerance:
         channels = [spec.file.channels[name] for name in names if name in spec.file.channels]
@@ -159,23 +159,12 @@ def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:
             float(np.hypot.reduce([channel.gain_tolerance_percent for channel in channels])) / 100,
         )
 
-    paths = spec.motor_type.path
     oil, model = spec.oil_on(night), spec.settings.model
     return Tolerances(
         pressure_bar=of("pressure_difference", "high_port_pressure", "low_port_pressure"),
         temperature_c=of("oil_temperature"),
         speed_rpm=of("speed"),
         flow_l_per_min=of("leakage_flow"),
-        deformation={
-            path.name: path.deformation_tolerance_percent / 100
-            for path in paths
-            if path.law == "annular_gap"
-        },
-        speed_curve={
-            path.name: path.curve_tolerance_percent / 100
-            for path in paths
-            if path.law == "speed_curve"
-        },
         pressure_viscosity=oil.pressure_viscosity_tolerance_percent / 100,
         density=oil.density_tolerance_percent / 100,
         film_pressure_share=model.film_pressure_share_tolerance,

@@ -51,7 +51,7 @@ PreviousModel = Mapping[str, tuple[float, ...]]
 
 @dataclass(frozen=True, slots=True)
 class NightOutcome:
-    """What came of a motor's night.
+    """Outcome of a motor's night.
 
     Attributes
     ----------

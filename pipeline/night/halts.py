@@ -19,7 +19,7 @@ from pipeline.night.cleaning import CleanChannel
 
 @dataclass(frozen=True, slots=True)
 class Zero:
-    """What a sensor says while there is nothing to measure.
+    """Reading of a sensor while there is nothing to measure.
 
     Attributes
     ----------
@@ -58,17 +58,6 @@ def settled_halts(
     settings: SensorHealth,
 ) -> Halts:
     """The zeros that a night's halts show.
-
-    Parameters
-    ----------
-    standstill
-        Where the motor stands still, on the time base, shape (n,).
-    grid_us
-        The time base, UTC microseconds, shape (n,).
-    channels
-        Cleaned channels; the pressure difference by itself or as two ports.
-    settings
-        When a halt counts as settled and as depressurised.
 
     Notes
     -----
@@ -110,7 +99,7 @@ def _stretches(mask: Mask) -> NDArray[np.int64]:
 
 
 def _readings(channel: CleanChannel, begin_us: int, end_us: int, needed_us: int) -> Values:
-    """What a sensor read in a stretch of time, below its maximum; nothing where that is too short.
+    """Readings of a sensor in a stretch of time, below its maximum; none where it is too short.
 
     The share of credible samples is taken for the share of the time, however they are sampled.
     """

@@ -1,4 +1,4 @@
-"""Which samples a rule refuses: each a pure function that returns a mask and changes nothing."""
+"""Masks of the samples that a rule refuses, by pure functions."""
 
 from __future__ import annotations
 
@@ -30,17 +30,6 @@ def missing_sample(
     In a log whose rows are those of the fastest channel, a slower one is blank in most of them: a
     blank cell is a missing sample only where the channel's own period, counted from its last
     sample, says that one is due, and none comes a little late.
-
-    Parameters
-    ----------
-    time_us
-        Times of the cells, increasing, shape (n,).
-    blank
-        Cells without a value, shape (n,).
-    period_us
-        The channel's own period; None: every blank is missing.
-    row_us
-        Typical distance of two cells; None where there are not two.
     """
     if period_us is None or not blank.any():
         return blank.copy()
@@ -86,21 +75,7 @@ def spike(value: Values, window: int, threshold: float, resolution: float) -> Ma
     The scale is the median absolute deviation within the window, as a standard deviation, and never
     below the sensor's resolution: a coarse signal has a deviation of 0 and would lose its steps.
 
-    Parameters
-    ----------
-    value
-        Finite values in order of time, shape (n,).
-    window
-        Samples in the window, an odd number; of fewer samples none is a spike.
-    threshold
-        Limit in scaled MAD.
-    resolution
-        Smallest step of the sensor.
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,).
+    The window is odd; of fewer samples than it holds none is a spike.
 
     References
     ----------
@@ -147,20 +122,6 @@ def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: fl
 
     Readings of the sensor's steps are told apart; noise of less than half a step between them, as a
     conversion of units leaves it, is no change, wherever it lies.
-
-    Parameters
-    ----------
-    time_us, value
-        Samples in order of time, shape (n,).
-    resolution
-        Step of the sensor; 0: values must be equal.
-    frozen_after_us
-        Longest credible time without a change [µs].
-
-    Returns
-    -------
-    ndarray of bool
-        All samples of each stretch that lasts longer, shape (n,).
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     for part in _suspects(time_us, value, resolution, frozen_after_us):
@@ -218,7 +179,7 @@ def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:
 
 
 def _covered(begins: NDArray[np.intp], ends: NDArray[np.intp], n: int) -> Mask:
-    """Which of n samples lie in any of some stretches, half open, whose ends both increase."""
+    """Mask of the n samples within stretches, half open, whose ends both increase."""
     apart = begins[1:] > ends[:-1]
     begins = begins[np.append(True, apart)[: len(begins)]]
     ends = ends[np.append(apart, True)[: len(ends)]]
@@ -230,22 +191,7 @@ def _covered(begins: NDArray[np.intp], ends: NDArray[np.intp], n: int) -> Mask:
 
 
 def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
-    """Times within a guard time before or after any event.
-
-    Parameters
-    ----------
-    events_us
-        Times of the events, sorted, shape (m,).
-    time_us
-        Times to judge, sorted, shape (n,).
-    before_us, after_us
-        Guard times [µs].
-
-    Returns
-    -------
-    ndarray of bool
-        Shape (n,).
-    """
+    """Times within a guard time before or after any event."""
     first = np.searchsorted(time_us, events_us - before_us, side="left")
     end = np.searchsorted(time_us, events_us + after_us, side="right")
     return _covered(first, end, len(time_us))
@@ -254,21 +200,7 @@ def near(events_us: Times, time_us: Times, before_us: float, after_us: float) ->
 def transient(value: Values, present: Mask, period_s: float, limit_per_s: float) -> Mask:
     """Samples of the time base at which a channel changes faster than a limit.
 
-    Parameters
-    ----------
-    value
-        On the time base, shape (n,); only `present` ones are looked at.
-    present
-        Samples of the time base that have a value, shape (n,).
-    period_s
-        Period of the time base [s].
-    limit_per_s
-        Largest credible steady change per second.
-
-    Returns
-    -------
-    ndarray of bool
-        Both ends of each fast change, shape (n,).
+    Both ends of each fast change are refused.
     """
     pairs = present[1:] & present[:-1]
     rate = np.zeros(len(pairs))

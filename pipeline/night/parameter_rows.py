@@ -9,13 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import (
-    AnnularGap,
     Fit,
     LeakagePath,
     Motor,
-    Parameter,
     Parametrisation,
-    film_thickness_ratio,
     path_flows_l_per_min,
     regressors,
 )
@@ -40,9 +37,7 @@ def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     rows: list[Row] = []
     for path in fit.motor.paths:
         row = _coefficient_row(mode, path, places.get(path.name), spreads)
-        rows.append(row)
-        if isinstance(path, AnnularGap):
-            rows += _gap_rows(spec, path, row, spreads)
+        rows += [row, *_derived_rows(spec, path, row, spreads)]
     return rows + _share_rows(mode)
 
 
@@ -65,7 +60,7 @@ def _coefficient_row(
         return row
     row["spread_over_starts"] = spreads.get(path.coefficient_name)
     if judgement.information is not None:
-        row["degrees_of_freedom"] = judgement.information.degrees_of_freedom
+        row["interval_degrees_of_freedom"] = judgement.information.degrees_of_freedom
         row["largest_block_share"] = judgement.information.largest_block_share
     if judgement.interval is None:
         return row
@@ -84,77 +79,34 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _gap_rows(
-    spec: MotorSpec, path: AnnularGap, coefficient: Row, spreads: Mapping[str, float]
+def _derived_rows(
+    spec: MotorSpec, path: LeakagePath, coefficient: Row, spreads: Mapping[str, float]
 ) -> list[Row]:
-    """What a loss factor says of gap height, eccentricity and film thickness."""
-    h_range, e_range = _feasible(path, coefficient["value"])
-    roughness = [um * MICROMETRE for um in spec.motor_type.surface_roughness_um]
-    films = film_thickness_ratio(
-        np.array(h_range) * MICROMETRE, np.array(e_range)[::-1], *roughness
-    ).tolist()
-    gap = _range_row(f"h_{path.name}", "um", *h_range)
-    film = _range_row(f"film_thickness_ratio_{path.name}", "1", *films)
-    rows = [gap, film]
-    if path.eccentricity is not None:
-        rows.insert(1, _range_row(f"e_{path.name}", "1", *e_range))
-    for row in rows:
-        row["spread_over_starts"] = spreads.get(row["parameter"])
-        row |= _gap_verdict(path, coefficient)
-        row["geometry_is_placeholder"] = path.geometry_is_placeholder
-    e_is_known = e_range[0] == e_range[1]
-    if "lower" in coefficient and e_is_known and _is_free(path.gap):
-        # Alone in its loss factor, a gap is known as well as that: h goes with its cube root.
-        limits = np.maximum([coefficient["lower"], coefficient["upper"]], 0.0)
-        gap["lower"], gap["upper"] = path.gap_um_from_coefficient(limits, e_range[0]).tolist()
+    """Rows of the figures that a coefficient implies, each with a value or a feasible range."""
+    first, second = spec.motor_type.surface_roughness_um
+    limits = (coefficient["lower"], coefficient["upper"]) if "lower" in coefficient else None
+    rows: list[Row] = []
+    for figure in path.derived_figures(
+        coefficient["value"], limits, (first * MICROMETRE, second * MICROMETRE)
+    ):
+        row: Row = {
+            "parameter": figure.name,
+            "value": figure.lowest if figure.lowest == figure.highest else None,
+            "unit": figure.unit,
+            "feasible_min": figure.lowest,
+            "feasible_max": figure.highest,
+            "spread_over_starts": spreads.get(figure.name),
+            "verdict": coefficient["verdict"],
+            "reason": coefficient["reason"],
+            "geometry_is_placeholder": figure.is_placeholder,
+        }
+        if figure.combination and coefficient["verdict"] != "fixed":
+            row["verdict"] = "only_in_combination"
+            row["reason"] = f"only {figure.combination} shows in the data"
+        if figure.limits is not None:
+            row["lower"], row["upper"] = figure.limits
+        rows.append(row)
     return rows
-
-
-def _is_free(parameter: Parameter) -> bool:
-    return parameter.lowest < parameter.highest
-
-
-def _feasible(
-    path: AnnularGap, coefficient_m3: float
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible."""
-    e = path.eccentricity
-    if e is None:
-        h = float(path.gap_um_from_coefficient(coefficient_m3))
-        return (h, h), (0.0, 0.0)
-    smallest, largest = path.feasible_gap_um(coefficient_m3)
-    low = min(max(smallest, path.gap.lowest), path.gap.highest)
-    high = max(min(largest, path.gap.highest), low)
-
-    def eccentricity(h: float) -> float:
-        # The ends of the range as they are: the root below makes 1e-8 of a rounding error.
-        if h in (smallest, largest):
-            return e.highest if h == smallest else e.lowest
-        widening = coefficient_m3 / float(path.coefficient([h, 0.0])) - 1.0
-        return float(np.clip(np.sqrt(max(widening, 0.0) / 1.5), e.lowest, e.highest))
-
-    if not _is_free(e):
-        return (low, high), (e.value, e.value)
-    return (low, high), (eccentricity(high), eccentricity(low))
-
-
-def _range_row(parameter: str, unit: str, low: float, high: float) -> Row:
-    """A parameter of which the loss factor allows a range; a value where that is a point."""
-    value = low if low == high else None
-    row: Row = {"parameter": parameter, "value": value, "unit": unit}
-    return row | {"feasible_min": low, "feasible_max": high}
-
-
-def _gap_verdict(path: AnnularGap, coefficient: Row) -> Row:
-    """A gap's verdict is its loss factor's, unless an unknown eccentricity shares that."""
-    e = path.eccentricity
-    shared = e is not None and _is_free(e) and _is_free(path.gap)
-    if not shared or coefficient["verdict"] == "fixed":
-        return {"verdict": coefficient["verdict"], "reason": coefficient["reason"]}
-    return {
-        "verdict": "only_in_combination",
-        "reason": f"only {path.coefficient_name} ∝ h³(1 + 1.5e²) shows in the data",
-    }
 
 
 def _spreads(fit: Fit) -> dict[str, float]:

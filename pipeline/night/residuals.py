@@ -49,19 +49,7 @@ def night_residuals(
     correlation_time_s: float,
     smoothing: Smoothing,
 ) -> tuple[PartResiduals, ...]:
-    """Residual analyses of a fit: of training and validation, unsmoothed and, if any, smoothed.
-
-    Parameters
-    ----------
-    statistics
-        The night's samples with their columns.
-    coefficients
-        θ of the fit, shape (c − 2,).
-    correlation_time_s
-        How long the training errors remember [s]; may be infinite.
-    smoothing
-        What the fit was smoothed with.
-    """
+    """Residual analyses of a fit: of training and validation, unsmoothed and, if any, smoothed."""
     samples = statistics.samples
     error_of = -np.concatenate([coefficients, (1.0, -1.0)])
     inputs = np.stack(

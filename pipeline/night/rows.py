@@ -154,7 +154,7 @@ def fit_rows(
 
 
 def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
-    """What a night's fits have in common."""
+    """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
     reference = spec.settings.reference
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
@@ -230,7 +230,7 @@ def _mode_columns(
 
 
 def search_columns(fit: Fit) -> Row:
-    """How the search from several starts went."""
+    """Columns of the search from several starts."""
     return {
         "n_starts": len(fit.starts),
         "n_starts_at_minimum": len(fit.starts_at_minimum),
@@ -260,17 +260,7 @@ def agreement_columns(
 def previous_model_columns(
     spec: MotorSpec, night_factor: Array, previous: tuple[float, ...] | None
 ) -> Row:
-    """How the model before agrees with all of the night's samples.
-
-    Parameters
-    ----------
-    spec
-        The motor.
-    night_factor
-        Factor of all kept samples, shape (c, c).
-    previous
-        θ of the model before; None where there is none.
-    """
+    """Agreement of the model before, if any, with all samples, given their factor."""
     found = Agreement(0, None, None, None)
     if previous is not None and len(previous) == len(night_factor) - 2:
         resolution = spec.file.channels["leakage_flow"].resolution

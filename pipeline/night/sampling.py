@@ -1,4 +1,4 @@
-"""What a channel's samples mean: readings, changes, means of a period, or counts of a volume.
+"""Kinds of samples of a channel: readings, changes, means of a period, or counts of a volume.
 
 The config says which (`[channels.<name>] sampling`, `counts`); nothing here guesses.
 """
@@ -28,7 +28,7 @@ TO_THE_MIDDLE = {"begin": 0.5, "middle": 0.0, "end": -0.5}
 
 @dataclass(frozen=True, slots=True)
 class Sampling:
-    """What the samples of a channel are.
+    """Kind of the samples of a channel.
 
     Attributes
     ----------
@@ -111,17 +111,6 @@ def flow_from_counts(
 ) -> CountedFlow:
     """The flow that a counter of volume tells between each sample and the one before.
 
-    Parameters
-    ----------
-    time_us
-        Times, strictly increasing, shape (n,).
-    count
-        Running total, or counts since the sample before; nan where missing. Shape (n,).
-    longest_gap_us
-        Over a longer interval the mean flow says nothing of its middle.
-    sampling
-        Kind of counts, volume of one, and where a total rolls over.
-
     Examples
     --------
     >>> meter = Sampling(counts="cumulative", volume_per_count_cm3=1.0, rolls_over_at=100.0)
@@ -155,11 +144,6 @@ def step_of_readings(value: Values) -> float:
     Of a sensor whose resolution nobody stated: the commonest change between neighbours, if it is
     common enough to be a step of the sensor and not of what it measures.
 
-    Parameters
-    ----------
-    value
-        Finite readings in order of time, shape (n,).
-
     Examples
     --------
     >>> step_of_readings(np.array([0.0, 0.6, 0.6, 0.0, 0.6, 0.0]))
@@ -181,7 +165,7 @@ def step_of_readings(value: Values) -> float:
 
 
 def means_too_long(channels: Mapping[ChannelName, Channel], cleaning: Cleaning) -> str | None:
-    """Which channels are means of longer periods than a model can be fitted to; None: none is.
+    """Channels that are means of too long periods for a fit, in words; None: there is none.
 
     A mean of the inputs is no input of the mean: the leakage is not linear in them.
     """

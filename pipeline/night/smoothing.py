@@ -18,21 +18,7 @@ Array = NDArray[np.float64]
 def smooth(
     z: Array, index: Times, block: NDArray[np.int64], period_us: int, how: Smoothing
 ) -> Array:
-    """Centred moving average over the kept samples around each one.
-
-    Parameters
-    ----------
-    z
-        Columns of the kept samples, shape (n, c); the last one is the measured flow.
-    index
-        Places of the samples on the time base, shape (n,).
-    block
-        Number of each sample's block, shape (n,).
-    period_us
-        Period of the time base.
-    how
-        Length of the window, and whether it goes over all columns.
-    """
+    """Centred moving average of the columns, of which the last is the flow, over kept samples."""
     half = round(how.window_s * SECOND_US) // (2 * period_us)
     if half == 0:
         return z

@@ -77,7 +77,7 @@ class NightStatistics:
         return [self.blocks[at].part for at in np.searchsorted(ends, rows, side="right").tolist()]
 
     def rows_of(self, part: str) -> NDArray[np.bool_]:
-        """Which of the kept samples belong to a part, shape (n,)."""
+        """Mask of the kept samples of a part, shape (n,)."""
         chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
         return np.repeat(chosen, [block.n for block in self.blocks])
 
@@ -152,7 +152,7 @@ def _short_means(
 
 
 def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditions:
-    """What drives the leakage of the kept samples, from one side or from both."""
+    """Conditions of the kept samples that drive the leakage, from one side or from both."""
     return OperatingConditions.from_bar(
         np.abs(samples.pressure_difference_bar),
         samples.oil_temperature_c,

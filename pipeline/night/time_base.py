@@ -7,7 +7,7 @@ averaged over a cell of the grid. An on-change channel begins with its last samp
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from math import ceil
 from typing import NamedTuple
@@ -37,7 +37,7 @@ LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """How many samples a rule looked at and refused, or kept although it applies."""
+    """Numbers of samples that a rule looked at, refused, or kept although it applies."""
 
     channel: str
     reason: str
@@ -137,20 +137,7 @@ def grid_period_us(channels: Mapping[str, CleanChannel], settings: TimeBase) -> 
 def on_grid(
     channel: CleanChannel, grid_us: Times, period_us: int, stamps: Stamps | None = None
 ) -> tuple[Values, Mask, Mask]:
-    """A channel on the time base.
-
-    Parameters
-    ----------
-    channel
-        Cleaned samples.
-    grid_us
-        Times of the grid, shape (n,).
-    period_us
-        Period of the grid.
-    stamps
-        What is known of the stamps of channels that were brought onto this very grid before; None:
-        there are none.
-    """
+    """Values of a channel on the time base, where it has one, and where it is silent."""
     n = len(grid_us)
     if not n or not len(channel.time_us):
         return np.full(n, np.nan), np.zeros(n, np.bool_), np.ones(n, np.bool_)
@@ -167,16 +154,7 @@ def on_grid(
 
 
 def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np.intp]:
-    """How many samples lie before each time of an even grid: counted, not searched for.
-
-    Parameters
-    ----------
-    time_us
-        Times of samples, increasing, shape (m,).
-    grid_us
-        Times of the grid, shape (n,), `period_us` apart.
-    period_us
-        Period of the grid.
+    """Number of samples before each time of an even grid: counted, not searched for.
 
     Examples
     --------
@@ -192,7 +170,7 @@ def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np
 
 
 class _Places(NamedTuple):
-    """Where samples lie on a time base.
+    """Places of samples on a time base.
 
     Attributes
     ----------
@@ -332,7 +310,10 @@ def bring_together(
         )
         unpaired["transport_delay"] = late
     complete = np.logical_and.reduce([present[name] for name in (*INPUTS, *low_pressures)])
-    masks = _joint_masks(channels, grid, period, values, present, cleaning) | unpaired
+    together = Together(grid, period / SECOND_US, values, present)
+    masks = _halt_masks(channels, together, cleaning)
+    judged = {reason: rule(together, cleaning) for reason, rule in JOINT_RULES.items()}
+    masks |= {reason: mask for reason, mask in judged.items() if mask is not None} | unpaired
     refused = np.logical_or.reduce(list(masks.values())) | ~complete
     masks["incomplete"], masks["any"] = ~complete, refused
     found += [
@@ -365,7 +346,7 @@ def bring_together(
 
 
 def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:
-    """Where the log of a night begins: with its first sample, or at once if all carry over."""
+    """Begin of a night's log: its first sample, or the night's start if all carry over."""
     if all(channel.n_carried for channel in channels.values()):
         return night_start_us
     return min(
@@ -375,30 +356,54 @@ def _first_us(channels: Mapping[str, CleanChannel], night_start_us: int) -> int:
     )
 
 
-def _joint_masks(
-    channels: Mapping[str, CleanChannel],
-    grid: Times,
-    period_us: int,
-    values: Mapping[str, Values],
-    present: Mapping[str, Mask],
-    cleaning: Cleaning,
+def _halt_masks(
+    channels: Mapping[str, CleanChannel], together: Together, cleaning: Cleaning
 ) -> dict[str, Mask]:
-    speed, pressure = values["speed"], values["pressure_difference"]
+    """Standstills, and the guard times around them and around a sensor at its maximum."""
+    grid, speed = together.grid_us, together.values["speed"]
     slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
-    standstill = present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
+    standstill = together.present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
     events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))
     before, after = cleaning.guard_before_s * SECOND_US, cleaning.guard_after_s * SECOND_US
-    masks = {"standstill": standstill, "guard": near(events, grid, before, after) & ~standstill}
-    if cleaning.refuse_transients:
-        period_s = period_us / SECOND_US
-        masks["transient"] = transient(
-            speed, present["speed"], period_s, cleaning.transient_speed_rpm_per_s
-        ) | transient(
-            pressure,
-            present["pressure_difference"],
-            period_s,
-            cleaning.transient_pressure_bar_per_s,
-        )
-    return masks
+    return {"standstill": standstill, "guard": near(events, grid, before, after) & ~standstill}
+
+
+@dataclass(frozen=True, slots=True)
+class Together:
+    """All channels on the time base, as the joint rules judge them.
+
+    Attributes
+    ----------
+    grid_us
+        Times, shape (n,).
+    period_s
+        Their distance.
+    values, present
+        Of each channel, shape (n,); only `present` ones count.
+    """
+
+    grid_us: Times
+    period_s: float
+    values: Mapping[str, Values]
+    present: Mapping[str, Mask]
+
+
+def _transients(together: Together, cleaning: Cleaning) -> Mask | None:
+    """Fast changes of speed or pressure."""
+    if not cleaning.refuse_transients:
+        return None
+    limits = {
+        "speed": cleaning.transient_speed_rpm_per_s,
+        "pressure_difference": cleaning.transient_pressure_bar_per_s,
+    }
+    fast = np.zeros(len(together.grid_us), dtype=np.bool_)
+    for name, limit in limits.items():
+        fast |= transient(together.values[name], together.present[name], together.period_s, limit)
+    return fast
+
+
+# Rules for all channels together, by their reason in `quality`. Each gives a mask of the times
+# that it refuses, or None where the settings have it off; `QUALITY_REASONS` has the words.
+JOINT_RULES: dict[str, Callable[[Together, Cleaning], Mask | None]] = {"transient": _transients}

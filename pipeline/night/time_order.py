@@ -36,7 +36,7 @@ class Disorder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Order:
-    """How rows come into strict order of time.
+    """Rows in strict order of time.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Order:
 
 
 class Stamps:
-    """What is known of arrays of stamps: channels of one table share one, looked through once.
+    """Findings about arrays of stamps: channels of one table share one, looked through once.
 
     Nobody changes an array that it was asked of.
     """
@@ -76,13 +76,13 @@ class Stamps:
         return self.once(time_us, "period", lambda: typical_period_us(time_us))
 
     def n_jittered(self, time_us: Times, period_us: float | None) -> int:
-        """How many samples are `jittered`."""
+        """Number of samples that are `jittered`."""
         return self.once(
             time_us, ("jitter", period_us), lambda: int(jittered(time_us, period_us).sum())
         )
 
     def once(self, time_us: Times, what: Hashable, find: Callable[[], Found]) -> Found:
-        """What `find` finds out of some stamps, under its name: it is called once for them."""
+        """Result of `find` for some stamps, under a name; `find` is called once."""
         key = (time_us.ctypes.data, len(time_us), what)
         if key not in self._known:
             self._known[key] = time_us, find()
@@ -90,14 +90,7 @@ class Stamps:
 
 
 def order_of(time_us: Times, *, puts_in_order: bool) -> Order:
-    """How rows come into strict order of their time.
-
-    Parameters
-    ----------
-    time_us
-        Times in the order of the log, shape (n,).
-    puts_in_order
-        Whether rows written late are put back in their place, not refused.
+    """Order rows strictly by time.
 
     Examples
     --------

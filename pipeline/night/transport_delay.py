@@ -29,7 +29,7 @@ FEWEST_SAMPLES = 100
 
 @dataclass(frozen=True, slots=True)
 class Delay:
-    """What a night's delay was, and what it takes to estimate it.
+    """Delay of a night, and the inputs of its estimate.
 
     Attributes
     ----------
@@ -53,19 +53,7 @@ def drain_line_delay_s(
 
     .. math:: \\tau(t) = \\frac{L}{v(t)}, \\qquad v = \\frac{y}{\\pi d^2 / 4}
 
-    Parameters
-    ----------
-    flow_l_per_min
-        Drain flow y, shape (n,) [l/min].
-    line_length_m
-        Length L from the motor to the sensor [m].
-    line_inner_diameter_mm
-        Inner diameter d [mm].
-
-    Returns
-    -------
-    ndarray
-        Shape (n,) [s]; infinite without flow, nan where the flow is.
+    Infinite without flow, nan where the flow is.
 
     Examples
     --------
@@ -112,12 +100,7 @@ def delay_on_grid_s(
 def shifted(value: Values, present: Mask, steps: Values) -> tuple[Values, Mask]:
     """A channel of the time base at another time: element i is its value at i + steps[i].
 
-    Parameters
-    ----------
-    value, present
-        The channel and where it has a value, shape (n,).
-    steps
-        In periods of the time base, shape (n,); not finite where not known.
+    Steps are periods of the time base; not finite where not known.
     """
     known = np.isfinite(steps)
     place = np.arange(len(value)) + np.where(known, steps, 0.0)
@@ -138,17 +121,7 @@ def delay_inputs(
     period_s: float,
     settings: TransportDelay,
 ) -> tuple[dict[str, Values], dict[str, Mask], Mask, Delay]:
-    """Pair the drain flow y(t) with the inputs at t − τ(t), those measured in the line at t + τ(t).
-
-    Parameters
-    ----------
-    values, present
-        Channels on the time base by name, shape (n,) each.
-    period_s
-        Period of the time base.
-    settings
-        Kind of delay, its limit, and the inputs that it is stated for.
-    """
+    """Pair the drain flow y(t) with inputs at t − τ(t), those measured in the line at t + τ(t)."""
     tau = delay_on_grid_s(values["leakage_flow"], present["leakage_flow"], period_s, settings)
     refused = ~(tau <= settings.maximum_s)
     leading: tuple[str, ...] = settings.leading
@@ -174,24 +147,8 @@ def estimated_delay_s(
 ) -> float | None:
     """The constant delay at which prediction and measured flow agree best, by cross-correlation.
 
-    Parameters
-    ----------
-    delay
-        Inputs as logged, and their direction.
-    rows
-        Places of the kept samples on the time base, shape (n,).
-    measured
-        Their drain flow, shape (n,) [l/min].
-    predict
-        Drain flow [l/min] of some kept samples (by their place among them) with other inputs.
-    period_s, maximum_s
-        Period of the time base; longest delay that is tried.
-
-    Returns
-    -------
-    float or None
-        To a fraction of the lags tried, by a parabola [s]; None where nothing moves, too few
-        samples lie far enough from gaps, or the best lag is the longest.
+    None where nothing moves, too few samples lie far from gaps, or the best lag is the longest.
+    `predict` gives the drain flow of some kept samples with other inputs.
     """
     step = max(1, round(maximum_s / period_s / (LAGS_TRIED - 1)))
     lags = np.arange(0, int(maximum_s / period_s) + 1, step)
@@ -238,7 +195,7 @@ def _correlation(one: Values, other: Values) -> float:
 
 
 def _summit(values: Values, best: int) -> float:
-    """Where a parabola through the best value and its neighbours is highest, relative to it."""
+    """Place of the peak of a parabola through the best value and its neighbours, relative to it."""
     if best == 0:
         return 0.0
     before, at, after = values[best - 1 : best + 2]

@@ -59,21 +59,7 @@ def left_out(
     settings: Windows,
     chosen_periods: ChosenPeriods,
 ) -> dict[str, Mask]:
-    """Kept samples that are in no part of the night good enough to fit, by rule.
-
-    Parameters
-    ----------
-    time_us
-        Times of the kept samples, increasing, shape (n,).
-    period_us
-        Period of the time base.
-    night_start_us
-        Start of the night; blocks count from it.
-    settings
-        Share a block must keep, longest gap, shortest stretch.
-    chosen_periods
-        Periods chosen by an engineer; where there are some, they alone decide.
-    """
+    """Kept samples that are in no part of the night good enough to fit, by rule."""
     if chosen_periods:
         inside = _within(time_us, chosen_periods.training + chosen_periods.validation)
         return {"outside_periods": ~inside}
@@ -92,16 +78,7 @@ def left_out(
 
 
 def too_uniform(values: Mapping[str, NDArray[np.float64]], settings: Windows) -> str | None:
-    """What varies too little over the training samples to be fitted, in words; None: nothing.
-
-    Parameters
-    ----------
-    values
-        |pressure difference| [bar], |speed| [rpm] and oil temperature [°C] of the training
-        samples, by the names "pressure", "speed" and "temperature"; shape (n,) each.
-    settings
-        The spreads that are needed.
-    """
+    """Channel that varies too little over the training samples to be fitted, in words; or None."""
     needed = {
         "pressure": (settings.minimum_pressure_spread_bar, "bar"),
         "speed": (settings.minimum_speed_spread_rpm, "rpm"),
@@ -122,20 +99,7 @@ def split_into_blocks(
     settings: Windows,
     chosen_periods: ChosenPeriods = NONE_CHOSEN,
 ) -> tuple[Block, ...]:
-    """Short blocks of the kept samples, counted from the night's start, with their parts.
-
-    Parameters
-    ----------
-    time_us
-        Times of the kept samples, increasing, shape (n,).
-    night_start_us
-        Start of the night.
-    settings
-        Length of a block, kind of split, shares.
-    chosen_periods
-        Periods chosen by an engineer, which then decide the parts; a block that both touch is
-        guard.
-    """
+    """Short blocks of the kept samples, counted from the night's start, with their parts."""
     length = round(settings.block_s * SECOND_US)
     if not len(time_us):
         return ()

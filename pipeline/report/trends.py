@@ -15,7 +15,7 @@ from pipeline.report.tables import ReportTables, by_motor
 from pipeline.schema import TRENDS, frame
 from pipeline.thinning import keep_extremes
 from pipeline.trends.decisions import Decision
-from pipeline.trends.words import name_of
+from pipeline.trends.words import limit_dates, name_of
 
 Payload = dict[str, Any]
 
@@ -40,9 +40,6 @@ LATEST = (
     "path",
     "path_probability",
     "path_reason",
-    "days_to_limit",
-    "days_to_limit_lower",
-    "days_to_limit_upper",
     "days_to_limit_status",
 )
 COURSES = (
@@ -117,6 +114,7 @@ def _indicator(rows: pl.DataFrame) -> Payload:
         "states": "".join(str(ORDER.index(states[place])) for place in places.tolist()),
         **{name: numbers(values[places]) for name, values in columns.items()},
         "latest": {name: last[name] for name in LATEST if last[name] is not None},
+        "limitDates": limit_dates(last),
     }
 
 

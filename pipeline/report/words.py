@@ -1,9 +1,11 @@
-"""Words on the pages for codes, names and units of the tables. The only place."""
+"""Words of the pages for codes, names and units of the tables; `schema` has those of reasons."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Final
+
+from pipeline.schema import QUALITY_REASONS
 
 ABSENT: Final = "–"
 STATUSES: Final[Mapping[str, str]] = {
@@ -22,6 +24,8 @@ VERDICTS: Final[Mapping[str, str]] = {
     "too_little_data": "too little data to say",
     "not_identified": "not determined by the data",
     "outside_fitted_range": "outside what the night's data cover",
+    "uncertain": "known, but not well",
+    "extrapolated": "extrapolated from close by",
 }
 UNITS: Final[Mapping[str, str]] = {
     "m3": "m³",
@@ -33,29 +37,6 @@ UNITS: Final[Mapping[str, str]] = {
 CHANNELS: Final[Mapping[str, str]] = {
     "time_base": "all channels together",
     "leakage_flow": "drain flow",
-}
-RULES: Final[Mapping[str, str]] = {
-    "any": "refused by any rule",
-    "missing": "no value",
-    "not_finite": "not a finite number",
-    "out_of_range": "out of its valid range",
-    "at_maximum": "sensor at its maximum",
-    "spike": "spike",
-    "frozen": "sensor frozen",
-    "duplicate_time": "time stamp twice",
-    "backward_time": "time running backward",
-    "jitter": "off its period",
-    "no_interval": "count without an interval",
-    "counter_reset": "counter set back",
-    "standstill": "motor at standstill",
-    "guard": "guard time around a halt or back-flow",
-    "transient": "speed or pressure changing fast",
-    "gap": "gap in the log",
-    "incomplete": "a channel without a value",
-    "thin_block": "block with too few samples",
-    "short_stretch": "stretch too short",
-    "outside_periods": "outside the periods chosen by hand",
-    "transport_delay": "flow too small to say when it arrives",
 }
 FLUSHING: Final[Mapping[str, str]] = {
     "none": "no flushing",
@@ -70,10 +51,10 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
-# Conditions of a leakage other than the reference conditions.
+# Conditions of a leakage, where they are not the reference conditions.
 LEAKAGE_KINDS: Final[Mapping[str, str]] = {
+    "reference": "",
     "frozen": "at the motor's own conditions",
-    "own": "at each night's conditions",
 }
 SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
 STATES: Final[Mapping[str, str]] = {
@@ -87,8 +68,6 @@ STATES: Final[Mapping[str, str]] = {
 TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
     "no_trend": "no trend towards it",
     "already_crossed": "already crossed",
-    "beyond_horizon": "beyond the horizon",
-    "unbounded": "unknown: there may be no trend",
     "insufficient": "too few nights",
 }
 DECISIONS: Final[Mapping[str, str]] = {
@@ -124,7 +103,7 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "verdicts": VERDICTS,
         "units": UNITS,
         "channels": CHANNELS,
-        "rules": RULES,
+        "rules": {name: reason.words for name, reason in QUALITY_REASONS.items()},
         "flushing": FLUSHING,
         "tests": TESTS,
         "states": STATES,

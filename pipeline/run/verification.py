@@ -8,11 +8,11 @@ from pathlib import Path
 from pipeline.errors import StoreError
 from pipeline.store.atomic_files import TEMPORARY_PREFIX
 from pipeline.store.manifest import manifest_keys
-from pipeline.store.sealed import read_sealed, unseal, unseal_bytes
+from pipeline.store.sealed import read_sealed, unseal
 from pipeline.store.verification import TableFault, compare_published, verify_unlisted
 from pipeline.telling.outbox import OUTBOX_FILES, read_outbox_file
 from pipeline.trends.decisions import damaged_lines, journal_file
-from pipeline.trends.kept_nights import kept_folder
+from pipeline.trends.kept_nights import kept_folder, whole_table
 
 ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run makes it anew"
 
@@ -37,7 +37,7 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
 def _verify_sealed(output: Path) -> Iterator[TableFault]:
     kinds: tuple[tuple[Path, str, Callable[[bytes], object]], ...] = (
         (output / "ledger", "ledger_damaged", unseal),
-        (kept_folder(output), "history_damaged", unseal_bytes),
+        (kept_folder(output), "history_damaged", whole_table),
     )
     for folder, code, unsealed in kinds:
         for path in sorted(folder.glob("*/*")):

@@ -329,7 +329,7 @@ FITS = Table(
             "reference_degrees_of_freedom",
             pl.Float64,
             "",
-            "Of the interval of the reference leakage; 4 are needed",
+            "Of the interval of the reference leakage; 2 are needed",
         ),
         Column(
             "reference_block_share",
@@ -384,7 +384,7 @@ PARAMETERS = Table(
             "where no geometry is in it, and in rows of before version 3",
         ),
         Column(
-            "degrees_of_freedom",
+            "interval_degrees_of_freedom",
             pl.Float64,
             "",
             "Of a coefficient's interval; 4 are needed; null of other parameters",

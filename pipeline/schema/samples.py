@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from dataclasses import dataclass
 
 import polars as pl
 
@@ -25,31 +25,71 @@ PRESSURE_EDGES_BAR = tuple(float(edge) for edge in range(0, 401, 20))
 TEMPERATURE_EDGES_C = tuple(float(edge) for edge in range(-20, 121, 5))
 SPEED_EDGES_RPM = tuple(float(edge) for edge in range(0, 151, 10))
 
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """A reason of `quality`: its words on a page, and its meaning in a sentence."""
+
+    words: str
+    meaning: str
+
+
 # Reasons of `quality`, in the order of the rules; those behind `transport_delay` are of the time
 # base, where all channels have come together, or of the night's windows.
-QUALITY_REASONS: Mapping[str, str] = {
-    "missing": "A blank cell where the channel's own period says that a sample is due",
-    "bad_quality": "The log itself does not call the sample good",
-    "not_finite": "Not a number, or infinite",
-    "no_interval": "A count of which the interval is not known: the first, or behind a gap",
-    "counter_reset": "A running total that fell other than by rolling over",
-    "out_of_range": "Outside the channel's valid range",
-    "at_maximum": "The sensor at its maximum, as the drain flow's under back-flow",
-    "spike": "Too far from the median of its neighbourhood (Hampel filter)",
-    "frozen": "No change beyond the sensor's resolution for too long",
-    "backward_time": "A time before that of the sample before; noted: put back in its place",
-    "duplicate_time": "The time of the sample before once more",
-    "jitter": "Never refused; noted: neither one nor several periods after the sample before",
-    "gap": "Times of the time base at which the channel is silent for too long",
-    "transport_delay": "No inputs are known from as long before as the oil takes to the sensor",
-    "standstill": "The motor does not turn",
-    "guard": "Too soon before or after a standstill or a sensor at its maximum",
-    "transient": "Pressure or speed changes too fast",
-    "incomplete": "A channel has no sample there, for whatever reason",
-    "thin_block": "Kept, but in a block of which too few are",
-    "short_stretch": "Kept, but in a stretch between two gaps that is too short to fit",
-    "outside_periods": "Kept, but outside the periods that are set by hand",
-    "any": "Refused by at least one rule: each sample once",
+QUALITY_REASONS: dict[str, Reason] = {
+    "missing": Reason(
+        "no value", "A blank cell where the channel's own period says that a sample is due"
+    ),
+    "bad_quality": Reason(
+        "not good by the log's own word", "The log itself does not call the sample good"
+    ),
+    "not_finite": Reason("not a finite number", "Not a number, or infinite"),
+    "no_interval": Reason(
+        "count without an interval",
+        "A count of which the interval is not known: the first, or behind a gap",
+    ),
+    "counter_reset": Reason(
+        "counter set back", "A running total that fell other than by rolling over"
+    ),
+    "out_of_range": Reason("out of its valid range", "Outside the channel's valid range"),
+    "at_maximum": Reason(
+        "sensor at its maximum", "The sensor at its maximum, as the drain flow's under back-flow"
+    ),
+    "spike": Reason("spike", "Too far from the median of its neighbourhood (Hampel filter)"),
+    "frozen": Reason("sensor frozen", "No change beyond the sensor's resolution for too long"),
+    "backward_time": Reason(
+        "time running backward",
+        "A time before that of the sample before; noted: put back in its place",
+    ),
+    "duplicate_time": Reason("time stamp twice", "The time of the sample before once more"),
+    "jitter": Reason(
+        "off its period",
+        "Never refused; noted: neither one nor several periods after the sample before",
+    ),
+    "gap": Reason(
+        "gap in the log", "Times of the time base at which the channel is silent for too long"
+    ),
+    "transport_delay": Reason(
+        "flow too small to say when it arrives",
+        "No inputs are known from as long before as the oil takes to the sensor",
+    ),
+    "standstill": Reason("motor at standstill", "The motor does not turn"),
+    "guard": Reason(
+        "guard time around a halt or back-flow",
+        "Too soon before or after a standstill or a sensor at its maximum",
+    ),
+    "transient": Reason("speed or pressure changing fast", "Pressure or speed changes too fast"),
+    "incomplete": Reason(
+        "a channel without a value", "A channel has no sample there, for whatever reason"
+    ),
+    "thin_block": Reason("block with too few samples", "Kept, but in a block of which too few are"),
+    "short_stretch": Reason(
+        "stretch too short", "Kept, but in a stretch between two gaps that is too short to fit"
+    ),
+    "outside_periods": Reason(
+        "outside the periods chosen by hand", "Kept, but outside the periods that are set by hand"
+    ),
+    "any": Reason("refused by any rule", "Refused by at least one rule: each sample once"),
 }
 
 QUALITY = Table(

@@ -30,7 +30,8 @@ INDICATOR = Column(
     pl.String,
     "",
     "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
-    "and gap_change_ with the path's name, C_f, pressure_zero or flow_zero",
+    "and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, drain_flow, "
+    "comparable_drain_flow or baseline_progress",
 )
 
 TRENDS = Table(
@@ -41,12 +42,17 @@ TRENDS = Table(
         MOTOR_ID,
         NIGHT,
         INDICATOR,
-        Column("value", pl.Float64, "see unit", "The night's figure; null where gated"),
+        Column("value", pl.Float64, "see unit", "The night's figure; null without one"),
         Column("unit", pl.String, "", "l/min, m3, %, bar or 1"),
         Column("lower", pl.Float64, "see unit", "Lower end of its 95 % interval"),
         Column("upper", pl.Float64, "see unit", "Upper end of its 95 % interval"),
-        Column("n_nights", pl.Int64, "", "Nights that were fitted together for it"),
-        Column("gated_reason", pl.String, "", "Why the night does not count; null where it does"),
+        Column("n_nights", pl.Int64, "", "Nights behind it: 1, or those of the filter"),
+        Column(
+            "gated_reason",
+            pl.String,
+            "",
+            "Why the night does not count, also where it has a figure; null where it does",
+        ),
         Column("baseline_start", pl.Date, "", "First night of the baseline in use"),
         Column("baseline_mean", pl.Float64, "see unit", "Its mean; null before there is one"),
         Column("deviation_percent", pl.Float64, "%", "(value − baseline) / baseline"),
@@ -92,14 +98,15 @@ TRENDS = Table(
         Column("path_probability", pl.Float64, "", "That it does, given the fits' covariance"),
         Column("path_reason", pl.String, "", "Why paths cannot be told apart"),
         Column("limit", pl.Float64, "see unit", "The limit that the days count to"),
-        Column("days_to_limit", pl.Float64, "d", "Until the limit, at the slope per year"),
-        Column("days_to_limit_lower", pl.Float64, "d", "Lower end of its Fieller set"),
-        Column("days_to_limit_upper", pl.Float64, "d", "Upper end; null where it has none"),
+        Column("days_to_limit", pl.Float64, "d", "Until the limit, as likely later as earlier"),
+        Column("days_to_limit_lower", pl.Float64, "d", "Not before: lower end of its 90 % set"),
+        Column("days_to_limit_upper", pl.Float64, "d", "Upper end; only of finite"),
         Column(
             "days_to_limit_status",
             pl.String,
             "",
-            "finite, no_trend, already_crossed, beyond_horizon, unbounded or insufficient",
+            "finite, not_before, no_trend, already_crossed, beyond_horizon or insufficient; what "
+            "earlier versions called unbounded is not_before",
         ),
         Column("oil", pl.String, "", "The night's oil"),
         Column("mean_temperature_c", pl.Float64, "°C", "Mean of the kept samples"),

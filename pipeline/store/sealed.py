@@ -63,28 +63,8 @@ def _text(value: object) -> str:
     raise TypeError(f"{type(value).__name__} cannot be sealed")
 
 
-def seal_bytes(content: bytes) -> bytes:
-    """Content that is no JSON, with its hash before it.
-
-    Examples
-    --------
-    >>> unseal_bytes(seal_bytes(b"all nights"))
-    b'all nights'
-    >>> unseal_bytes(seal_bytes(b"all nights").replace(b"all", b"few")) is None
-    True
-    """
-    return hashlib.sha256(content).digest() + content
-
-
-def unseal_bytes(content: bytes) -> bytes | None:
-    """The content that was sealed; None where it is damaged."""
-    size = hashlib.sha256().digest_size
-    found = content[size:]
-    return found if content[:size] == hashlib.sha256(found).digest() else None
-
-
 def read_sealed(path: Path, unsealed: Callable[[bytes], Content | None]) -> Content | None:
-    """Content of a sealed file by `unseal` or `unseal_bytes`; None where there is no file.
+    """Content of a file that tells whether it is whole; None where there is no file.
 
     One that reads as damaged is read again: an error on the way from the disk is no damage.
 

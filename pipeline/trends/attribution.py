@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from leakage.attribution import DEGENERATE, Attribution, attribute
 from leakage.autoregression import long_run_factor
-from leakage.baseline import Baseline
+from leakage.baseline import LEAST_NIGHTS, Baseline
 from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import OWN_REFERENCE, REFERENCE
-from pipeline.trends.night_records import FLUSHING
+from pipeline.trends.night_records import FLUSHING, whole_matrix
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.standing import CHANGED, RAISED, Standing
 
@@ -26,20 +26,23 @@ Places = NDArray[np.intp]
 
 # Good nights that say what the coefficients are now.
 NIGHTS_OF_NOW = 10
-# Nights of a baseline that a covariance needs.
-LEAST_NIGHTS = 20
 # What is not told by the coefficients, among the paths.
 REST = "the rest"
 
 
 @dataclass(frozen=True, slots=True)
 class _Change:
-    """Change of a coefficient: its nights, those of now and of the baseline."""
+    """Change of a coefficient: its nights, those of now and of the baseline.
+
+    Where the filter says what it is now, its state in the last night has all nights' information.
+    """
 
     series: Array
     baseline: Baseline
     before: Places
     now: Places
+    state: Array | None
+    number: int
 
     @property
     def size(self) -> float:
@@ -129,7 +132,7 @@ def path_flows(standing: Standing, name: str, place: int) -> dict[str, float]:
         return reference_flows(standing, place)
     own = standing.era(place).own
     if name == OWN_REFERENCE and own is not None:
-        return _flows_at(standing, place, own)
+        return _flows(standing, regressor_row(standing.history, place, own))
     sums = _latest_sums(standing, place)
     paths = standing.history.layout.paths
     if sums is None:
@@ -139,22 +142,23 @@ def path_flows(standing: Standing, name: str, place: int) -> dict[str, float]:
 
 def reference_flows(standing: Standing, place: int) -> dict[str, float]:
     """Flow of each free path per unit of its coefficient at the fleet's reference conditions."""
+    return _flows(standing, reference_row(standing, place))
+
+
+def reference_row(standing: Standing, place: int) -> Array | str:
+    """Columns of the statistics at the fleet's reference conditions, or why there are none."""
     reference = standing.history.spec.settings.reference
     charge = float(standing.history.records["charge"][place])
-    return _flows_at(
-        standing,
-        place,
-        OwnConditions(
-            reference.pressure_bar,
-            reference.temperature_c,
-            reference.speed_rpm,
-            None if np.isnan(charge) else charge,
-        ),
+    at = OwnConditions(
+        reference.pressure_bar,
+        reference.temperature_c,
+        reference.speed_rpm,
+        None if np.isnan(charge) else charge,
     )
+    return regressor_row(standing.history, place, at)
 
 
-def _flows_at(standing: Standing, place: int, at: OwnConditions) -> dict[str, float]:
-    row = regressor_row(standing.history, place, at)
+def _flows(standing: Standing, row: Array | str) -> dict[str, float]:
     if isinstance(row, str):
         return {}
     paths = standing.history.layout.paths
@@ -191,9 +195,23 @@ def _changes(standing: Standing, place: int, flows: Mapping[str, float]) -> dict
         before = good[(good >= segment.first) & (good <= last)]
         now = good[good >= max(begin, segment.first)][-NIGHTS_OF_NOW:]
         recent = now[numbers[place] - numbers[now] <= watched.settings.stale_nights]
-        if len(before) >= LEAST_NIGHTS and len(recent):
-            found[path] = _Change(series, baseline, before, now)
+        if len(before) < LEAST_NIGHTS or not len(recent):
+            continue
+        state = None
+        if watched.indicator.n_nights[now[-1]] > 1:
+            now, state = now[-1:], _state(standing, int(now[-1]))
+        number = standing.history.layout.paths.index(path)
+        found[path] = _Change(series, baseline, before, now, state, number)
     return {path: found[path] for path in flows if path in found}
+
+
+def _state(standing: Standing, place: int) -> Array:
+    """Covariance of the filtered coefficients in a night, shape (p + 1, p + 1)."""
+    upper = whole_matrix(
+        standing.history.records["spread"][place], len(standing.history.layout.free)
+    )
+    covariance: Array = upper + np.triu(upper, 1).T
+    return covariance
 
 
 def _covariance(changes: Sequence[_Change]) -> Array:
@@ -219,6 +237,10 @@ def _covariance(changes: Sequence[_Change]) -> Array:
     share = np.array([_variance_share(one) for one in changes])
     error = sd * np.sqrt(share)
     covariance: Array = correlation * np.outer(error, error)
+    for row, one in enumerate(changes):
+        for column, other in enumerate(changes):
+            if one.state is not None and other.state is not None:
+                covariance[row, column] += one.state[one.number, other.number]
     return covariance
 
 
@@ -227,7 +249,7 @@ def _variance_share(change: _Change) -> float:
     baseline = change.baseline
     if baseline.sd <= 0.0:
         return 0.0
-    now = long_run_factor(baseline.phi) / len(change.now)
+    now = 0.0 if change.state is not None else long_run_factor(baseline.phi) / len(change.now)
     return min(now, 1.0) + (baseline.mean_error / baseline.sd) ** 2
 
 

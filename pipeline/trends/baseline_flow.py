@@ -6,8 +6,6 @@ be told.
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +15,7 @@ from leakage.block_statistics import merge
 from leakage.certificate import certify
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, NO_BASELINE, Indicator
+from pipeline.trends.night_records import whole_matrix
 from pipeline.trends.segments import Segment
 
 Array = NDArray[np.float64]
@@ -27,11 +26,7 @@ NO_FLOW = "no flow beyond the flushing, measured or expected"
 
 def factors_of(history: History, places: NDArray[np.intp] | slice) -> Array:
     """Triangular factors of all kept samples of some nights, shape (m, c, c)."""
-    size = len(history.layout.columns)
-    upper = history.records["factor"][places]
-    factors = np.zeros((len(upper), size, size))
-    factors[(slice(None), *_triangle(size))] = upper
-    return factors
+    return whole_matrix(history.records["factor"][places], len(history.layout.columns))
 
 
 def column_sums(history: History, places: NDArray[np.intp] | slice) -> Array:
@@ -122,15 +117,9 @@ def deviation(history: History, parts: list[tuple[Segment, int, Array | None]]) 
         LEAKAGE_FLOOR,
         np.zeros(n, dtype=np.bool_),
         told,
-        history.records["n_nights"],
+        np.ones(n, dtype=np.int32),
     )
 
 
 def _why(has_statistics: bool) -> str:
     return NO_FLOW if has_statistics else NO_STATISTICS
-
-
-@lru_cache(maxsize=16)
-def _triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    first, second = np.triu_indices(size)
-    return first, second

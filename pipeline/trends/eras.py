@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from pipeline.trends.baseline_flow import baseline_model, deviation, log_ratio
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
-from pipeline.trends.indicators import Indicator, coefficients, reference_leakage
+from pipeline.trends.indicators import Indicator, coefficients
 from pipeline.trends.own_conditions import (
     OwnConditions,
     joined_own_leakage,
     own_conditions,
     own_leakage,
+    reference_leakage,
 )
 from pipeline.trends.segments import Segment, segments
 

@@ -72,8 +72,8 @@ class History:
 
     @cached_property
     def fitted(self) -> NDArray[np.bool_]:
-        """Nights with a fit that says something, shape (n,)."""
-        fitted: NDArray[np.bool_] = self.records["fitted"]
+        """Nights that say something, alone or to the filter, shape (n,)."""
+        fitted: NDArray[np.bool_] = self.records["fitted"] | self.records["informed"]
         return fitted
 
     @cached_property

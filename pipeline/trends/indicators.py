@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR
+from pipeline.trends.filtered_nights import WIDEST_COEFFICIENT, Filtered, filtered
 from pipeline.trends.history import History
 from pipeline.trends.night_records import FLUSHING
 
@@ -16,6 +17,9 @@ Array = NDArray[np.float64]
 
 REFERENCE, OWN_REFERENCE = "reference_leakage", "own_reference_leakage"
 DEVIATION, PEER_DEVIATION = "baseline_deviation", "peer_deviation"
+# Told from the first night on, and not watched.
+DRAIN_FLOW, COMPARABLE_FLOW = "drain_flow", "comparable_drain_flow"
+BASELINE_PROGRESS = "baseline_progress"
 # An indicator around 0 is watched as a ratio around 1.
 SHIFTS = {DEVIATION: 1.0}
 NO_BASELINE = "no baseline yet"
@@ -32,7 +36,7 @@ class Indicator:
     path
         The leakage path whose coefficient it is; empty for none.
     value
-        nan where gated.
+        nan where there is none.
     lower, upper
         95 % interval; nan where there is none.
     gated
@@ -45,7 +49,7 @@ class Indicator:
         Whether the figure was known in its own night: what is relative to a baseline is not known
         before that is.
     n_nights
-        Nights that were fitted together for it.
+        Nights behind it.
     """
 
     name: str
@@ -58,7 +62,7 @@ class Indicator:
     floor: float
     outside: NDArray[np.bool_]
     told: NDArray[np.bool_]
-    n_nights: NDArray[np.int16]
+    n_nights: NDArray[np.int32]
 
     @property
     def shift(self) -> float:
@@ -67,26 +71,35 @@ class Indicator:
 
     @property
     def watched(self) -> Array:
-        """What is watched, shape (n,): positive."""
-        return self.value + self.shift
+        """What is watched, shape (n,): positive; nan where gated."""
+        counts = np.array([not reason for reason in self.gated], dtype=np.bool_)
+        return np.where(counts, self.value + self.shift, np.nan)
 
 
-def reference_leakage(history: History) -> Indicator:
-    """Leakage at the fleet's reference conditions."""
-    figures = history.records["reference"]
-    gated = history.why(np.isfinite(figures[:, 0]))
-    return Indicator(
-        REFERENCE,
-        "l/min",
-        "",
-        figures[:, 0],
-        figures[:, 1],
-        figures[:, 2],
-        gated,
-        LEAKAGE_FLOOR,
-        history.records["outside"],
-        np.ones(len(history), dtype=np.bool_),
-        history.records["n_nights"],
+def with_filtered(own: Indicator, found: Filtered, widest: float, size: Array) -> Indicator:
+    """An indicator whose nights that say nothing alone take what the filter has of them.
+
+    Parameters
+    ----------
+    own
+        What the nights say alone.
+    found
+        What the filter says.
+    widest, size
+        A filtered figure counts up to this half-width, relative to a size, shape (n,).
+    """
+    taken = np.isnan(own.value) & np.isfinite(found.half)
+    counts = found.counts(widest * size)
+    gated = list(own.gated)
+    for place in np.flatnonzero(taken).tolist():
+        gated[place] = "" if counts[place] else found.why(place, float(size[place]), widest)
+    return replace(
+        own,
+        value=np.where(taken, found.value, own.value),
+        lower=np.where(taken, found.value - found.half, own.lower),
+        upper=np.where(taken, found.value + found.half, own.upper),
+        gated=tuple(gated),
+        n_nights=np.where(taken, found.n_nights, own.n_nights),
     )
 
 
@@ -95,22 +108,26 @@ def coefficients(history: History) -> Iterator[Indicator]:
     layout, n = history.layout, len(history)
     for number, name in enumerate(layout.coefficients):
         figures = history.records["figures"][:, number]
-        gated = history.why(np.isfinite(figures[:, 0]), number)
         is_flow = name == FLUSHING
-        unit = "l/min" if is_flow else "m3" if name.startswith("K_") else "1"
-        yield Indicator(
+        place = len(layout.free) - 1 if is_flow else number
+        alone = Indicator(
             name,
-            unit,
+            "l/min" if is_flow else "m3" if name.startswith("K_") else "1",
             "" if is_flow else layout.paths[number],
             figures[:, 0],
             figures[:, 1],
             figures[:, 2],
-            gated,
+            history.why(np.isfinite(figures[:, 0]), number),
             LEAKAGE_FLOOR if is_flow else COEFFICIENT_FLOOR,
             np.zeros(n, dtype=np.bool_),
             np.ones(n, dtype=np.bool_),
-            history.records["n_nights"],
+            np.ones(n, dtype=np.int32),
         )
+        if not layout.free[place]:
+            yield alone
+            continue
+        found = filtered(history.records, np.eye(len(layout.free))[place])
+        yield with_filtered(alone, found, WIDEST_COEFFICIENT, history.records["scale"][:, place])
 
 
 def scaled(indicator: Indicator, name: str, unit: str, factor: float) -> Indicator:

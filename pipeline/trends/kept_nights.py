@@ -1,26 +1,31 @@
-"""What a run has read and fitted together of a motor's nights, kept for the next one.
+"""Records of a motor's nights as a run has read and filtered them, kept for the next one.
 
-One file a motor and month beside the tables. It only saves work: a night is read again where a file
-is not the one that it was read from, and without any of it the same trends come out.
+One Parquet file a motor and month beside the tables. It only saves work: a night is read again
+where a file is not the one that it was read from, and without any of it the same trends come out.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import scipy
+from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
 from pipeline.store.atomic_files import put
-from pipeline.store.sealed import read_if_whole, seal_bytes, unseal_bytes
+from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.decisions import Decision
 from pipeline.trends.night_records import Layout, Records
@@ -34,6 +39,8 @@ LOOKED_AT = (*READ, BLOCK_STATISTICS, ALARMS)
 # coarsest file systems count two seconds.
 SETTLED_NS = 10_000_000_000
 NO_FOLDER, NOT_SETTLED = 0, -1
+# Keys of a file's metadata.
+HEAD, DIGEST = b"month", b"sha256"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,17 +54,15 @@ class KeptMonth:
     files
         What the files of `READ` were, of each night with fits of any motor.
     blocks
-        What the file of `block_statistics` was, of each night too poor to be fitted alone.
+        What the file of `block_statistics` was, of each night without a fit.
     alarms
         What the file of `alarms` was, of each night with changes of state of any motor.
     states
         Of the motor's own: indicator and new state, by night.
     records
-        As they were read, by night.
-    together
-        Those of them that are otherwise once nights are fitted together.
+        By night.
     until
-        Nights from this one on are not fitted together yet; None: all are.
+        Nights from this one on are not filtered yet; None: all are.
     """
 
     folders: tuple[int, ...]
@@ -66,11 +71,10 @@ class KeptMonth:
     alarms: Mapping[str, str]
     states: Mapping[str, Sequence[Sequence[str]]]
     records: Records
-    together: Records
     until: str | None = None
 
     def encoded(self, key: str) -> bytes:
-        """Its file's content."""
+        """Its file's content: a column a field, and all else with a digest in the metadata."""
         head = {
             "key": key,
             "folders": self.folders,
@@ -78,30 +82,76 @@ class KeptMonth:
             "blocks": self.blocks,
             "alarms": self.alarms,
             "states": self.states,
-            "n": len(self.records),
             "until": self.until,
         }
         text = json.dumps(head, separators=(",", ":"), sort_keys=True).encode()
-        return seal_bytes(b"\n".join((text, self.records.tobytes() + self.together.tobytes())))
+        columns = {name: _column(self.records[name]) for name in self.records.dtype.names or ()}
+        table = pa.table(columns)
+        digest = _digest(text, table)
+        sink = pa.BufferOutputStream()
+        pq.write_table(
+            table.replace_schema_metadata({HEAD: text, DIGEST: digest}),
+            sink,
+            compression="zstd",
+            use_dictionary=False,
+        )
+        content: bytes = sink.getvalue().to_pybytes()
+        return content
 
     @classmethod
-    def decoded(cls, content: bytes, key: str, layout: Layout) -> KeptMonth | None:
-        """A month from unsealed content; None where it was made by other settings."""
-        text, _, numbers = content.partition(b"\n")
-        head = json.loads(text)
+    def of(cls, table: pa.Table, key: str, layout: Layout) -> KeptMonth | None:
+        """A month from its table; None where it was made by other settings."""
+        head = json.loads(table.schema.metadata[HEAD])
         if head["key"] != key:
             return None
-        records = np.frombuffer(numbers, dtype=layout.dtype)
+        records = np.zeros(table.num_rows, dtype=layout.dtype)
+        for name in layout.dtype.names or ():
+            records[name] = _values(table[name]).reshape(records[name].shape)
         return cls(
             tuple(head["folders"]),
             head["files"],
             head["blocks"],
             head["alarms"],
             head["states"],
-            records[: head["n"]],
-            records[head["n"] :],
+            records,
             head["until"],
         )
+
+
+def whole_table(content: bytes) -> pa.Table | None:
+    """The table of a file's content; None where it is not as it was written."""
+    try:
+        table = pq.read_table(pa.BufferReader(content), use_threads=False)
+        metadata = table.schema.metadata
+        return table if metadata[DIGEST] == _digest(metadata[HEAD], table) else None
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def _column(values: NDArray[Any]) -> pa.Array:
+    """A field of records: a list a night where it has several numbers."""
+    flat = pa.array(np.ascontiguousarray(values).reshape(-1))
+    if values.ndim == 1:
+        return flat
+    return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
+
+
+def _values(column: pa.ChunkedArray) -> NDArray[Any]:
+    """All numbers of a column, night by night."""
+    whole = column.combine_chunks()
+    flat = whole.flatten() if pa.types.is_fixed_size_list(whole.type) else whole
+    values: NDArray[Any] = flat.to_numpy(zero_copy_only=False)
+    return values
+
+
+def _digest(head: bytes, table: pa.Table) -> bytes:
+    """SHA-256 of all that a month says."""
+    found = hashlib.sha256(head)
+    for name in table.column_names:
+        values = _values(table[name])
+        found.update(name.encode())
+        found.update(b"\0".join(values.tolist()) if values.dtype == object else values.tobytes())
+    return found.hexdigest().encode()
 
 
 def kept_folder(output: Path) -> Path:
@@ -126,16 +176,11 @@ def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> st
 def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[str, KeptMonth]:
     """What is kept of a motor by month, as far as it is whole and was made with the same key."""
     found = {}
-    for path in sorted((kept_folder(output) / motor_id).glob("[0-9]*")):
-        content = read_if_whole(path, unseal_bytes)
-        if content is None:
-            continue
-        try:
-            month = KeptMonth.decoded(content, key, layout)
-        except (ValueError, KeyError, TypeError):
-            continue
+    for path in sorted((kept_folder(output) / motor_id).glob("*.parquet")):
+        table = read_if_whole(path, whole_table)
+        month = None if table is None else KeptMonth.of(table, key, layout)
         if month is not None:
-            found[path.name] = month
+            found[path.stem] = month
     return found
 
 
@@ -147,7 +192,10 @@ def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMon
     StoreError
         If it cannot be written.
     """
-    put(kept_folder(output) / motor_id / month, kept.encoded(key), durable=False)
+    folder = kept_folder(output) / motor_id
+    put(folder / f"{month}.parquet", kept.encoded(key), durable=False)
+    # As older versions named it.
+    (folder / month).unlink(missing_ok=True)
 
 
 @dataclass(slots=True)

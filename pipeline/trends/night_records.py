@@ -10,21 +10,25 @@ import datetime as dt
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from leakage import Parametrisation
 from leakage.identifiability import OUTSIDE, TOLD
 from pipeline.config import MotorSpec
-from pipeline.night.fit_night import INSUFFICIENT_DATA, OK
+from pipeline.night.fit_night import OK
 
 Array = NDArray[np.float64]
 # A structured array, one record a night.
 Records = NDArray[Any]
 
 FLUSHING = "C_f"
+# A night alone tells a leakage where its statistical half-width is no wider; else the filter does.
+WIDEST_ALONE = 0.02
 HISTOGRAMS = ("pressure_histogram", "temperature_histogram", "speed_histogram")
 BINS = (20, 28, 15)
 OPERATED = (
@@ -41,9 +45,6 @@ REFERENCE_CONDITIONS = "reference_pressure_bar", "reference_temperature_c", "ref
 OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
 SINGLE = {
     "charge": "mean_charge_over_case_bar",
-    "period_s": "sample_period_s",
-    "memory_s": "correlation_time_s",
-    "inflation": "weight_inflation",
     "blocks": "n_interval_blocks",
 }
 FIT_COLUMNS = (
@@ -57,7 +58,6 @@ FIT_COLUMNS = (
     "coefficients",
     "coefficient_covariance",
     "night_factor",
-    "n_training",
     "interval_status",
     "reference_verdict",
     "reference_reason",
@@ -97,11 +97,17 @@ class Layout:
         Names of those coefficients, and of the flushing where it is estimated.
     columns
         Columns of the statistics.
+    configured
+        θ as configured.
+    free
+        Which of θ are estimated.
     """
 
     paths: tuple[str, ...]
     coefficients: tuple[str, ...]
     columns: tuple[str, ...]
+    configured: tuple[float, ...]
+    free: tuple[bool, ...]
 
     @classmethod
     def of(cls, spec: MotorSpec, night: dt.date) -> Layout:
@@ -109,8 +115,14 @@ class Layout:
         motor = spec.motor(night, spec.file.flushing.mode)
         names = tuple(path.coefficient_name for path in motor.column_paths)
         flushing = (FLUSHING,) if spec.file.flushing.mode == "estimated" else ()
+        parameters = Parametrisation.of(motor)
+        lower, upper = parameters.coefficient_bounds()
         return cls(
-            tuple(path.name for path in motor.column_paths), names + flushing, tuple(motor.columns)
+            tuple(path.name for path in motor.column_paths),
+            names + flushing,
+            tuple(motor.columns),
+            tuple(path.configured_coefficient if path else 0.0 for path in parameters.paths),
+            tuple((lower < upper).tolist()),
         )
 
     @property
@@ -121,13 +133,7 @@ class Layout:
             [
                 ("night", "M8[D]"),
                 ("fitted", "?"),
-                ("poor", "?"),
                 ("outside", "?"),
-                # Last night of those that it was fitted together with.
-                ("together_in", "M8[D]"),
-                ("kind", "S16"),
-                ("minutes", "f8"),
-                ("n_nights", "i2"),
                 ("mode", "S9"),
                 ("model", "S16"),
                 ("kept_hours", "f8"),
@@ -140,7 +146,27 @@ class Layout:
                 *((name, "f8") for name in SINGLE),
                 *((name, "f8") for name in OPERATED),
                 *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),
+                # Errors as the blocks see them, from which the filter has λ.
+                ("noise", "f8", theta),
+                ("freedom", "f8", theta),
+                *self.filtered,
             ]
+        )
+
+    @property
+    def filtered(self) -> tuple[tuple[Any, ...], ...]:
+        """Fields that the filter fills, of a night and those before it."""
+        theta = len(self.columns) - 2
+        return (
+            ("informed", "?"),
+            ("opened", "?"),
+            # Informed nights so far.
+            ("followed", "i4"),
+            ("mean", "f8", theta),
+            ("spread", "f8", triangle(theta)),
+            ("scale", "f8", theta),
+            ("noise_sum", "f8", theta),
+            ("freedom_sum", "f8", theta),
         )
 
     @property
@@ -180,6 +206,19 @@ def triangle(size: int) -> int:
     return size * (size + 1) // 2
 
 
+def whole_matrix(upper: Array, size: int) -> Array:
+    """Upper triangular matrices from their triangles row by row, shape (…, size, size)."""
+    matrix = np.zeros((*upper.shape[:-1], size, size))
+    matrix[(..., *_places(size))] = upper
+    return matrix
+
+
+@lru_cache(maxsize=16)
+def _places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    first, second = np.triu_indices(size)
+    return first, second
+
+
 def blank_records(layout: Layout, nights: Sequence[dt.date]) -> Records:
     """Records of nights of which nothing is known."""
     records = np.zeros(len(nights), dtype=layout.dtype)
@@ -187,8 +226,6 @@ def blank_records(layout: Layout, nights: Sequence[dt.date]) -> Records:
         if kind.base == np.float64:
             records[name] = np.nan
     records["night"] = np.array(nights, dtype="M8[D]")
-    records["together_in"] = np.datetime64("NaT")
-    records["n_nights"] = 1
     return records
 
 
@@ -201,15 +238,10 @@ def records_of(
 ) -> tuple[Records, list[NightWords]]:
     """Records of a motor's nights, from their rows."""
     records = blank_records(layout, fits["night"].to_list())
-    minutes = _numbers(fits, "n_training") * _numbers(fits, "sample_period_s") / 60.0
-    ok = (fits["status"] == OK).to_numpy()
-    short = ok & fits["coefficient_covariance"].is_null().to_numpy()
-    records["fitted"] = ok & ~short
-    records["minutes"] = minutes
-    records["poor"] = short | (fits["status"] == INSUFFICIENT_DATA).to_numpy()
+    has_intervals = fits["interval_status"].str.starts_with(OK).fill_null(False)
+    records["fitted"] = (fits["status"] == OK) & has_intervals
     records["mode"] = _texts(fits, "flushing_mode")
     records["model"] = _texts(fits, "model_hash")
-    records["kind"] = records["model"]
     for name, column in SINGLE.items():
         records[name] = _numbers(fits, column)
     for place, column in enumerate(OWN):
@@ -222,8 +254,9 @@ def records_of(
         ("factor", "night_factor", triangle(len(layout.columns))),
     ):
         records[name] = np.where(same[:, None], _vectors(fits, column, size), np.nan)
+    _fill_noise(layout, records)
     _fill_operation(records, fits, operation)
-    statuses = _status_words(fits, short)
+    statuses = _status_words(fits)
     reference = _fill_reference(spec, records, fits)
     coefficients = _fill_figures(layout, records, fits, parameters)
     words = [
@@ -259,6 +292,20 @@ def _vectors(rows: pl.DataFrame, column: str, size: int) -> Array:
     return result
 
 
+def _fill_noise(layout: Layout, records: Records) -> None:
+    """Errors of fitted nights from their covariance: V = S⁻¹MS⁻¹, λ_j = M_jj / S_jj."""
+    size, free = len(layout.free), np.array(layout.free)
+    columns = whole_matrix(records["factor"], size + 2)[:, :, :-2]
+    gram = np.einsum("nij,nik->njk", columns, columns)
+    upper = whole_matrix(records["covariance"], size)
+    covariance = upper + np.swapaxes(np.triu(upper, 1), 1, 2)
+    meat = np.einsum("nij,njk,nki->ni", gram, covariance, gram)
+    # A coefficient at its bound has no variance, and its night tells no error.
+    known = records["fitted"] & (np.einsum("nii->ni", covariance)[:, free] > 0.0).all(axis=1)
+    records["noise"][known] = (meat / np.einsum("nii->ni", gram))[known]
+    records["freedom"][known] = 1.0
+
+
 def _fill_operation(records: Records, fits: pl.DataFrame, operation: pl.DataFrame) -> None:
     rows = fits.select("night").join(operation, on="night", how="left", maintain_order="left")
     for name in ("kept_hours", *OPERATED):
@@ -267,13 +314,13 @@ def _fill_operation(records: Records, fits: pl.DataFrame, operation: pl.DataFram
         records[name] = np.nan_to_num(_vectors(rows, name, bins))
 
 
-def _status_words(fits: pl.DataFrame, short: NDArray[np.bool_]) -> list[str]:
+def _status_words(fits: pl.DataFrame) -> list[str]:
     """Why a night has no fit that says anything; empty where it has one."""
     words = []
     columns = (fits[name].to_list() for name in ("status", "reason", "interval_status"))
-    for status, reason, interval, poor in zip(*columns, short.tolist(), strict=True):
+    for status, reason, interval in zip(*columns, strict=True):
         if status == OK:
-            words.append(interval if poor else "")
+            words.append("" if interval == OK else interval or "no intervals")
         else:
             words.append(": ".join(one for one in (status.replace("_", " "), reason) if one))
     return words
@@ -289,15 +336,25 @@ def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> li
     records["outside"] = [verdict in OUTSIDE for verdict in verdicts]
     for place, column in enumerate(REFERENCE):
         records["reference"][:, place] = _numbers(fits, column)
+    value, low, high = records["reference"].T
     words = []
-    for verdict, reason, other in zip(verdicts, reasons, elsewhere.tolist(), strict=True):
+    for verdict, reason, other, half in zip(
+        verdicts, reasons, elsewhere.tolist(), ((high - low) / (2 * value)).tolist(), strict=True
+    ):
         if other:
             words.append("fitted for other reference conditions, and its statistics are not there")
+        elif half > WIDEST_ALONE:
+            words.append(too_wide(half))
         else:
             words.append(_gate(verdict, reason))
     trusted = records["fitted"] & np.array([not one for one in words], dtype=np.bool_)
     records["reference"][~trusted] = np.nan
     return words
+
+
+def too_wide(half: float) -> str:
+    """Words for a leakage that a night alone does not tell well enough, by its relative ±."""
+    return f"known to ± {100 * half:.1f} % only; {100 * WIDEST_ALONE:.0f} % are needed"
 
 
 def _fill_figures(

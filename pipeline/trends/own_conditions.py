@@ -1,4 +1,4 @@
-"""The motor's own reference conditions, frozen with its baseline, and its leakage there.
+"""Leakage at the fleet's reference conditions, and at the motor's own, frozen with its baseline.
 
 Many motors never see the fleet's conditions; each sees its own.
 """
@@ -6,6 +6,7 @@ Many motors never see the fleet's conditions; each sees its own.
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,11 +16,17 @@ from scipy.special import stdtrit
 
 from leakage import LeakageError, OperatingConditions, regressors
 from leakage.baseline import LEAKAGE_FLOOR
-from leakage.identifiability import WIDEST_UNCERTAIN
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
+from pipeline.trends.filtered_nights import WIDEST_LEAKAGE, Filtered, filtered
 from pipeline.trends.history import History
-from pipeline.trends.indicators import NO_BASELINE, OWN_REFERENCE, Indicator
-from pipeline.trends.night_records import HISTOGRAMS, triangle
+from pipeline.trends.indicators import (
+    NO_BASELINE,
+    OWN_REFERENCE,
+    REFERENCE,
+    Indicator,
+    with_filtered,
+)
+from pipeline.trends.night_records import HISTOGRAMS, WIDEST_ALONE, too_wide, triangle
 from pipeline.trends.segments import Segment
 
 Array = NDArray[np.float64]
@@ -29,6 +36,8 @@ LEVEL = 0.95
 EDGES = (PRESSURE_EDGES_BAR, TEMPERATURE_EDGES_C, SPEED_EDGES_RPM)
 OUTSIDE = "the motor's own reference conditions lie outside what the night saw"
 NO_INTERVAL = "no intervals in this night"
+# How far beyond what was seen so far a filtered leakage is told: bar, K, rpm.
+REACH = (20.0, 10.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +62,68 @@ class OwnLeakage:
         Why a night does not count; empty where it does.
     outside
         Whether the conditions lie outside what a night's samples saw.
+    filtered
+        What the filter says of nights that are gated.
     """
 
     value: Array
     half: Array
     gated: tuple[str, ...]
     outside: Mask
+    filtered: Filtered
+
+
+def reference_leakage(history: History) -> Indicator:
+    """Leakage at the fleet's reference conditions."""
+    figures, reference = history.records["reference"], history.spec.settings.reference
+    charge = _last_known(history.records["charge"])
+    at = [
+        OwnConditions(
+            reference.pressure_bar,
+            reference.temperature_c,
+            reference.speed_rpm,
+            None if np.isnan(one) else one,
+        )
+        for one in charge.tolist()
+    ]
+    n = len(history)
+    alone = Indicator(
+        REFERENCE,
+        "l/min",
+        "",
+        figures[:, 0],
+        figures[:, 1],
+        figures[:, 2],
+        history.why(np.isfinite(figures[:, 0])),
+        LEAKAGE_FLOOR,
+        history.records["outside"],
+        np.ones(n, dtype=np.bool_),
+        np.ones(n, dtype=np.int32),
+    )
+    found = _filtered_leakage(history, slice(0, n), at, np.isnan(figures[:, 0]))
+    return with_filtered(alone, found, WIDEST_LEAKAGE, np.abs(found.value))
+
+
+def _last_known(values: Array) -> Array:
+    """The last value that there was in each night; nan before the first."""
+    last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), -1))
+    known: Array = np.where(last >= 0, values[last], np.nan)
+    return known
+
+
+def _filtered_leakage(
+    history: History, here: slice, at: Sequence[OwnConditions], wanted: Mask
+) -> Filtered:
+    """Filtered leakage of some nights at the conditions of each, where the model holds there."""
+    records = history.records[here]
+    contrast = np.full(records["mean"].shape, np.nan)
+    known = np.full(len(records), np.nan)
+    reached = _reached(history, here, at[-1]) if at else np.zeros(0, dtype=np.bool_)
+    for place in np.flatnonzero(wanted & records["informed"] & reached).tolist():
+        row = regressor_row(history, here.start + place, at[place])
+        if not isinstance(row, str):
+            contrast[place], known[place] = np.append(row[:-2], 0.0), row[-1]
+    return filtered(records, contrast, known)
 
 
 def own_conditions(history: History, places: NDArray[np.intp]) -> OwnConditions | None:
@@ -97,14 +162,16 @@ def own_leakage(history: History, segment: Segment, own: OwnConditions) -> OwnLe
             gated[place] = NO_INTERVAL
         elif outside[place]:
             gated[place] = OUTSIDE
-        elif not half[place] <= WIDEST_UNCERTAIN * abs(value[place]):
-            percent = 100 * half[place] / abs(value[place])
-            gated[place] = (
-                f"known to ± {percent:.1f} % only; {100 * WIDEST_UNCERTAIN:.0f} % are needed"
-            )
+        elif not half[place] <= WIDEST_ALONE * abs(value[place]):
+            gated[place] = too_wide(half[place] / abs(value[place]))
     counts = np.array([not one for one in gated], dtype=np.bool_)
+    found = _filtered_leakage(history, here, [own] * len(gated), ~counts)
     return OwnLeakage(
-        np.where(counts, value, np.nan), np.where(counts, half, np.nan), tuple(gated), outside
+        np.where(counts, value, np.nan),
+        np.where(counts, half, np.nan),
+        tuple(gated),
+        outside,
+        found,
     )
 
 
@@ -171,14 +238,27 @@ def _triangle(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 def _seen(history: History, here: slice, own: OwnConditions) -> Mask:
     """Nights whose samples lie on both sides of some conditions, by their histograms."""
+    return _within(history, here, own, so_far=False, reach=(0.0, 0.0, 0.0))
+
+
+def _reached(history: History, here: slice, own: OwnConditions) -> Mask:
+    """Nights until which some conditions had been seen, or nearly."""
+    return _within(history, here, own, so_far=True, reach=REACH)
+
+
+def _within(
+    history: History, here: slice, own: OwnConditions, *, so_far: bool, reach: tuple[float, ...]
+) -> Mask:
     seen = np.ones(here.stop - here.start, dtype=np.bool_)
-    for name, edges, value in zip(
-        HISTOGRAMS, EDGES, (own.pressure_bar, own.temperature_c, own.speed_rpm), strict=True
+    for name, edges, value, more in zip(
+        HISTOGRAMS, EDGES, (own.pressure_bar, own.temperature_c, own.speed_rpm), reach, strict=True
     ):
         filled = history.records[name][here] > 0
+        if so_far:
+            filled = np.logical_or.accumulate(filled, axis=0)
         borders = np.array(edges)
-        lowest = borders[filled.argmax(axis=1)]
-        highest = borders[filled.shape[1] - filled[:, ::-1].argmax(axis=1)]
+        lowest = borders[filled.argmax(axis=1)] - more
+        highest = borders[filled.shape[1] - filled[:, ::-1].argmax(axis=1)] + more
         seen &= filled.any(axis=1) & (lowest <= value) & (value <= highest)
     return seen
 
@@ -189,7 +269,8 @@ def joined_own_leakage(
 ) -> Indicator:
     """The indicator from its segments, each with the place from which on it is known."""
     n = len(history)
-    value, half = np.full(n, np.nan), np.full(n, np.nan)
+    nothing = np.full(n, np.nan)
+    value, half, filtered_value, filtered_half = (nothing.copy() for _ in range(4))
     outside, told = np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_)
     gated = [status or NO_BASELINE for status in history.statuses]
     for segment, known_from, part in parts:
@@ -197,8 +278,9 @@ def joined_own_leakage(
         if part is not None:
             here = slice(segment.first, segment.end)
             value[here], half[here], outside[here] = part.value, part.half, part.outside
+            filtered_value[here], filtered_half[here] = part.filtered.value, part.filtered.half
             gated[here] = part.gated
-    return Indicator(
+    alone = Indicator(
         OWN_REFERENCE,
         "l/min",
         "",
@@ -209,5 +291,7 @@ def joined_own_leakage(
         LEAKAGE_FLOOR,
         outside,
         told,
-        history.records["n_nights"],
+        np.ones(n, dtype=np.int32),
     )
+    found = Filtered(filtered_value, filtered_half, history.records["followed"])
+    return with_filtered(alone, found, WIDEST_LEAKAGE, np.abs(filtered_value))

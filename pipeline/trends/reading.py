@@ -11,13 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
+from numpy.lib.recfunctions import drop_fields
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
+from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS
 from pipeline.store.tables import read_rows
 from pipeline.trends.decisions import Decision
+from pipeline.trends.filtered_nights import add_blocks, without_fit
 from pipeline.trends.history import History, every_night, rows_by_night
 from pipeline.trends.kept_nights import KeptMonth, TableFolders, key_of, read_months, write_month
 from pipeline.trends.night_records import (
@@ -77,6 +81,7 @@ def read_nights(
             )
         ),
     )
+    _add_blocks(output, found, made)
     told = defaultdict(list)
     for row in (
         read_rows(output, ALARMS, list(found), nights=_dates(alarms)).drop("run_id").to_dicts()
@@ -87,6 +92,23 @@ def read_nights(
         one.take_nights(spec, made.get(spec.motor_id), nights, tonight.of(spec.motor_id))
         one.take_alarms(told[spec.motor_id], alarms)
     return found
+
+
+def _add_blocks(
+    output: Path, motors: Mapping[str, MotorNights], made: Mapping[str, History]
+) -> None:
+    """Read the blocks of nights that were read anew and have no fit."""
+    poor = {
+        motor_id: one.records["night"][without_fit(one.records)] for motor_id, one in made.items()
+    }
+    wanted = {motor_id: nights for motor_id, nights in poor.items() if len(nights)}
+    if not wanted:
+        return
+    labels = sorted({night for nights in wanted.values() for night in nights.tolist()})
+    rows = read_rows(output, BLOCK_STATISTICS, list(wanted), BLOCK_COLUMNS, nights=labels)
+    for motor_id, nights in wanted.items():
+        own = rows.filter((pl.col("motor_id") == motor_id) & pl.col("night").is_in(nights.tolist()))
+        add_blocks(motors[motor_id].layout, made[motor_id].records, own)
 
 
 @dataclass(slots=True)
@@ -111,11 +133,9 @@ class MotorNights:
     nights, alarms
         Nights of which rows are to be read: of the fits, and of `alarms`.
     until
-        Nights before this one are fitted together as they are to be.
+        Nights before this one are filtered as they are to be.
     history
-        The nights, none fitted together with others; None without rows.
-    together, known
-        Those before `until` that are otherwise once they are fitted together.
+        The nights; None without rows.
     published
         The motor's rows of `alarms`: whole from `since` on, before it night, indicator and state.
     """
@@ -150,8 +170,7 @@ class MotorNights:
         if month >= self.since[:7] or not self.folders.same(month, kept):
             self.nights |= _differing(kept.files, self.folders.files_read(month))
             self.alarms |= _differing(kept.alarms, self.folders.files(ALARMS, month))
-            blocks = self._blocks(month, kept.blocks)
-            self.until = min((self.until, *_differing(kept.blocks, blocks)))
+            self.nights |= _differing(kept.blocks, self._blocks(month, kept.blocks))
         if month >= self.since[:7]:
             self.nights |= {one for one in _labels(kept.records["night"]) if one >= self.since}
             self.alarms |= {one for one in kept.states if one >= self.since}
@@ -169,7 +188,7 @@ class MotorNights:
         kept = self._joined(one.records for one in self.months.values())
         anew = np.isin(kept["night"], np.array(sorted(nights), dtype="M8[D]"))
         new = blank_records(self.layout, []) if made is None else made.records
-        self.until = min((self.until, *_changed(kept[anew], new)))
+        self.until = min((self.until, *_changed(kept[anew], new, self.layout)))
         self._records = self._joined([kept[~anew], new])
         if len(self._records):
             places = np.searchsorted(self._records["night"], new["night"]).tolist()
@@ -190,17 +209,9 @@ class MotorNights:
                     ]
 
     @property
-    def known(self) -> tuple[Records, dt.date]:
-        """As `with_poor_nights` takes it."""
-        return self.together, dt.date.fromisoformat(self.until)
-
-    @property
-    def together(self) -> Records:
-        """See above."""
-        whole = self._joined(one.together for one in self.months.values())
-        until = np.datetime64(self.until)
-        # What was made with later nights is to be made anew.
-        return whole[(whole["night"] < until) & ~(whole["together_in"] >= until)]
+    def filter_from(self) -> dt.date:
+        """`until` as a date."""
+        return dt.date.fromisoformat(self.until)
 
     def _joined(self, parts: Iterable[Records]) -> Records:
         """Records by night."""
@@ -217,7 +228,7 @@ class MotorNights:
         motor_id
             The motor.
         done
-            Its records, nights fitted together; None where they were not.
+            Its records, filtered; None where they were not.
         """
         states: dict[str, list[tuple[str, str]]] = {}
         for row in self.published:
@@ -241,21 +252,20 @@ class MotorNights:
         whole = self._records
         records = whole[whole["night"].astype("M8[M]") == np.datetime64(month)]
         until = None
-        # Nights after tonight are not done yet.
-        made, ready = records.copy(), self.together if done is None else done
-        ready = ready[np.isin(ready["night"], records["night"])]
-        made[np.searchsorted(made["night"], ready["night"])] = ready
         if done is None:
             until = min((one for one in _labels(records["night"]) if one >= self.until), default="")
+        else:
+            # Nights after tonight are not done yet.
+            ready = done[np.isin(done["night"], records["night"])]
+            records[np.searchsorted(records["night"], ready["night"])] = ready
         alarms = self.folders.files(ALARMS, month)
         return KeptMonth(
             self.folders.months[month],
             self.folders.files_read(month),
-            self._blocks(month, _labels(records["night"][records["poor"]])),
+            self._blocks(month, _labels(records["night"][without_fit(records)])),
             alarms,
             {night: sorted(states[night]) for night in sorted(alarms.keys() & states.keys())},
             records,
-            made[_differ(records, made)],
             until or None,
         )
 
@@ -274,8 +284,10 @@ def _differing(before: Mapping[str, str], now: Mapping[str, str]) -> set[str]:
     return {night for night, _ in before.items() ^ now.items()}
 
 
-def _differ(one: Records, two: Records) -> NDArray[np.bool_]:
-    """Which records are not the same to the bit."""
+def _differ(one: Records, two: Records, layout: Layout) -> NDArray[np.bool_]:
+    """Which records are not the same to the bit, but for what the filter fills."""
+    filled = [name for name, *_ in layout.filtered]
+    one, two = (drop_fields(records, filled) for records in (one, two))
     size = one.dtype.itemsize
     bytes_ = [
         np.frombuffer(records.tobytes(), dtype=np.uint8).reshape(-1, size) for records in (one, two)
@@ -284,8 +296,8 @@ def _differ(one: Records, two: Records) -> NDArray[np.bool_]:
     return differ
 
 
-def _changed(before: Records, now: Records) -> list[str]:
+def _changed(before: Records, now: Records, layout: Layout) -> list[str]:
     """Nights whose record has come, gone or changed."""
     both, first, second = np.intersect1d(before["night"], now["night"], return_indices=True)
     odd = np.setxor1d(before["night"], now["night"])
-    return _labels(np.append(odd, both[_differ(before[first], now[second])]))
+    return _labels(np.append(odd, both[_differ(before[first], now[second], layout)]))

@@ -48,15 +48,21 @@ def why_state(standing: Standing, name: str, place: int, path: Attribution | Non
     return "; ".join(part for part in parts if part)
 
 
-def why_no_baseline(standing: Standing, name: str, place: int) -> str:
-    """What is missing for a baseline."""
+def good_nights(standing: Standing, name: str, place: int) -> tuple[int, int]:
+    """Good nights towards an indicator's first baseline, and how many it needs."""
     watched = standing.watched[name]
     segment, _, _ = watched.at(place)
     told = watched.indicator.told[segment.first : place + 1]
     counts = np.isfinite(watched.series[segment.first : place + 1])
     if not told.any() and name in (DEVIATION, OWN_REFERENCE):
         counts = standing.history.fitted[segment.first : place + 1]
-    good, needed = int(counts.sum()), watched.settings.baseline.provisional_nights
+    return int(counts.sum()), watched.settings.baseline.provisional_nights
+
+
+def why_no_baseline(standing: Standing, name: str, place: int) -> str:
+    """What is missing for a baseline."""
+    segment, _, _ = standing.watched[name].at(place)
+    good, needed = good_nights(standing, name, place)
     if good >= needed:
         return f"the mean of {needed} good nights is not above 0: nothing to be relative to"
     parts = [f"{good} of {needed} good nights for a baseline ({segment.reason})"]

@@ -24,8 +24,7 @@ from threadpoolctl import threadpool_limits
 from leakage.slope import benjamini_hochberg
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCK_STATISTICS, TREND_TABLES, TRENDS
+from pipeline.schema import TREND_TABLES, TRENDS
 from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
@@ -33,6 +32,7 @@ from pipeline.trends.beginnings import earlier_views
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.decisions import Decision
 from pipeline.trends.eras import Era, eras_of, indicators_of
+from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.night_records import Records
@@ -44,7 +44,6 @@ from pipeline.trends.peers import (
     moved_apart,
     peers_of_circuit,
 )
-from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.reading import MotorNights, read_nights
 from pipeline.trends.record import Record
 from pipeline.trends.segments import segments
@@ -153,7 +152,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         for circuit in circuits:
             _run_circuit(task, circuit, nights, done)
         for motor_id, one in nights.items():
-            one.keep(motor_id, done.merged.get(motor_id))
+            one.keep(motor_id, done.filtered.get(motor_id))
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
 
 
@@ -162,7 +161,7 @@ class _Done:
     """What a task has done so far."""
 
     failures: dict[str, Loss]
-    merged: dict[str, Records] = field(default_factory=dict)
+    filtered: dict[str, Records] = field(default_factory=dict)
     nights: dict[str, int] = field(default_factory=dict)
     records: dict[str, Record] = field(default_factory=dict)
     alarms: list[Row] = field(default_factory=list)
@@ -194,12 +193,12 @@ def _run_circuit(
     parts: dict[str, Part] = {}
     for motor_id, history in histories.items() if spans else ():
         if motor_id not in done.failures:
-            said, known = circuit.decisions[motor_id], nights[motor_id].known
+            said, until = circuit.decisions[motor_id], nights[motor_id].filter_from
             seen = {} if alone else seen_from[motor_id]
-            part = done.guarded(motor_id, partial(_part, task.output, history, said, known, seen))
+            part = done.guarded(motor_id, partial(_part, history, said, until, seen))
             if part is not None:
                 parts[motor_id] = part
-                done.merged[motor_id] = part.history.records
+                done.filtered[motor_id] = part.history.records
     peers = {} if alone else circuit_peers(parts)
     for motor_id, span in spans.items():
         part = parts.get(motor_id)
@@ -235,22 +234,17 @@ def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
 
 
 def _part(
-    output: Path,
     history: History,
     said: tuple[Decision, ...],
-    known: tuple[Records, dt.date],
+    until: dt.date,
     seen_from: Mapping[str, dt.date],
 ) -> Part:
-    """What is known of a motor, its poor nights fitted together."""
-
-    def read_blocks(nights: Sequence[dt.date]) -> pl.DataFrame:
-        motors = [history.spec.motor_id]
-        return read_rows(output, BLOCK_STATISTICS, motors, BLOCK_COLUMNS, nights=nights)
-
-    part = Part.of(with_poor_nights(history, said, read_blocks, known), said)
+    """What is known of a motor, its nights from one on filtered anew."""
+    part = Part.of(with_filter(history, said, until), said)
     for night, then, said_then in earlier_views(history, said, seen_from):
-        earlier = Part.of(with_poor_nights(then, said_then, read_blocks), said_then)
-        part = part.seen_before(night, earlier)
+        part = part.seen_before(
+            night, Part.of(with_filter(then, said_then, dt.date.min), said_then)
+        )
     return part
 
 

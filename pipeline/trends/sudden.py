@@ -115,7 +115,7 @@ def _of_paths(
     history: History, part: Segment, paths: Mapping[str, Indicator], peers: Mapping[str, Peers]
 ) -> list[Sudden]:
     """Nights in which every path changed, as far as the second of them tells it."""
-    jumps = {name: _jumps(history, part, one.value, LEAST_STEP) for name, one in paths.items()}
+    jumps = {name: _jumps(history, part, one.watched, LEAST_STEP) for name, one in paths.items()}
     found = []
     for place in sorted({place for some in jumps.values() for place in some}):
         here = [(some[place].told, name) for name, some in jumps.items() if place in some]
@@ -127,7 +127,7 @@ def _of_paths(
         kind = _kind(steps, len(paths))
         if kind is None:
             continue
-        members = [(paths[name].value, jumps[name][place]) for at, name in here if at <= told]
+        members = [(paths[name].watched, jumps[name][place]) for at, name in here if at <= told]
         moved = {name: one.size for name, one in steps.items()}
         words = _words_of_paths(kind, history, part.first + place, moved, len(paths))
         until = _until(part, told, members)
@@ -186,7 +186,7 @@ def _steps(
     """By path that was known before and after, what it did."""
     steps = {}
     for name, one in paths.items():
-        series = one.value[part.first : part.first + told + 1]
+        series = one.watched[part.first : part.first + told + 1]
         good = np.flatnonzero(np.isfinite(series))
         before = series[good[good < place]][-MOST_BEFORE:]
         after = series[good[good >= place]][:AFTER]

@@ -6,12 +6,14 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leakage.baseline import Baseline
 from leakage.cusum import cusum_limit
 from leakage.slope import Slope, fit_slope
-from leakage.time_to_limit import TimeToLimit, time_to_limit
+from leakage.time_to_limit import time_to_limit
 from pipeline.trends.attribution import path_behind, path_named, reference_flows
+from pipeline.trends.first_rows import first_rows
 from pipeline.trends.indicators import (
     DEVIATION,
     NO_BASELINE,
@@ -21,11 +23,12 @@ from pipeline.trends.indicators import (
     scaled,
 )
 from pipeline.trends.reasons import why_no_baseline, why_state
-from pipeline.trends.running import coverage
+from pipeline.trends.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.zeros import HALF, NO_HALT, Zero
 
 Row = dict[str, Any]
+Array = NDArray[np.float64]
 
 
 def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
@@ -35,6 +38,7 @@ def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
         for name in standing.watched:
             yield shared | _watched_row(standing, name, place)
             yield from (shared | row for row in _derived(standing, name, place))
+        yield from (shared | row for row in first_rows(standing, place))
         if DEVIATION in standing.peers:
             yield shared | _peer_row(standing, place)
         for zero in standing.zeros.values():
@@ -112,10 +116,10 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
         return {"n_slope": 0, "provisional": False, "days_to_limit_status": "insufficient"}
     first = standing.line_start(name, place)
     here = slice(first, place + 1)
-    numbers, series, years = standing.history.numbers[here], watched.series[here], standing.years
-    line = fit_slope(numbers, series, years[here], coverage=trend.confidence)
-    hours = standing.hours.total[here] / 1000.0
-    by_hours = fit_slope(numbers, series, hours, coverage=trend.confidence, median=False)
+    numbers, series = standing.history.numbers[here], watched.series[here]
+    hours = standing.hours.total[here]
+    line = fit_slope(numbers, series, standing.years[here], coverage=trend.confidence)
+    by_hours = fit_slope(numbers, series, hours / 1000.0, coverage=trend.confidence, median=False)
     row = {
         "n_slope": line.n,
         "slope_start": standing.label(first) if line.slope is not None else None,
@@ -132,10 +136,8 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
     limit = watched.settings.limits.alarm
     if limit is None:
         limit = baseline.mean * (1.0 + standing.levels(name, place)[1])
-    found = time_to_limit(
-        line, limit, float(years[place]), trend.horizon_years, coverage=trend.confidence
-    )
-    return row | {"limit": limit - watched.indicator.shift} | _days(found)
+    days = _days(numbers, hours, series, limit, trend.horizon_years)
+    return row | {"limit": limit - watched.indicator.shift} | days
 
 
 def _derived(standing: Standing, name: str, place: int) -> Iterator[Row]:
@@ -171,7 +173,7 @@ def _peer_row(standing: Standing, place: int) -> Row:
         "indicator": PEER_DEVIATION,
         "unit": "1",
         "value": value,
-        "n_nights": int(standing.history.records["n_nights"][place]),
+        "n_nights": 1,
         "gated_reason": None if value is not None else "no figure of the circuit's motors",
         "state": state,
         "state_reason": "with one other motor: they diverge, nobody can tell which"
@@ -221,14 +223,29 @@ def _slope_columns(name: str, line: Slope) -> Row:
     }
 
 
-def _days(found: TimeToLimit) -> Row:
-    def days(years: float | None) -> float | None:
-        return None if years is None else years * DAYS_A_YEAR
+def _days(
+    nights: NDArray[np.int64], hours: Array, series: Array, limit: float, years_ahead: float
+) -> Row:
+    """Days to a limit: the fit goes by running hours, and the days by the hours of a night.
+
+    Those of the last month and of all nights may differ; the earliest date takes the larger, the
+    latest the smaller.
+    """
+    every, recent = (
+        float(np.ptp(hours[part])) / max(int(np.ptp(nights[part])), 1)
+        for part in (slice(None), slice(-NIGHTS_BEFORE - 1, None))
+    )
+    # A motor that has stood still for a month is taken to run again as it did.
+    rates = every, recent or every
+    found = time_to_limit(nights, hours, series, limit, years_ahead * DAYS_A_YEAR * max(rates))
+
+    def days(ahead: float | None, rate: float) -> float | None:
+        return None if ahead is None else ahead / rate
 
     return {
-        "days_to_limit": days(found.time),
-        "days_to_limit_lower": days(found.lower),
-        "days_to_limit_upper": days(found.upper),
+        "days_to_limit": days(found.time, every),
+        "days_to_limit_lower": days(found.lower, max(rates)),
+        "days_to_limit_upper": days(found.upper, min(rates)),
         "days_to_limit_status": found.status,
     }
 

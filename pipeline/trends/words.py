@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from collections.abc import Mapping
+from typing import Any
+
 from leakage.attribution import Attribution
 from leakage.monitoring import ChangeSize
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
@@ -11,10 +15,17 @@ NAMES = {
     OWN_REFERENCE: "leakage at the motor's own conditions",
     DEVIATION: "drain flow against the baseline's model",
     "peer_deviation": "drain flow against the other motors of the circuit",
+    "drain_flow": "drain flow",
+    "comparable_drain_flow": "drain flow at the reference conditions",
+    "baseline_progress": "progress towards a baseline",
     "C_f": "flushing",
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
 }
+# Statuses of a time to a limit that have dates.
+DATED = ("finite", "not_before", "beyond_horizon")
+# Days ahead up to which a date is told to the day, not to the month.
+TO_THE_DAY = 60
 MONTHS = (
     "January",
     "February",
@@ -56,6 +67,33 @@ def day(date: object) -> str:
     """
     text = str(date)
     return f"{int(text[8:10])} {MONTHS[int(text[5:7]) - 1]} {text[:4]}"
+
+
+def limit_dates(row: Mapping[str, Any]) -> str:
+    """Dates between which a row of `trends` has its limit reached; empty without an earliest one.
+
+    Examples
+    --------
+    >>> import datetime as dt
+    >>> row = {"night": dt.date(2026, 10, 3), "days_to_limit_status": "not_before"}
+    >>> limit_dates(row | {"days_to_limit_lower": 320.0, "days_to_limit_upper": None})
+    'not before August 2027'
+    >>> row = row | {"days_to_limit_status": "finite", "days_to_limit_upper": 200.0}
+    >>> limit_dates(row | {"days_to_limit_lower": 20.0})
+    'between 23 October 2026 and April 2027'
+    """
+    if row["days_to_limit_status"] not in DATED:
+        return ""
+    earliest = _date_ahead(row["night"], row["days_to_limit_lower"])
+    if row["days_to_limit_upper"] is None:
+        return f"not before {earliest}"
+    return f"between {earliest} and {_date_ahead(row['night'], row['days_to_limit_upper'])}"
+
+
+def _date_ahead(night: dt.date, days: float) -> str:
+    """A day in the next two months, a month later on."""
+    date = day(night + dt.timedelta(days=int(days)))
+    return date if days < TO_THE_DAY else date.split(" ", 1)[1]
 
 
 def size_words(indicator: str, size: ChangeSize, since: object) -> str:

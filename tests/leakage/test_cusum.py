@@ -212,7 +212,7 @@ def test_limits_rise_with_what_is_not_known() -> None:
 
 
 def test_limits_that_were_not_calibrated_are_refused() -> None:
-    for rate, n in ((0.5, 60), (1e-4, 60), (0.02, 29)):
+    for rate, n in ((0.5, 60), (1e-4, 60), (0.02, 14)):
         with pytest.raises(ParameterError) as caught:
             cusum_limit(rate, bare(n, 0.0))
         assert caught.value.code == "alarm_rate"

@@ -21,10 +21,11 @@ def healthy(n: int, seed: int, sd: float = 0.003, phi: float = 0.3) -> np.ndarra
 
 def test_a_healthy_indicator_is_insufficient_and_then_ok() -> None:
     found = monitor(np.arange(400), healthy(400, 1))
-    assert found.states == ["insufficient"] * 30 + ["ok"] * 370
-    assert [baseline.status for baseline in found.own.baselines] == ["provisional", "frozen"]
-    assert found.own.served_from == (30, 60)
-    assert found.own.baselines[0].reason == "provisional: 30 of 60 good nights"
+    assert found.states == ["insufficient"] * 15 + ["ok"] * 385
+    statuses = [baseline.status for baseline in found.own.baselines]
+    assert statuses == ["provisional", "provisional", "frozen"]
+    assert found.own.served_from == (15, 30, 60)
+    assert found.own.baselines[0].reason == "provisional: 15 of 60 good nights"
 
 
 def test_a_step_beyond_the_levels_is_a_warning_and_then_an_alarm() -> None:
@@ -32,7 +33,7 @@ def test_a_step_beyond_the_levels_is_a_warning_and_then_an_alarm() -> None:
     values = healthy(300, 2) * np.select([nights >= 200, nights >= 100], [1.5, 1.2], 1.0)
     found = monitor(nights, values)
     assert [(one.night, one.after) for one in found.changes] == [
-        (30, "ok"),
+        (15, "ok"),
         (102, "warning"),
         (202, "alarm"),
     ]
@@ -106,7 +107,7 @@ def test_absent_nights_are_as_good_as_nights_without_a_value() -> None:
 
 
 def test_too_few_nights_are_insufficient_for_ever() -> None:
-    for n in (0, 1, 3, 29):
+    for n in (0, 1, 3, 14):
         found = monitor(np.arange(n), healthy(max(n, 1), 10)[:n])
         assert found.states == ["insufficient"] * n
         assert found.changes == ()
@@ -119,7 +120,7 @@ def test_a_mean_that_is_not_positive_is_no_baseline() -> None:
 
 
 def test_a_constant_indicator_is_ok() -> None:
-    assert set(monitor(np.arange(90), np.full(90, 2.0)).states[30:]) == {"ok"}
+    assert set(monitor(np.arange(90), np.full(90, 2.0)).states[15:]) == {"ok"}
 
 
 def test_wear_does_not_become_its_own_baseline() -> None:
@@ -127,9 +128,9 @@ def test_wear_does_not_become_its_own_baseline() -> None:
     nights = np.arange(200)
     values = healthy(200, 11) * (1 + np.maximum(nights - 30, 0) * 0.003)
     found = monitor(nights, values)
-    provisional, kept = found.own.baselines
+    _, provisional, kept = found.own.baselines
     assert (provisional.status, kept.status, kept.n) == ("provisional", "frozen", 30)
-    assert found.own.served_from == (30, 60)
+    assert found.own.served_from == (15, 30, 60)
     assert kept.mean == provisional.mean
     assert kept.reason == "kept at 30 good nights: a change was told before there were 60"
     assert found.states[-1] == "alarm"
@@ -203,7 +204,7 @@ def test_others_that_come_back_after_a_silence_take_nothing_back_before_they_can
     others = np.where(silent, np.nan, 0.0)
     found = monitor(nights, healthy(200, 42) * wear, others_log_change=others)
     assert [(one.night, one.after) for one in found.changes] == [
-        (30, "ok"),
+        (15, "ok"),
         (102, "warning"),
         (132, "alarm"),
     ]

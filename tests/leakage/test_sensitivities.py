@@ -7,7 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leakage import Motor, OperatingConditions, ValidityError, leakage_l_per_min
+from leakage import (
+    AnnularGap,
+    LeakagePath,
+    Motor,
+    OperatingConditions,
+    SpeedCurve,
+    ValidityError,
+    leakage_l_per_min,
+)
 from leakage.sensitivities import ChannelTolerance, Tolerances, error_budget
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor
@@ -70,15 +78,19 @@ def test_effects_are_of_the_size_and_sign_that_the_model_states() -> None:
     assert -60 < in_percent["pressure-viscosity coefficient"][1] < -20
 
 
+def with_tolerance(path: LeakagePath) -> LeakagePath:
+    """A path of which every constant is known to some percent."""
+    if isinstance(path, AnnularGap):
+        return replace(path, deformation_tolerance=0.1)
+    return replace(path, curve_tolerance=0.05) if isinstance(path, SpeedCurve) else path
+
+
 def test_sources_add_by_squares() -> None:
-    motor = placeholder_motor("CB560")
+    plain = placeholder_motor("CB560")
+    motor = replace(plain, paths=tuple(map(with_tolerance, plain.paths)))
     conditions = made_conditions(800)
     flow = made_samples(motor, conditions=conditions)[:, -1]
-    tolerances = Tolerances(
-        temperature_c=ChannelTolerance(offset=1.0),
-        deformation={path.name: 0.1 for path in motor.paths},
-        speed_curve={path.name: 0.05 for path in motor.paths},
-    )
+    tolerances = Tolerances(temperature_c=ChannelTolerance(offset=1.0))
     budget = error_budget(motor, conditions, flow, tolerances, [REFERENCE])
     names = [effect.source.name for effect in budget.effects]
     assert len(names) == len(set(names)) == 4  # temperature, X_o, X_s, the roller's curve

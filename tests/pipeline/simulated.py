@@ -5,8 +5,9 @@ from __future__ import annotations
 import datetime as dt
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -75,6 +76,19 @@ def load_motor(folder: Path, text: str, types: Mapping[str, str] | None = None) 
     motor_id = text.split('"')[1]
     (spec,) = load_fleet(write_configs(folder, {motor_id: text}, types)).motors
     return spec
+
+
+def with_settings(spec: MotorSpec, section: str, **keys: Any) -> MotorSpec:
+    """A motor with other settings of a section."""
+    part = getattr(spec.settings, section).model_copy(update=keys)
+    return replace(spec, settings=spec.settings.model_copy(update={section: part}))
+
+
+def with_channel(spec: MotorSpec, name: str, **keys: Any) -> MotorSpec:
+    """A motor of which a channel is configured otherwise."""
+    channel = spec.file.channels[name].model_copy(update=keys)
+    channels = {**spec.file.channels, name: channel}
+    return replace(spec, file=spec.file.model_copy(update={"channels": channels}))
 
 
 @dataclass(frozen=True, slots=True)

@@ -163,7 +163,7 @@
     title: "gap change, %",
     digits: 3,
     reach: 5,
-    absent: "No night's logs determine the loss factor of a single gap, so no change can be told.",
+    absent: "No loss factor of a single gap has a baseline yet.",
   });
 
   const nightly = Object.fromEntries(

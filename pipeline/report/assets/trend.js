@@ -166,9 +166,9 @@
     return `${format(value, 3)} (${format(low, 3)} to ${high === null ? "no end" : format(high, 3)})`;
   }
 
-  function toLimit({ latest }) {
+  function toLimit({ latest, limitDates }) {
     const status = latest.days_to_limit_status;
-    if (latest.days_to_limit !== undefined) return withInterval(latest, "days_to_limit");
+    if (limitDates) return limitDates;
     return status === undefined ? ABSENT : word("timesToLimit", status);
   }
 

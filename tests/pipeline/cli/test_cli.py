@@ -181,7 +181,7 @@ def test_the_output_of_a_run_has_no_folders_but_those_that_are_known(fitted_outp
 
 
 def test_0_where_it_is_empty(call: Call, own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(CSV, PARQUET)
+    fleet = without_workers(own_fleet(CSV, PARQUET))
     for path in (fleet.parent.parent / "demo" / "logs").rglob("*.*"):
         path.unlink()
     code, out, err = call("fit-fleet", fleet)
@@ -215,7 +215,7 @@ def test_4_where_the_disk_is_full(
     def full(*_: Any) -> None:
         raise StoreError("store_write", "x.parquet cannot be written: No space left on device")
 
-    fleet = own_fleet(PARQUET)
+    fleet = without_workers(own_fleet(PARQUET))
     monkeypatch.setattr(pipeline.store.publishing, "prepare_night", full)
     code, _, err = call("fit-fleet", fleet)
     assert code == 4

@@ -1,4 +1,4 @@
-"""CSV export: what is read back is what was published, and no text is a formula."""
+"""CSV export: it reads back as published, and no text is a formula."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def test_times_dates_and_lists_as_text() -> None:
 
 
 def cells(text: str, separator: str) -> list[str]:
-    """What a spreadsheet takes for cells."""
+    """Cells as a spreadsheet reads them."""
     rows = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     return [cell for row in rows for cell in row]
 
@@ -128,7 +128,7 @@ def is_formula(cell: str) -> bool:
 
 
 def hides_a_formula(cell: str) -> bool:
-    """Whether a spreadsheet with another separator would find one, blanks before it or none."""
+    """True if a spreadsheet with another separator would find one, with or without blanks."""
     parts = re.split("[;\t\r\n]", cell)
     return any(part.lstrip("\x00")[:1] in set("=+-@＝＋－＠") for part in parts)
 

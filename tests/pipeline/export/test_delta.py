@@ -1,4 +1,4 @@
-"""The Delta Lake export, read back by the format's own library and by DuckDB's Arrow door."""
+"""The Delta Lake export, read back by the library of the format."""
 
 from __future__ import annotations
 

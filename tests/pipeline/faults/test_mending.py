@@ -461,7 +461,12 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
 
 @pytest.mark.parametrize(
     "name",
-    [f"ledger/M1/{MONTH}.json", "ledger/M1/settings", "ledger/M1/trends", f"history/M1/{MONTH}"],
+    [
+        f"ledger/M1/{MONTH}.json",
+        "ledger/M1/settings",
+        "ledger/M1/trends",
+        f"history/M1/{MONTH}.parquet",
+    ],
 )
 def test_own_files_are_named_and_mended_by_the_next_run(
     tiny_fleet: TinyFleet, output: Path, name: str, caplog: pytest.LogCaptureFixture
@@ -475,7 +480,7 @@ def test_own_files_are_named_and_mended_by_the_next_run(
 
 
 @pytest.mark.parametrize(
-    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", f"history/M9/{MONTH}"]
+    "name", [f"ledger/M9/{MONTH}.json", "ledger/M9/settings", f"history/M9/{MONTH}.parquet"]
 )
 def test_own_files_of_a_motor_that_there_is_no_more_are_mended_by_the_command(
     tiny_fleet: TinyFleet, output: Path, name: str

@@ -1,4 +1,4 @@
-"""A motor's log files: which there are, what is known of each, and the samples of a night."""
+"""A motor's log files: finding them, their records, and the samples of a night."""
 
 from __future__ import annotations
 

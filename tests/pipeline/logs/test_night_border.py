@@ -1,4 +1,4 @@
-"""The last sample of an on-change channel before a night holds into it, whatever files it is in."""
+"""The last sample of an on-change channel before a night holds into it, in any file."""
 
 from __future__ import annotations
 
@@ -220,7 +220,7 @@ class TestFiles:
         check_same_figures(in_one, in_parts, "input_files")
 
     def test_in_tasks_of_a_night_each(self, make: Make, log: Log) -> None:
-        """What holds over the border is known to the task of the second night, too."""
+        """The task of the second night knows the value that holds over the border, too."""
         together, apart = make(), make()
         for workshop, fleet in ((together, QUICK), (apart, SPLIT)):
             write(workshop, "a", slice(0, BORDER), log)

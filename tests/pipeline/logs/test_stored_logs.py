@@ -1,4 +1,4 @@
-"""Logs in an object store: what is read of them, and what is told of those that change."""
+"""Logs in an object store: which are read, and those that change meanwhile."""
 
 from __future__ import annotations
 

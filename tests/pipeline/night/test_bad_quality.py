@@ -18,6 +18,7 @@ from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
 from pipeline.night.fit_night import OK, fit_night
 from pipeline.night.time_base import on_grid
+from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
 from tests.pipeline.simulated import (
     CANONICAL,
     NIGHT,
@@ -29,17 +30,9 @@ from tests.pipeline.simulated import (
     raw,
 )
 
-SECOND = 1_000_000
-Times = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 ON_CHANGE: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
 LONG = Logs(format="csv", files=("*.csv",), layout="long")
-
-
-def as_read(time_us: Times, value: Array, bad: Any) -> RawChannel:
-    mask = np.zeros(len(value), np.bool_)
-    mask[bad] = True
-    return RawChannel(time_us, value, np.isnan(value), 0, mask)
 
 
 def cleaned(
@@ -48,15 +41,13 @@ def cleaned(
     name = "leakage_flow" if "counts" in keys else "pressure_difference"
     channel = Channel(source="x", unit="count" if "counts" in keys else "bar", **keys)
     rules = ChannelRules.of(name, channel, Cleaning(), logs)
-    return clean_channel(as_read(time_us, value, bad), rules)
-
-
-def refused_by(channel: CleanChannel) -> dict[str, int]:
-    return {reason: count for reason, count in channel.counts.items() if count}
+    mask = np.zeros(len(value), np.bool_)
+    mask[bad] = True
+    return clean_channel(as_read(time_us, value, mask), rules)
 
 
 def at_times(channel: CleanChannel, time_us: Times) -> tuple[Array, Mask, Mask]:
-    """What an even grid of seconds holds at some of its times."""
+    """Values of an even grid of seconds at some of its times."""
     grid = np.arange(time_us[0], time_us[-1] + 1, SECOND, dtype=np.int64)
     value, present, silent = on_grid(channel, grid, SECOND)
     chosen = (time_us - time_us[0]) // SECOND

@@ -28,9 +28,8 @@ from pipeline.night.masks import (
     spike,
     transient,
 )
+from tests.pipeline.night.channels import SECOND, Floats, lively, refused_by, stamps
 
-SECOND = 1_000_000
-Floats = NDArray[np.float64]
 RULES = ChannelRules(
     valid_range=(0.0, 100.0),
     sensor_maximum=None,
@@ -41,16 +40,6 @@ RULES = ChannelRules(
     gap_sample_periods=5.0,
     longest_gap_s=None,
 )
-# Values that no rule of one sample minds, never twice the same, so that nothing is frozen.
-LIVELY = np.array([50.0, 50.3, 49.8, 50.1, 49.9, 50.2, 49.7])
-
-
-def lively(n: int) -> Floats:
-    return np.resize(LIVELY, n)
-
-
-def stamps(n: int, rate_hz: float = 10.0) -> NDArray[np.int64]:
-    return np.arange(n, dtype=np.int64) * round(SECOND / rate_hz)
 
 
 def raw(time_us: NDArray[np.int64], value: Floats, missing: object = None) -> RawChannel:
@@ -60,10 +49,6 @@ def raw(time_us: NDArray[np.int64], value: Floats, missing: object = None) -> Ra
     for array in arrays:
         array.flags.writeable = False
     return RawChannel(*arrays, 0)
-
-
-def refused_by(cleaned: CleanChannel) -> dict[str, int]:
-    return {reason: count for reason, count in cleaned.counts.items() if count}
 
 
 def in_wide_log(rows: NDArray[np.int64], n: int, rate_hz: float = 10.0) -> RawChannel:
@@ -333,7 +318,7 @@ class TestHampel:
 
 
 class TestAcrossAGap:
-    """What came before a gap changes nothing after it."""
+    """Samples before a gap change nothing after it."""
 
     @given(st.integers(0, 2**32 - 1), st.sampled_from([0.0, 40.0, -45.0]))
     def test_samples_before_a_gap_do_not_judge_those_after_it(

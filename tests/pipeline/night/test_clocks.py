@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.ingest import RawChannel
@@ -23,25 +22,15 @@ from pipeline.night.clocks import (
     written_late,
 )
 from pipeline.night.time_base import bring_together
+from tests.pipeline.night.channels import SECOND, Floats, Times, as_read, lively, stamps
 
-SECOND = 1_000_000
 STEP = 100_000
-Floats = NDArray[np.float64]
-Times = NDArray[np.int64]
-
-
-def lively(n: int) -> Floats:
-    return np.resize(np.array([50.0, 50.3, 49.8, 50.1, 49.9, 50.2, 49.7]), n)
-
-
-def stamps(n: int) -> Times:
-    return np.arange(n, dtype=np.int64) * STEP
 
 
 def cleaned(time_us: Times, value: Floats, cleaning: Cleaning | None = None, **keys: Any) -> Any:
     channel = Channel(source="x", unit="bar", resolution=0.1, **keys)
     rules = ChannelRules.of("pressure_difference", channel, cleaning or Cleaning())
-    return clean_channel(RawChannel(time_us, value, np.isnan(value), 0), rules)
+    return clean_channel(as_read(time_us, value), rules)
 
 
 class TestWrittenLate:

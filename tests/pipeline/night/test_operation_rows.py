@@ -1,4 +1,4 @@
-"""How a motor was run in a night: hours, histograms, what its sensors said at halts."""
+"""Rows of `operation`: hours, histograms, readings of the sensors at halts."""
 
 from __future__ import annotations
 

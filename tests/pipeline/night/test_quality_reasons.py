@@ -63,6 +63,6 @@ def test_every_reason_is_documented_and_no_other(found: set[str]) -> None:
 def test_they_stand_in_the_data_dictionary_and_on_the_page() -> None:
     (column,) = (column for column in QUALITY.columns if column.name == "reason")
     page = table_reference().split("## quality")[1].split("\n## ")[0]
-    for reason, meaning in QUALITY_REASONS.items():
-        assert reason in column.description
-        assert f"- `{reason}`: {meaning}.\n" in page
+    for name, reason in QUALITY_REASONS.items():
+        assert name in column.description
+        assert f"- `{name}`: {reason.meaning}.\n" in page

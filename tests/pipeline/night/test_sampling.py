@@ -1,26 +1,25 @@
-"""What samples mean: counts of a volume, values sent on change, means of a period."""
+"""Kinds of samples: counts of a volume, values sent on change, means of a period."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.config.faults import ConfigError
-from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
 from pipeline.night.fit_night import FAILED, OK, NightOutcome, fit_night
 from pipeline.night.masks import spike
 from pipeline.night.sampling import Sampling, flow_from_counts, means_too_long, step_of_readings
 from pipeline.night.time_base import grid_period_us, on_grid
+from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
 from tests.pipeline.simulated import (
     CANONICAL,
     NIGHT,
@@ -32,22 +31,11 @@ from tests.pipeline.simulated import (
     raw,
 )
 
-SECOND = 1_000_000
-Times = NDArray[np.int64]
-
-
-def as_read(time_us: Times, value: Array) -> RawChannel:
-    return RawChannel(time_us, value, np.isnan(value), 0)
-
 
 def cleaned(name: str, time_us: Times, value: Array, **keys: Any) -> CleanChannel:
     unit = "count" if "counts" in keys else CANONICAL[name]
     channel = Channel(source="x", unit=unit, **keys)
     return clean_channel(as_read(time_us, value), ChannelRules.of(name, channel, Cleaning()))
-
-
-def refused_by(channel: CleanChannel) -> dict[str, int]:
-    return {reason: count for reason, count in channel.counts.items() if count}
 
 
 class TestPulseFlowMeter:
@@ -185,12 +173,12 @@ class TestCounts:
 class TestOnChange:
     """Silence up to a stated length is no gap and no frozen sensor."""
 
+    STATED: ClassVar[dict[str, Any]] = {"sampling": "on_change", "longest_silence_s": 300.0}
     TIME = np.array([0, 40, 41, 300, 1000, 1001], dtype=np.int64) * SECOND
     VALUE = np.array([200.0, 180.0, 120.0, 121.0, 150.0, 260.0])
 
     def channel(self, **keys: Any) -> CleanChannel:
-        stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
-        return cleaned("pressure_difference", self.TIME, self.VALUE, **(stated | keys))
+        return cleaned("pressure_difference", self.TIME, self.VALUE, **(self.STATED | keys))
 
     def test_nothing_is_refused_neither_as_spike_nor_as_frozen(self) -> None:
         assert refused_by(self.channel()) == {}
@@ -224,18 +212,16 @@ class TestOnChange:
 
     def test_the_same_value_for_longer_than_the_longest_silence_is_frozen(self) -> None:
         time = np.array([0, 250, 500, 750], dtype=np.int64) * SECOND
-        stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
-        stuck = cleaned("pressure_difference", time, np.full(4, 80.0), **stated)
+        stuck = cleaned("pressure_difference", time, np.full(4, 80.0), **self.STATED)
         assert stuck.counts["frozen"] == 4
-        heartbeat = cleaned("pressure_difference", time[:2], np.full(2, 80.0), **stated)
+        heartbeat = cleaned("pressure_difference", time[:2], np.full(2, 80.0), **self.STATED)
         assert heartbeat.counts["frozen"] == 0
 
     def test_blank_cells_of_a_wide_log_miss_nothing(self) -> None:
         value = np.full(500, np.nan)
         value[[0, 3, 250]] = 10.0, 20.0, 30.0
         time = np.arange(500, dtype=np.int64) * SECOND
-        stated: dict[str, Any] = {"sampling": "on_change", "longest_silence_s": 300.0}
-        found = cleaned("pressure_difference", time, value, **stated)
+        found = cleaned("pressure_difference", time, value, **self.STATED)
         assert (found.n_samples, refused_by(found)) == (3, {})
 
     def test_it_has_no_rate_to_set_the_time_base_by(self) -> None:
@@ -244,8 +230,7 @@ class TestOnChange:
             "pressure_difference",
             np.arange(50, dtype=np.int64) * (SECOND // 10),
             np.arange(50.0),
-            sampling="on_change",
-            longest_silence_s=300.0,
+            **self.STATED,
         )
         assert grid_period_us({"speed": slow, "p": burst}, TimeBase()) == SECOND
         assert grid_period_us({"p": burst}, TimeBase()) == SECOND // 10

@@ -254,7 +254,7 @@ def test_stretches_between_long_gaps_must_be_long_enough() -> None:
 
 
 def test_a_thin_block_cuts_no_stretch_that_its_samples_had_held_together() -> None:
-    """What is left out cannot bridge: the stretch is judged by the samples that remain."""
+    """Samples left out cannot bridge: the stretch is judged by the samples that remain."""
     time = np.concatenate([minutes(0, 8), minutes(8, 10, step_s=20), minutes(10, 18)])
     found = reasons(time, minimum_block_share=0.5, longest_gap_s=60.0, minimum_stretch_minutes=10.0)
     assert (found["thin_block"] | found["short_stretch"]).all()

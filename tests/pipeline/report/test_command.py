@@ -47,13 +47,13 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     index = fleet.parent.parent / "out" / "report" / "index.html"
     assert (code, err) == (0, "")
     assert re.fullmatch(
-        r"6 motors, 3 nights made anew, \d+ files written, 0 removed; open .*", out.strip()
+        r"6 motors, 3 nights updated, \d+ files written, 0 removed; open .*", out.strip()
     )
     assert out.strip().endswith(str(index))
     assert "<h1>Demo fleet</h1>" in index.read_text("utf-8")
     page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert '"kind":"overhaul","note":"new \\u003cb\\u003eseals' in page
-    assert call(fleet)[1].startswith("6 motors, 0 nights made anew, 0 files written")
+    assert call(fleet)[1].startswith("6 motors, 0 nights updated, 0 files written")
 
 
 def test_the_tables_alone_will_do(call: Call, output: Path) -> None:

@@ -18,14 +18,8 @@ from tests.pipeline.report.conftest import change_table
 FIRST = dt.date(2026, 1, 2)
 
 
-def fitted(fleet_file: Path) -> Path:
-    fleet = load_fleet(fleet_file)
-    run_fleet(RunRequest(fleet))
-    return fleet.output
-
-
-def test_a_good_night_is_told_from_its_log_to_its_verdicts(own_fleet: OwnFleet) -> None:
-    told = "\n".join(explain(fitted(own_fleet("CB560-01")), "CB560-01", FIRST))
+def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) -> None:
+    told = "\n".join(explain(fitted_output, "CB560-01", FIRST))
     assert told.startswith("CB560-01, night of 2026-01-02: fitted")
     for words in (
         "log CB560-01/CB560-01_2026-01-02.mcap: ok",
@@ -45,16 +39,14 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(own_fleet: OwnFleet) 
     assert "_per_" not in told
 
 
-def test_one_pressure_all_night_is_told_with_what_would_help(own_fleet: OwnFleet) -> None:
-    told = "\n".join(explain(fitted(own_fleet("CB1120-02")), "CB1120-02", FIRST))
+def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path) -> None:
+    told = "\n".join(explain(fitted_output, "CB1120-02", FIRST))
     assert "no reference leakage (200 bar" in told
     assert "leakage at the night's own mean (180 bar" in told
     assert "identified" not in told
 
 
-def test_a_poor_fit_is_called_one(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet("CB560-01", fitted=True)
-    output = load_fleet(fleet).output
+def test_a_poor_fit_is_called_one(output: Path) -> None:
     poor = pl.lit(-1295.0).alias("validation_fit_percent")
     change_table(output, "fits", lambda rows: rows.with_columns(poor), f"{FIRST}")
     (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("fit: ")]
@@ -63,17 +55,17 @@ def test_a_poor_fit_is_called_one(own_fleet: OwnFleet) -> None:
 
 
 def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet("CB400-02")
-    log = min((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
+    fleet = load_fleet(own_fleet("CB400-02"))
+    log = min((fleet.log_root / "CB400-02").iterdir())
     log.write_bytes(b"nonsense" * 1000)
-    told = explain(fitted(fleet), "CB400-02", FIRST)
+    run_fleet(RunRequest(fleet))
+    told = explain(fleet.output, "CB400-02", FIRST)
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
     assert told[1] == f"log CB400-02/{log.name}: failed"
     assert "\n".join(told).count("does not begin as Parquet does") == 1
 
 
-def test_a_night_that_is_not_there_says_what_to_do(own_fleet: OwnFleet) -> None:
-    output = fitted(own_fleet("CB400-02"))
+def test_a_night_that_is_not_there_says_what_to_do(fitted_output: Path) -> None:
     with pytest.raises(UsageError, match="run fit-fleet") as refused:
-        explain(output, "CB400-02", dt.date(2020, 1, 1))
+        explain(fitted_output, "CB400-02", dt.date(2020, 1, 1))
     assert refused.value.code == "unknown_night"

@@ -142,7 +142,7 @@ def test_rows_of_a_night_can_be_replaced(table: Table) -> None:
 
 
 def in_name(column: Column, table: Table) -> bool:
-    """Whether the unit stands in the name, or in that of the figure that the column goes with."""
+    """True if the unit is in the name, or in that of the figure that the column goes with."""
     suffix = SUFFIXES[column.unit]
     stem = re.sub(r"_(lower|upper|systematic)$", "", column.name)
     if stem != column.name:
@@ -227,6 +227,7 @@ class TestFrame:
             "Boolean": True,
             "Date": dt.date(2026, 1, 2),
             "List(String)": ["x"],
+            "List(Float32)": [1.0],
         }
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])

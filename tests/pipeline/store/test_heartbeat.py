@@ -1,4 +1,4 @@
-"""The heartbeat: what a run says of itself while it is under way, and what it leaves behind."""
+"""The heartbeat of a run: its beats, and the last one after its end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A first signal waits for the end of what is held, a second one does not."""
+"""A first signal waits, a second one does not."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every published file is proven by its manifest; and a run can tell what it would do, and why."""
+"""Manifests prove every published file; the plan of a run names its work and the reasons."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pruning: what is told, what goes, and that nothing else notices."""
+"""Pruning: the message, the files that go, and that nothing else changes."""
 
 from __future__ import annotations
 

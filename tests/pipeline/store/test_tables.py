@@ -1,4 +1,4 @@
-"""The tables on disk: whole or not at all, damage is told, others' rows stay."""
+"""Tables on disk: whole or not at all, damage is reported, rows of others stay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of `alarms` reach every receiver at least once, and each knows which it has had."""
+"""Rows of `alarms` reach every receiver at least once, with ids that tell repeats."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def publish(output: Path, *rows: dict[str, Any]) -> None:
 def run(
     output: Path, rows: Iterable[dict[str, Any]], *receivers: Fake, fleet: str = FLEET
 ) -> tuple[str, ...]:
-    """What a run does that publishes some rows; nobody waits between tries."""
+    """The steps of a run that publishes some rows, without waits between tries."""
     open_outbox(output, [one.name for one in receivers], fleet)
     publish(output, *rows)
     take_up(output, fleet)

@@ -1,4 +1,4 @@
-"""Runs and those who are told: once, again where it failed, and nothing of a secret anywhere."""
+"""Runs deliver changes of state once, try again what failed, and show no secret."""
 
 from __future__ import annotations
 

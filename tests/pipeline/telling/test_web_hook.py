@@ -1,4 +1,4 @@
-"""A web hook over real sockets: what is posted, what is followed, and how long it may take."""
+"""A web hook over real sockets: its posts, redirects and deadline."""
 
 from __future__ import annotations
 

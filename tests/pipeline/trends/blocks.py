@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,8 @@ from leakage import OperatingConditions, regressors
 from leakage.block_statistics import factors
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import BLOCK_STATISTICS, frame
+from pipeline.trends.filtered_nights import add_blocks, without_fit
+from pipeline.trends.history import History
 from tests.pipeline.trends.nights import Nights, night_of
 
 Array = NDArray[np.float64]
@@ -75,6 +78,14 @@ def blocks_of(nights: Nights) -> pl.DataFrame:
         for row in _blocks(nights, place, samples_of(nights, place, truth[place]))
     ]
     return frame(BLOCK_STATISTICS, rows).sort("block_start")
+
+
+def with_blocks(found: History, blocks: pl.DataFrame) -> History:
+    """A history whose nights without a fit know their blocks."""
+    records = found.records.copy()
+    wanted = records["night"][without_fit(records)].tolist()
+    add_blocks(found.layout, records, blocks.filter(pl.col("night").is_in(wanted)))
+    return replace(found, records=records)
 
 
 def _blocks(nights: Nights, place: int, z: Array) -> list[dict[str, Any]]:

@@ -219,6 +219,8 @@ class Nights:
         changed = self.changes.get(place, {})
         row |= changed
         rows["fits"].append(row)
+        if row["status"] in ("ok", "insufficient_data"):
+            rows["operation"].append(key | self._operated(place))
         if row["status"] != "ok":
             return
         names = [*(f"K_{path}" for path in PATHS), *(["C_f"] if self.mode != "none" else [])]
@@ -240,7 +242,6 @@ class Nights:
                     "reason": None if known else f"{name} is {verdict}",
                 }
             )
-        rows["operation"].append(key | self._operated(place))
 
     def _operated(self, place: int) -> Row:
         row: Row = {

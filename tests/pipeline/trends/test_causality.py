@@ -13,11 +13,11 @@ import pytest
 from pipeline.trends.alarm_rows import alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.decisions import Decision
+from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.history import History
-from pipeline.trends.poor_nights import with_poor_nights
 from pipeline.trends.standing import Standing
 from pipeline.trends.trend_rows import trend_rows
-from tests.pipeline.trends.blocks import POOR, blocks_of
+from tests.pipeline.trends.blocks import POOR, blocks_of, with_blocks
 from tests.pipeline.trends.nights import (
     PATHS,
     Nights,
@@ -83,15 +83,11 @@ def tank(seed: int) -> tuple[list[Nights], list[Decision]]:
 def stand(
     motors: Sequence[Nights], said: Sequence[Decision], blocks: pl.DataFrame, until: int
 ) -> dict[str, Standing]:
-    def merged(history: History, decisions: tuple[Decision, ...]) -> History:
+    def followed(history: History, decisions: tuple[Decision, ...]) -> History:
         own = blocks.filter(motor_id=history.spec.motor_id)
+        return with_filter(with_blocks(history, own), decisions, dt.date.min)
 
-        def read(labels: Sequence[dt.date]) -> pl.DataFrame:
-            return own.filter(pl.col("night").is_in(list(labels)))
-
-        return with_poor_nights(history, decisions, read)
-
-    return standings(histories(*motors, until=until, tonight=until), said, merged)
+    return standings(histories(*motors, until=until, tonight=until), said, followed)
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.config import load_fleet
@@ -20,12 +22,9 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
 from pipeline.store.retention import old_files, prune
-from pipeline.store.sealed import seal_bytes
 from pipeline.store.tables import night_file, read_rows, write_table
 from pipeline.trends import kept_nights, reading, stage
 from pipeline.trends.decisions import record_decision
-from pipeline.trends.kept_nights import key_of
-from pipeline.trends.night_records import Layout
 from pipeline.trends.reading import read_nights
 from pipeline.trends.record import note_touched
 from pipeline.trends.tonight import Tonight
@@ -174,7 +173,7 @@ def written_anew(fleet: Fleet) -> None:
 def a_reset_and_a_setting(fleet: Fleet) -> None:
     """And a motor less."""
     record_decision(fleet.output, reset(fleet.before + 4))
-    configure(fleet.folder, ["M1"], more="[trend]\nmerge_nights = 2\n")
+    configure(fleet.folder, ["M1"], more="[trend]\nbaseline_nights = 40\n")
 
 
 def damaged(fleet: Fleet) -> None:
@@ -321,15 +320,33 @@ def test_nights_of_a_month_that_is_gone_are_gone(two_months: Fleet) -> None:
     assert read(two_months)[0] == "2026-02-01"
 
 
-@pytest.mark.parametrize("content", [b"", b"{}\n", b'{"key": 7}\n', b"[]\n", b"\xff"])
+def as_parquet(table: pa.Table) -> bytes:
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink)
+    return bytes(sink.getvalue())
+
+
+def another_number(content: bytes) -> bytes:
+    """A sound Parquet file that says something else than was written."""
+    table = pq.read_table(pa.BufferReader(content))
+    place = table.schema.get_field_index("kept_hours")
+    return as_parquet(table.set_column(place, "kept_hours", pa.array([7.0] * table.num_rows)))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda _: b"",
+        lambda whole: whole[:-9],
+        lambda _: as_parquet(pa.table({"night": [1]})),
+        another_number,
+    ],
+)
 def test_what_cannot_be_understood_is_read_again(
-    two_months: Fleet, reads: Reads, content: bytes
+    two_months: Fleet, reads: Reads, change: Callable[[bytes], bytes]
 ) -> None:
-    (spec, _) = load_fleet(two_months.config).motors
-    key = key_of(spec, Layout.of(spec, night_of(0)), ())
-    whole = content.replace(b"7", f'"{key}"'.encode())
     (old, _) = two_months.kept()
-    old.write_bytes(seal_bytes(whole))
+    old.write_bytes(change(old.read_bytes()))
     before = read(two_months)
     assert ("fits", [night_of(26 + place) for place in range(4)]) in reads
     reads.clear()

@@ -1,0 +1,58 @@
+"""Rows of `trends` that need no baseline: drain flow, and how far the baseline has come."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from pipeline.trends.attribution import reference_row
+from pipeline.trends.baseline_flow import column_sums, expected_flow
+from pipeline.trends.indicators import BASELINE_PROGRESS, COMPARABLE_FLOW, DEVIATION, DRAIN_FLOW
+from pipeline.trends.reasons import good_nights, why_no_baseline
+from pipeline.trends.standing import Standing
+
+Row = dict[str, Any]
+
+
+def first_rows(standing: Standing, place: int) -> Iterator[Row]:
+    """Rows of a night from the motor's first on."""
+    state = {"state": standing.states[DEVIATION][place]}
+    sums = column_sums(standing.history, slice(place, place + 1))[0]
+    if np.isfinite(sums).all() and sums[-3] > 0.0:
+        yield _row(DRAIN_FLOW, "l/min", float(sums[-1] / sums[-3])) | state
+        comparable = _comparable_flow(standing, place, sums)
+        if comparable is not None:
+            yield _row(COMPARABLE_FLOW, "l/min", comparable) | state
+    _, _, baseline = standing.watched[DEVIATION].at(place)
+    if baseline is None:
+        good, needed = good_nights(standing, DEVIATION, place)
+        row = _row(BASELINE_PROGRESS, "%", 100.0 * min(good / needed, 1.0))
+        yield row | state | {"state_reason": why_no_baseline(standing, DEVIATION, place)}
+
+
+def _row(indicator: str, unit: str, value: float) -> Row:
+    return {
+        "indicator": indicator,
+        "unit": unit,
+        "value": value,
+        "n_nights": 1,
+        "outside_fitted_range": False,
+    }
+
+
+def _comparable_flow(standing: Standing, place: int, sums: np.ndarray[Any, Any]) -> float | None:
+    """Drain flow at the fleet's reference conditions, flushing excluded [l/min].
+
+    By the baseline's model, until it is known by the configured one: the measured flow times what
+    the model says there over what it says here.
+    """
+    history, era = standing.history, standing.era(place)
+    known = era.model is not None and place >= era.known_from
+    theta = np.array(history.layout.configured) if era.model is None or not known else era.model
+    row = reference_row(standing, place)
+    measured, expected = (float(one[0]) for one in expected_flow(sums[None], theta))
+    if isinstance(row, str) or expected <= 0.0:
+        return None
+    return measured / expected * float(row[:-2] @ theta[:-1] + row[-1])
