@@ -67,6 +67,8 @@ class MotorState:
         empty.
     leakage_indicator, leakage_lower, leakage_upper
         Indicator that the leakage is from, and its 95 % interval.
+    leakage_verdict
+        Verdict on the leakage at the reference conditions; None for that at the motor's own.
     gap_path, gap_change_percent
         Path with the largest gap change now, and that change; None where no gap is known.
     limit_dates
@@ -94,6 +96,7 @@ class MotorState:
     leakage_upper: float | None = None
     gap_path: str | None = None
     gap_change_percent: float | None = None
+    leakage_verdict: str | None = None
     limit_dates: str = ""
     temperature_effect: str = ""
 
@@ -147,7 +150,8 @@ def fleet_status(
         If a table is damaged.
     """
     trends = read_rows(output, TRENDS, motor_ids)
-    columns = ("motor_id", "night", "status", "reason", "is_primary", *TONIGHTS_FITS)
+    keys = ("motor_id", "night", "status", "reason", "is_primary")
+    columns = (*keys, "reference_verdict", *TONIGHTS_FITS)
     fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
     motors = [
@@ -234,6 +238,7 @@ def motor_state(
         leakage_indicator=leakage.get("indicator"),
         leakage_lower=leakage.get("lower"),
         leakage_upper=leakage.get("upper"),
+        leakage_verdict=_verdict(fits, leakage_night, leakage),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
         limit_dates="" if is_ok else limit_dates(worst),
@@ -252,6 +257,14 @@ def _leakage(trends: pl.DataFrame, change_start: dt.date | None) -> tuple[dt.dat
     """Last night and row of the reference leakage, of the fleet's conditions or the motor's own."""
     found = [one for name in REFERENCES if (one := _newest(trends, name, change_start))]
     return next((one for one in found if one[1]), found[0] if found else (None, {}))
+
+
+def _verdict(fits: pl.DataFrame, night: dt.date | None, leakage: Row) -> str | None:
+    """Verdict of a night on the leakage at the fleet's reference conditions."""
+    if leakage.get("indicator") != REFERENCES[0]:
+        return None
+    rows = fits.filter("is_primary", pl.col("night") == night)["reference_verdict"]
+    return None if rows.is_empty() else str(rows[0])
 
 
 def _largest_gap_change(trends: pl.DataFrame, change_start: dt.date | None) -> Row:

@@ -26,7 +26,7 @@ from pipeline.trends.indicators import (
     Indicator,
     with_filtered,
 )
-from pipeline.trends.night_records import HISTOGRAMS, triangle
+from pipeline.trends.night_records import HISTOGRAMS, WIDEST_ALONE, too_wide, triangle
 from pipeline.trends.segments import Segment
 
 Array = NDArray[np.float64]
@@ -36,8 +36,6 @@ LEVEL = 0.95
 EDGES = (PRESSURE_EDGES_BAR, TEMPERATURE_EDGES_C, SPEED_EDGES_RPM)
 OUTSIDE = "the motor's own reference conditions lie outside what the night saw"
 NO_INTERVAL = "no intervals in this night"
-# A night alone tells the leakage where its interval is no wider.
-WIDEST_ALONE = 0.02
 # How far beyond what was seen so far a filtered leakage is told: bar, K, rpm.
 REACH = (20.0, 10.0, 0.0)
 
@@ -183,8 +181,7 @@ def own_leakage(history: History, segment: Segment, own: OwnConditions, warm: Ar
         elif outside[place]:
             gated[place] = OUTSIDE
         elif not half[place] <= WIDEST_ALONE * abs(value[place]):
-            percent = 100 * half[place] / abs(value[place])
-            gated[place] = f"known to ± {percent:.1f} % only; {100 * WIDEST_ALONE:.0f} % are needed"
+            gated[place] = too_wide(half[place] / abs(value[place]))
     counts = np.array([not one for one in gated], dtype=np.bool_)
     found = _filtered_leakage(history, here, [own] * len(gated), ~counts)
     return OwnLeakage(
