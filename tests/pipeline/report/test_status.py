@@ -106,6 +106,16 @@ def test_the_headline_names_every_part_in_alarm() -> None:
     assert found.change_start == night_of(80)
 
 
+def test_a_motor_without_a_baseline_says_how_far_it_has_come_and_what_it_drains() -> None:
+    rows = [one | {"run_id": "r"} for one in trend_rows(standing(Nights(motor(), 5)), [4])]
+    others = [one for one in rows if one["indicator"] != "reference_leakage"]
+    found = motor_state("M1", frame(TRENDS, others), fits_of("M1"), ())
+    assert (found.state, found.leakage_indicator) == ("insufficient", "comparable_drain_flow")
+    assert found.reason == "5 of 15 good nights for a baseline (first nights)"
+    # A healthy motor drains what its configured gaps leak (CB560, model.md, section 3).
+    assert found.leakage_l_per_min == pytest.approx(1.371423, rel=1e-6)
+
+
 def of_leakage(name: str, values: list[float | None], **tonight: Any) -> list[dict[str, Any]]:
     rows = [trend("M1", night, name, value=value) for night, value in enumerate(values)]
     rows[-1] |= tonight
