@@ -31,6 +31,7 @@ ORDER = (*CHANGED, "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_flow")
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
+TEMPERATURE_EFFECT = "temperature_effect"
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
@@ -72,6 +73,8 @@ class MotorState:
         Path with the largest gap change now, and that change; None where no gap is known.
     limit_dates
         Dates between which the indicator reaches its limit, in words; empty without one.
+    temperature_effect
+        That loss factors change with temperature, in words; empty where they do not.
     """
 
     motor_id: str
@@ -95,13 +98,14 @@ class MotorState:
     gap_change_percent: float | None = None
     leakage_verdict: str | None = None
     limit_dates: str = ""
+    temperature_effect: str = ""
 
     @property
     def why(self) -> str:
-        """The state in words, with dates, a failure, a poor fit and an acknowledgement."""
+        """The state in words, with what else is to be known, and an acknowledgement."""
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         reason = self.reason or "no change of external leakage"
-        parts = (reason, dates, self.failure, self.poor_fit)
+        parts = (reason, dates, self.temperature_effect, self.failure, self.poor_fit)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -213,8 +217,12 @@ def motor_state(
     # A motor that never sees the fleet's conditions is judged by its other indicators.
     if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
         worst = worst | {"state": "ok"}
+    if worst["state"] == "insufficient":
+        progress = tonight.filter(indicator="baseline_progress")["state_reason"]
+        worst = worst | {"state_reason": next(iter(progress), worst["state_reason"])}
     is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
+    effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
     leakage_night, leakage = _leakage(trends, began)
@@ -237,6 +245,7 @@ def motor_state(
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
         limit_dates="" if is_ok else limit_dates(worst),
+        temperature_effect=next(iter(effects), None) or "",
     )
 
 

@@ -75,18 +75,7 @@ class OwnLeakage:
 
 def reference_leakage(history: History) -> Indicator:
     """Leakage at the fleet's reference conditions."""
-    figures, reference = history.records["reference"], history.spec.settings.reference
-    charge = _last_known(history.records["charge"])
-    at = [
-        OwnConditions(
-            reference.pressure_bar,
-            reference.temperature_c,
-            reference.speed_rpm,
-            None if np.isnan(one) else one,
-        )
-        for one in charge.tolist()
-    ]
-    n = len(history)
+    figures, n = history.records["reference"], len(history)
     alone = Indicator(
         REFERENCE,
         "l/min",
@@ -100,8 +89,35 @@ def reference_leakage(history: History) -> Indicator:
         np.ones(n, dtype=np.bool_),
         np.ones(n, dtype=np.int32),
     )
+    at = _reference_conditions(history)
     found = _filtered_leakage(history, slice(0, n), at, np.isnan(figures[:, 0]))
     return with_filtered(alone, found, WIDEST_LEAKAGE, np.abs(found.value))
+
+
+def known_at_reference(history: History) -> Array:
+    """Known flow at the fleet's reference conditions in each night [l/min], shape (n,).
+
+    0 where the model does not hold there.
+    """
+    rows = (
+        regressor_row(history, place, one)
+        for place, one in enumerate(_reference_conditions(history))
+    )
+    return np.array([0.0 if isinstance(row, str) else float(row[-1]) for row in rows])
+
+
+def _reference_conditions(history: History) -> list[OwnConditions]:
+    """The fleet's reference conditions, with each night's charge pressure."""
+    asked = history.spec.settings.reference
+    return [
+        OwnConditions(
+            asked.pressure_bar,
+            asked.temperature_c,
+            asked.speed_rpm,
+            None if np.isnan(charge) else charge,
+        )
+        for charge in _last_known(history.records["charge"]).tolist()
+    ]
 
 
 def _last_known(values: Array) -> Array:
@@ -139,15 +155,17 @@ def own_conditions(history: History, places: NDArray[np.intp]) -> OwnConditions 
     return OwnConditions(pressure, temperature, speed, above_case)
 
 
-def own_leakage(history: History, segment: Segment, own: OwnConditions) -> OwnLeakage:
+def own_leakage(history: History, segment: Segment, own: OwnConditions, warm: Array) -> OwnLeakage:
     """Leakage of a segment's nights at the motor's own conditions, flushing excluded.
 
     From θ and its covariance, as the published intervals are those of other conditions; Student's t
-    with as many degrees of freedom as the night has blocks beyond its coefficients.
+    with as many degrees of freedom as the night has blocks beyond its coefficients. `warm`: loss
+    factors of each night over those at the baseline's temperature, shape (n,).
     """
     here = slice(segment.first, segment.end)
     records = history.records[here]
     contrast, known, words = _regressors(history, segment, own)
+    contrast = contrast / warm[here, None]
     value = _row_sums(records["theta"] * contrast) + known
     variance = _quadratic_forms(records["covariance"], contrast)
     freedom = records["blocks"] - records["theta"].shape[1]

@@ -177,15 +177,14 @@ def test_a_wear_of_the_ring_leaves_the_reference_leakage_unchanged() -> None:
 def test_a_new_baseline_says_what_it_begins_with() -> None:
     spec = named(motor(), "M1", events=[event(60, "overhaul", note="sleeves")])
     found = standing(Nights(spec, 70), reset(65, note="valve"))
-    assert (
-        why_no_baseline(found, REFERENCE, 20)
-        == "21 of 30 good nights for a baseline (first nights)"
+    assert why_no_baseline(found, REFERENCE, 10) == (
+        "11 of 15 good nights for a baseline (first nights)"
     )
     assert why_no_baseline(found, REFERENCE, 64) == (
-        f"5 of 30 good nights for a baseline (overhaul on {night_of(60)}: sleeves)"
+        f"5 of 15 good nights for a baseline (overhaul on {night_of(60)}: sleeves)"
     )
     assert why_no_baseline(found, DEVIATION, 69) == (
-        f"5 of 30 good nights for a baseline (reset from {night_of(65)}: valve)"
+        f"5 of 15 good nights for a baseline (reset from {night_of(65)}: valve)"
     )
     changes = [one for one in alarm_rows(found, range(70)) if one["indicator"] == REFERENCE]
     assert [one["to_state"] for one in changes] == ["ok", "insufficient"]
