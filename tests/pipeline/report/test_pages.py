@@ -129,10 +129,11 @@ def test_sort_both_ways_by_keyboard_with_what_is_absent_last(browser: Chrome, re
     button = header.find_element(By.TAG_NAME, "button")
 
     def values() -> list[float]:
-        """Those that are there; CB1120-02, of which three nights tell no leakage, is last."""
+        """Those that are there; what is absent comes last."""
         cells = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody td:nth-child(3)")
-        *known, absent = [cell.get_dom_attribute("data-value") for cell in cells]
-        assert absent == ""
+        told = [cell.get_dom_attribute("data-value") for cell in cells]
+        known = [value for value in told if value]
+        assert told[: len(known)] == known
         return [float(value) for value in known]
 
     button.send_keys(Keys.ENTER)
@@ -494,7 +495,8 @@ def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, output: Path
             "[one.name, one.y.at(-1)])"
         )
     )
-    assert list(lines) == [
+    # The interval's outline has no name.
+    assert [name for name in lines if name] == [
         "piston ring leakage",
         "baseline",
         "level of warning",
