@@ -17,6 +17,7 @@ from pipeline.errors import UsageError
 from pipeline.report.status import (
     RAISED,
     TOLD,
+    MotorState,
     age_in_hours,
     fleet_status,
     last_alarm,
@@ -534,3 +535,16 @@ def test_an_age_that_is_none(text: str) -> None:
     with pytest.raises(UsageError) as caught:
         age_in_hours(text)
     assert caught.value.code == "age"
+
+
+def test_dates_and_the_effect_of_temperature_stand_in_the_words_of_a_state() -> None:
+    found = MotorState(
+        "M",
+        "warning",
+        reason="piston ring leakage +18 %",
+        limit_dates="not before August 2027",
+        temperature_effect="K falls by 0.97 % a kelvin",
+    )
+    assert found.why == (
+        "piston ring leakage +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
+    )
