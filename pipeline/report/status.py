@@ -221,6 +221,9 @@ def motor_state(
     # A motor that never sees the fleet's conditions is judged by its other indicators.
     if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
         worst = worst | {"state": "ok"}
+    if worst["state"] == "insufficient":
+        progress = tonight.filter(indicator="baseline_progress")["state_reason"]
+        worst = worst | {"state_reason": next(iter(progress), worst["state_reason"])}
     is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]

@@ -20,7 +20,7 @@ from pipeline.trends.indicators import (
 )
 from pipeline.trends.model import misfit_at, misfit_words
 from pipeline.trends.reasons import good_nights, why_no_baseline
-from pipeline.trends.standing import Standing
+from pipeline.trends.standing import CHANGED, Standing
 from pipeline.trends.temperature import NIGHTS, correction_of
 from pipeline.trends.words import temperature_words
 
@@ -62,6 +62,8 @@ def temperature_row(standing: Standing, place: int) -> Row | None:
         return None
     frozen = era.temperature
     now = now.referred_to(frozen.reference_c)
+    # Wear within the last nights is no effect of their temperature.
+    wears = any(states[place] in CHANGED for states in standing.states.values())
     row = _row(TEMPERATURE_EFFECT, "%/K", 100.0 * now.per_kelvin)
     return row | {
         "lower": 100.0 * (now.per_kelvin - now.half_width),
@@ -69,7 +71,7 @@ def temperature_row(standing: Standing, place: int) -> Row | None:
         "n_nights": len(last),
         "baseline_mean": 100.0 * frozen.per_kelvin,
         "state": standing.states[DEVIATION][place],
-        "state_reason": temperature_words(frozen, now) or None,
+        "state_reason": temperature_words(frozen, frozen if wears else now) or None,
     }
 
 
