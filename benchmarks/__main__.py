@@ -19,6 +19,7 @@ BENCHMARKS = (
     "guard",
     "mcap_reading",
     "model_choices",
+    "model_verdict",
     "multi_start",
     "night_cost",
     "report",

@@ -58,7 +58,8 @@ CAUSES = {
     "check the grade and take a sample",
     "load": "leakage from both sides, another film law, or a sensor's zero; try two_sided or "
     'film_pressure "slot", check zeros',
-    "speed": "the cam roller's curve or count; check them, or free its scale",
+    "speed": "the cam roller's curve or count, or all other flows on another scale (oil, film "
+    "law); check them, or free the roller's scale",
 }
 # Half-widths that a misfit adds, over what it can do: of a leakage, and of a coefficient.
 LEAKAGE_FACTOR = 2.0
@@ -71,7 +72,7 @@ DOUBTFUL_IN_ONE = 0.0068
 DOUBTFUL_OVER_TEN = 0.0059
 NIGHTS_TOGETHER = 10
 # A misfit counts where it is this much larger than what noise explains.
-CLEAR = 1.5
+CLEAR = 2.0
 # Blocks for each coefficient that a covariance takes; errors of less than this are rounding.
 BLOCKS_A_COEFFICIENT = 2.0
 ROUNDING = 1e-9

@@ -1,0 +1,301 @@
+"""How often right and wrong models are disproved, and how often the total ± holds the leakage.
+
+Each night goes through the physics of one motor and is fitted with another: an hour at 1 Hz,
+warming up under steps of load, noise with memory, and sensors that are off from night to night
+(0.3 °C and 0.3 % gain, AR(1) 0.6; 0.3 bar white), of which twice that is the stated tolerance.
+"Before" is the statistical ± alone, "after" the total with the night's own misfit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from joblib import Parallel, delayed
+from numpy.typing import NDArray
+
+from benchmarks.results_file import write_results
+from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
+from leakage import Motor, OperatingConditions, SpeedCurve, factors, regressors
+from leakage.annular_gap import AnnularGap
+from leakage.block_statistics import merge
+from leakage.certificate import certify
+from leakage.model_verdict import (
+    COEFFICIENT_FACTOR,
+    LEAKAGE_FACTOR,
+    Misfit,
+    misfit,
+    model_error,
+    model_verdict,
+    structured_misfit,
+)
+from leakage.oil import FilmPressure, Oil
+from leakage.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.slow_errors import WIDENING, short_blocks, slow_errors, whitened
+from leakage.uncertainty import cluster_robust
+from pipeline.demo.noise import autoregression, lagging
+
+Array = NDArray[np.float64]
+
+MODEL = motor()
+FIXED = np.array([False, False, False, True])
+MINUTES, BLOCK = 60, 120
+COURSES, NIGHTS = 24, 10
+NOISE_L_PER_MIN = 0.015
+SENSOR_SAMPLES = 600
+STATED = Tolerances(
+    pressure_bar=ChannelTolerance(0.6),
+    temperature_c=ChannelTolerance(0.6),
+    flow_l_per_min=ChannelTolerance(0.0, 0.006),
+)
+VERDICTS = ("supported", "doubtful", "disproved", None)
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A motor with its sensors as they are, and the errors of its flow.
+
+    Attributes
+    ----------
+    motor, charge_bar
+        The truth; a charge pressure where leakage is two-sided.
+    temperature_lag_s, drain_lag_s
+        First-order lags of the temperature sensor, and of the flow behind the motor.
+    temperature_by_load_k, flow_by_load_l_per_min
+        What the sensors read too much at 300 bar; the temperature as much too low at 0 bar.
+    dead_below_l_per_min
+        Flow below which the meter stands still.
+    phi, slow_s, noise
+        Memory of the errors from second to second; time over which a slow error twice as large
+        forgets, 0: there is none; size of the errors over the usual one.
+    """
+
+    motor: Motor = MODEL
+    charge_bar: float | None = None
+    temperature_lag_s: float = 0.0
+    drain_lag_s: float = 0.0
+    temperature_by_load_k: float = 0.0
+    flow_by_load_l_per_min: float = 0.0
+    dead_below_l_per_min: float = 0.0
+    phi: float = 0.9
+    slow_s: float = 0.0
+    noise: float = 1.0
+
+
+def _roller(factor: float) -> Motor:
+    paths = (
+        replace(path, coefficients=tuple(factor * one for one in path.coefficients))
+        if isinstance(path, SpeedCurve)
+        else path
+        for path in MODEL.paths
+    )
+    return replace(MODEL, paths=tuple(paths))
+
+
+def _deformation(place: int, factor: float) -> Motor:
+    """Another X of the first or last gap that deforms: X_o or X_s."""
+    gaps = [
+        path
+        for path in MODEL.paths
+        if isinstance(path, AnnularGap) and path.deformation_pressure_pa is not None
+    ]
+    chosen = gaps[place]
+    changed = replace(
+        chosen, deformation_pressure_pa=factor * (chosen.deformation_pressure_pa or 0)
+    )
+    return replace(MODEL, paths=tuple(changed if one is chosen else one for one in MODEL.paths))
+
+
+VG46 = Oil.from_reference_viscosities(
+    "VG 46",
+    temperature_1_c=40.0,
+    viscosity_1_mm2_per_s=46.0,
+    temperature_2_c=100.0,
+    viscosity_2_mm2_per_s=6.8,
+    density_15_c_kg_per_m3=882.0,
+    thermal_expansion_per_k=7e-4,
+    pressure_viscosity_per_pa=2e-8,
+)
+CASES = {
+    "right, φ 0.9": Case(),
+    "right, φ 0.99": Case(phi=0.99),
+    "right, AR of 5 minutes": Case(slow_s=300.0),
+    "right, AR of 15 minutes": Case(slow_s=900.0),
+    "right, AR of 60 minutes": Case(slow_s=3600.0),
+    "right, noise × 4": Case(phi=0.99, noise=4.0),
+    "two-sided, 15 bar": Case(charge_bar=15.0),
+    "slot film": Case(replace(MODEL, film_pressure=FilmPressure("slot"))),
+    "roller at 60 %": Case(_roller(0.6)),
+    "VG 46 under VG 68": Case(replace(MODEL, oil=VG46)),
+    "T lag 600 s": Case(temperature_lag_s=600.0),
+    "T lag 60 s": Case(temperature_lag_s=60.0),
+    "drain lag 20 s": Case(drain_lag_s=20.0),
+    "flow offset by load, 0.06 l/min": Case(flow_by_load_l_per_min=0.06),
+    "T by load, ± 1.5 K": Case(temperature_by_load_k=1.5),
+    "dead band 0.3 l/min": Case(dead_below_l_per_min=0.3),
+    "X_o + 20 %": Case(_deformation(0, 1.2)),
+    "X_s − 20 %": Case(_deformation(-1, 0.8)),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Night:
+    """A fitted night; errors, ± of the samples, total ± and truth are leakage, then K."""
+
+    misfit: Misfit
+    error: Array
+    statistical: Array
+    total: Array
+    truth: Array
+
+
+def course(case: Case, seed: int) -> list[Night]:
+    """Ten nights of a motor."""
+    generator = np.random.default_rng(seed)
+    temperature_c, gain = autoregression(generator.standard_normal((NIGHTS, 2)), 0.6).T * (
+        (0.3,),
+        (0.003,),
+    )
+    pressure_bar = 0.3 * generator.standard_normal(NIGHTS)
+    wander = zip(temperature_c, gain, pressure_bar, strict=True)
+    return [night(case, one, generator) for one in wander]
+
+
+def night(case: Case, wander: tuple[float, float, float], generator: np.random.Generator) -> Night:
+    """Simulate and fit a night."""
+    n = 60 * MINUTES
+    pressure, temperature, speed = _duty(n, generator)
+    theta = true_coefficients(case.motor)
+    at = OperatingConditions.from_bar(pressure, temperature, speed, case.charge_bar)
+    flow = _lagged(regressors(case.motor, at) @ np.append(theta, 1.0), case.drain_lag_s)
+    level = case.noise * NOISE_L_PER_MIN
+    noise = np.where(pressure < 100.0, 3.0, 1.0) * autoregression(
+        generator.standard_normal(n), case.phi
+    )
+    if case.slow_s:
+        noise += 2.0 * autoregression(generator.standard_normal(n), math.exp(-1.0 / case.slow_s))
+    flow = (1.0 + wander[1]) * flow + level * noise
+    flow += case.flow_by_load_l_per_min * pressure / 300.0
+    flow[flow < case.dead_below_l_per_min] = 0.0
+    read_c = _lagged(temperature, case.temperature_lag_s) + wander[0]
+    read_c += case.temperature_by_load_k * (pressure - 150.0) / 150.0
+    read_bar = np.maximum(pressure + wander[2], 0.5)
+    seen = OperatingConditions.from_bar(read_bar, read_c, speed)
+    z = np.column_stack([regressors(MODEL, seen), flow])
+    blocks = factors(z, np.arange(0, n + 1, BLOCK))
+    channels = np.column_stack([read_c, read_bar, speed])
+    means = channels.reshape(-1, BLOCK, 3).mean(axis=1)
+    thin = np.linspace(0, n - 1, SENSOR_SAMPLES).round().astype(np.int64)
+    few = OperatingConditions.from_bar(read_bar[thin], read_c[thin], speed[thin])
+    budget = error_budget(MODEL, few, flow[thin], STATED, [REFERENCE])
+    leakage_there = OperatingConditions.from_bar(200.0, 50.0, 30.0, case.charge_bar)
+    row = regressors(case.motor, leakage_there)[0]
+    truth = np.append(row[:-2] @ theta[:-1] + row[-1], theta[:3])
+    leakages, coefficients = budget.leakages_l_per_min(), budget.coefficients()
+    assert leakages is not None
+    assert coefficients is not None
+    sensors = np.append(leakages, coefficients[:3])
+    return _fitted(blocks, means, sensors, truth)
+
+
+def _fitted(blocks: Array, means: Array, sensors: Array, truth: Array) -> Night:
+    """A night's figures as the package makes them."""
+    short = short_blocks(blocks, np.arange(len(blocks)))
+    slow = slow_errors(blocks, short, FIXED, np.zeros(4))
+    white = whitened(blocks, short, slow)
+    upper = np.array([1e-9] * 3 + [0.0])
+    theta = certify(merge(white), np.zeros(4), upper).coefficients
+    told = misfit(blocks, short, theta, FIXED, means)
+    distribution = cluster_robust(white, theta, ~FIXED, WIDENING if slow.are_slow else 1.0)
+    assert told is not None
+    assert distribution is not None
+    row = regressors(MODEL, REFERENCE)[0]
+    contrasts = [np.append(row[:-2], 0.0), *np.eye(4)[:3]]
+    intervals = [distribution.interval(one) for one in contrasts]
+    statistical = np.array([np.nan if one is None else one.half_width for one in intervals])
+    tau = structured_misfit([told]).l_per_min
+    reach = np.array([model_error(blocks, FIXED, one, tau) for one in contrasts])
+    model = reach * np.array([LEAKAGE_FACTOR, *[COEFFICIENT_FACTOR] * 3])
+    estimate = np.append(contrasts[0] @ theta + row[-1], theta[:3])
+    total = np.sqrt(statistical**2 + sensors**2 + model**2)
+    return Night(told, estimate - truth, statistical, total, truth)
+
+
+def _duty(n: int, generator: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Pressure [bar], temperature [°C] and speed [rpm]: a warm-up under steps of load."""
+    warm_c, cold_k = generator.uniform(54.0, 60.0), generator.uniform(8.0, 16.0)
+    temperature = warm_c - cold_k * np.exp(-np.arange(n) / generator.uniform(1200.0, 2400.0))
+    temperature += _steps(n, -1.5, 1.5, 600, 200.0, generator)
+    pressure = _steps(n, 15.0, 300.0, 60, 3.0, generator)
+    return pressure, temperature, _steps(n, 3.0, 110.0, 90, 3.0, generator)
+
+
+def _steps(
+    n: int, low: float, high: float, hold: int, lag_s: float, generator: np.random.Generator
+) -> Array:
+    return _lagged(np.repeat(generator.uniform(low, high, n // hold + 1), hold)[:n], lag_s)
+
+
+def _lagged(values: Array, lag_s: float) -> Array:
+    return lagging(values, 1.0, lag_s) if lag_s else values
+
+
+def main() -> None:
+    """Measure and write `benchmarks/results/model_verdict.md`."""
+    rows = []
+    for name, case in CASES.items():
+        many = Parallel(n_jobs=2)(delayed(course)(case, seed) for seed in range(COURSES))
+        rows.append([name, *_verdicts(many), *_coverage([one for some in many for one in some])])
+    header = (
+        "case",
+        "τ of a night, median / 95 %",
+        "verdicts of a night, %",
+        "τ of ten, median / 95 %",
+        "verdicts of ten, %",
+        "first kind",
+        "leakage held before, %",
+        "after, %",
+        "± before / after, %",
+        "K held before, %",
+        "after, %",
+    )
+    title = (
+        f"Verdicts on models: {COURSES * NIGHTS} nights a case; verdicts are shares of supported / "
+        "doubtful / disproved / cannot tell; K as ring / piston / sleeve"
+    )
+    write_results("model_verdict", title, header, rows)
+
+
+def _verdicts(courses: Sequence[Sequence[Night]]) -> list[str]:
+    ones = [structured_misfit([one.misfit]) for some in courses for one in some]
+    tens = [structured_misfit([one.misfit for one in some]) for some in courses]
+    cells = []
+    for found in (ones, tens):
+        shares = 100 * np.array([one.share for one in found])
+        counts = Counter(model_verdict(one) for one in found)
+        cells += [
+            f"{np.median(shares):.2f} / {np.quantile(shares, 0.95):.2f}",
+            " / ".join(f"{100 * counts[one] / len(found):.1f}" for one in VERDICTS),
+        ]
+    first = Counter(one.kinds[0] if one.kinds else "none" for one in tens)
+    kind, n = first.most_common(1)[0]
+    return [*cells, f"{kind} ({100 * n / len(tens):.0f} %)"]
+
+
+def _coverage(nights: Sequence[Night]) -> list[str]:
+    error = np.abs([one.error for one in nights])
+    truth = np.array([one.truth for one in nights])
+    statistical = np.array([one.statistical for one in nights])
+    total = np.array([one.total for one in nights])
+    before, after = 100 * np.mean(error <= statistical, 0), 100 * np.mean(error <= total, 0)
+    widths = 100 * np.median(np.stack([statistical, total]) / truth, axis=1)[:, 0]
+    return [
+        f"{before[0]:.0f}",
+        f"{after[0]:.0f}",
+        f"{widths[0]:.2f} / {widths[1]:.2f}",
+        " / ".join(f"{one:.0f}" for one in before[1:]),
+        " / ".join(f"{one:.0f}" for one in after[1:]),
+    ]

@@ -1,0 +1,118 @@
+"""Parts of the ± of a figure, and the verdict on the model, in the rows of a night."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from leakage import OperatingConditions, total_flow_l_per_min
+from pipeline.config import MotorSpec
+from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
+from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.tolerances import assumed_sensors, tolerances
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+
+MINUTES = 90.0
+BUDGET = [
+    {"indicator": name, "source": source, "effect": effect, "assumed_sensor": assumed}
+    for name, source, effect, assumed in (
+        ("reference_leakage", "oil_temperature offset", -3.0, "Pt100 class B"),
+        ("reference_leakage", "leakage_flow gain", 4.0, None),
+        ("reference_leakage", "density", 2.0, None),
+        ("own_conditions_leakage", "density", 1.5, None),
+        ("reference_leakage", "piston_ring deformation constant", 1.0, None),
+    )
+]
+
+
+def outcome(spec: MotorSpec, flow_of: MotorSpec | None = None) -> NightOutcome:
+    operation = operate(minutes=MINUTES)
+    flow = operation.flow((flow_of or spec).motor(NIGHT, "none"))
+    flow = flow + 0.01 * np.random.default_rng(1).standard_normal(len(flow))
+    return fit_night(spec, night_of(), raw(operation.time_us, operation.channels(flow)), {})
+
+
+@pytest.fixture
+def spec(tmp_path: Path) -> MotorSpec:
+    return load_motor(tmp_path, motor_toml("M1"))
+
+
+def test_parts_add_by_squares_and_an_unknown_model_adds_nothing() -> None:
+    assert ErrorParts(3.0, 4.0, 12.0).total == pytest.approx(13.0)
+    assert ErrorParts(3.0, 4.0, None).total == pytest.approx(5.0)
+    assert ErrorParts(None, 4.0, 12.0).total is None
+    assert ErrorParts(3.0, 4.0, 12.0, 84.0).total == pytest.approx(85.0)
+
+
+def test_assumed_sensors_are_in_no_stated_error_and_constants_in_no_sensor_error() -> None:
+    assert stated(BUDGET)["reference_leakage"] == pytest.approx(math.sqrt(16 + 4 + 1))
+    assert of_sensors(BUDGET) == {"reference_leakage": pytest.approx(5.0)}
+
+
+def test_constants_count_in_an_extrapolation_as_far_as_they_differ() -> None:
+    found = of_extrapolation(BUDGET, "reference_leakage", "own_conditions_leakage", 1.2)
+    assert found == pytest.approx(math.hypot(2.0 - 1.2 * 1.5, 1.0))
+
+
+def test_sensors_without_a_stated_tolerance_have_that_of_their_kind(tmp_path: Path) -> None:
+    """EN 837-1 class 1, IEC 60751 class B at 50 °C, and a gear meter's 1 %."""
+    text = motor_toml("M1").replace(
+        "[channels.pressure_difference]\n", "[channels.pressure_difference]\nsensor_maximum = 250\n"
+    )
+    found = tolerances(load_motor(tmp_path, text), NIGHT)
+    assert found.pressure_bar.offset == pytest.approx(2.5)
+    assert found.temperature_c.offset == pytest.approx(0.3 + 0.005 * 50.0)
+    assert found.flow_l_per_min.gain == pytest.approx(0.01)
+    assert found.speed_rpm.offset == found.speed_rpm.gain == 0.0
+
+
+def test_a_stated_tolerance_takes_the_place_of_the_assumed_one(tmp_path: Path) -> None:
+    text = motor_toml("M1").replace(
+        "[channels.oil_temperature]\n", "[channels.oil_temperature]\noffset_tolerance = 0.2\n"
+    )
+    spec = load_motor(tmp_path, text)
+    assert tolerances(spec, NIGHT).temperature_c.offset == pytest.approx(0.2)
+    assert set(assumed_sensors(spec)) == {"pressure_difference", "leakage_flow"}
+
+
+def test_a_right_model_is_supported_and_its_figures_have_all_parts(spec: MotorSpec) -> None:
+    rows = outcome(spec).rows
+    (fit,) = rows["fits"]
+    assert fit["model_verdict"] == "supported"
+    assert fit["model_misfit_percent"] < 0.5
+    assert fit["model_reason"] is None
+    figures = {
+        "reference_leakage_": fit,
+        "own_conditions_leakage_": fit,
+        "": next(row for row in rows["parameters"] if row["parameter"] == "K_balance_piston"),
+    }
+    for stem, row in figures.items():
+        statistical, sensor, model, total = (
+            row[f"{stem}{part}_half_width"] for part in ("statistical", "sensor", "model", "total")
+        )
+        width = (row[f"{stem}upper"] - row[f"{stem}lower"]) / 2
+        assert statistical == pytest.approx(width)
+        assert sensor > 0.0
+        assert total == pytest.approx(math.hypot(statistical, sensor, model))
+    # No sensor has a stated tolerance: the constants alone are systematic.
+    assert fit["reference_leakage_systematic"] < fit["reference_leakage_sensor_half_width"]
+    assert fit["reference_verdict"] == "identified"
+
+
+def test_another_film_law_is_told_and_widens_the_total(spec: MotorSpec) -> None:
+    settings = spec.settings
+    slot = settings.model.model_copy(update={"film_pressure": "slot"})
+    truth = replace(spec, settings=settings.model_copy(update={"model": slot}))
+    (fit,) = outcome(spec, truth).rows["fits"]
+    assert fit["model_verdict"] == "disproved"
+    assert "film law" in fit["model_reason"]
+    assert fit["reference_leakage_model_half_width"] > fit["reference_leakage_sensor_half_width"]
+    there = OperatingConditions.from_bar(200.0, 50.0, 30.0)
+    (true,) = total_flow_l_per_min(truth.motor(NIGHT, "none"), there)
+    error = abs(fit["reference_leakage_l_per_min"] - true)
+    assert fit["reference_leakage_statistical_half_width"] < error
+    assert error < fit["reference_leakage_total_half_width"]
