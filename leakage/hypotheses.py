@@ -8,7 +8,8 @@ each fitted with the loss factors and that scale, relative to their configured v
 .. math:: \delta = \theta_1 / \theta_0 - 1, \qquad V = D (V_1 + \rho^2 V_0) D, \quad
           V_0 = B_0 \textstyle\sum u_0 u_0' B_0, \quad V_1 = n_1 B_1 M B_1
 
-with the bias-reduced scores u of the nights, M their mean outer product over both periods,
+with the bias-reduced scores u of the nights, M their mean outer product over both periods, those
+of the baseline times ρ² where the flow has grown,
 :math:`D = \operatorname{diag}(1/\theta_0)` and ρ the ratio of the flows. Directions of θ that the
 baseline does not tell within 1/8 are left out: where speed does not vary, that of the rollers
 against the pistons, so that both together are the standard. For each explanation
@@ -64,7 +65,7 @@ LEAST_PART: Final = 0.25
 NIGHTS_OF_BETA: Final = 6
 RANK_TOLERANCE: Final = 1e-9
 LEAST_SIZE: Final = 0.1
-UNKNOWN: Final = 1e3
+UNKNOWN, ROUNDING = 1e3, 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,6 +145,8 @@ class Posterior:
         another one; None without other motors.
     with_temperature
         As of `Growth`.
+    has_standard
+        Whether the known flow is told apart from all paths.
     """
 
     paths: dict[str, float]
@@ -155,6 +158,7 @@ class Posterior:
     tank: float | None
     own_sensor: float | None
     with_temperature: tuple[float, float] | None
+    has_standard: bool
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -166,6 +170,27 @@ class Posterior:
         """Paths that may have grown, the likeliest first."""
         some = [name for name, one in self.paths.items() if one > 1.0 - PROBABLE]
         return tuple(sorted(some, key=lambda name: -self.paths[name]))
+
+    @property
+    def is_own(self) -> bool:
+        """Whether a path, whichever, or a sensor of the motor is behind the change."""
+        return self.any_path >= PROBABLE or self.origin == "own_sensor"
+
+    @property
+    def is_of_tank(self) -> bool:
+        """Whether the other motors of the circuit have the same factor."""
+        return self.tank is not None and self.tank >= PROBABLE
+
+    @property
+    def origin(self) -> Literal["tank", "own_sensor"] | None:
+        """Where a common factor comes from, as far as the other motors of the circuit tell it."""
+        if self.is_of_tank:
+            return "tank"
+        return "own_sensor" if (self.own_sensor or 0.0) >= PROBABLE else None
+
+    def excludes(self, name: str) -> bool:
+        """Whether a path has probably not grown."""
+        return name in self.paths and self.paths[name] <= 1.0 - PROBABLE
 
     @property
     def is_common(self) -> bool:
@@ -228,20 +253,21 @@ def growth(
             )
     if len(np.unique(before.nights)) < 2 or not len(now.nights):
         return None
-    columns = [_columns(one.factors, configured, free) for one in (before, now)]
     told = tuple(name for name, one in zip(names, free[:p], strict=True) if one)
     sides = [_columns(one.factors, configured, free) for one in (before, now)]
     has_standard = bool(np.any(sides[0][0][:, :, len(told)]))
     k = len(told) + has_standard
     kept = [*range(k), *([len(told) + 1] if free[p] else [])]
     start = np.where(np.arange(len(kept)) < k, 1.0, configured[p])
-    theta = _Fit.of(sides[0][0][:, :, kept], sides[0][1], before.nights, start).theta[:k]
     with_temperature = len(np.unique(now.nights)) >= NIGHTS_OF_BETA and not any(
         one.temperature_c is None for one in (before, now)
     )
+    theta = start[:k]
+    if with_temperature:
+        theta = _Fit.of(sides[0][0][:, :, kept], sides[0][1], before.nights, start).theta[:k]
     fits = []
     for period, (design, flow) in zip((before, now), sides, strict=True):
-        columns = design[:, :, kept]
+        columns: Array = design[:, :, kept]
         if with_temperature and period.temperature_c is not None:
             above = period.temperature_c - np.mean(period.temperature_c)
             warming = above[:, None] * (columns[:, :, :k] @ theta)
@@ -303,17 +329,18 @@ def _relative(
     names: tuple[str, ...], has_standard: bool, before: _Fit, now: _Fit, with_temperature: bool
 ) -> Growth | None:
     k, n_before, n_now = len(names), len(before.scores), len(now.scores)
-    total = before.scores.T @ before.scores
-    mean = (total + now.scores.T @ now.scores) / (n_before + n_now)
-    known = before.inverse @ total @ before.inverse
-    error = n_now * now.inverse @ mean @ now.inverse
-    base = (known + UNKNOWN * before.unseen)[:k, :k]
-    information = np.linalg.inv(base)
-    pulled = np.linalg.solve(np.eye(k) + information, information @ (before.theta[:k] - 1.0))
-    theta = np.maximum(1.0 + pulled, LEAST_SIZE)
     then, since = before.theta[:k], now.theta[:k]
     gram = now.gram[:k, :k]
     ratio = float((since @ gram @ since) / (then @ gram @ then))
+    total = before.scores.T @ before.scores
+    # Errors grow with the flow.
+    mean = (max(ratio, 1.0) * total + now.scores.T @ now.scores) / (n_before + n_now)
+    known = before.inverse @ total @ before.inverse
+    error = n_now * now.inverse @ mean @ now.inverse
+    base = (known + UNKNOWN * before.unseen)[:k, :k] + ROUNDING * np.eye(k)
+    information = np.linalg.inv(base)
+    pulled = np.linalg.solve(np.eye(k) + information, information @ (before.theta[:k] - 1.0))
+    theta = np.maximum(1.0 + pulled, LEAST_SIZE)
     inverse = 1.0 / np.outer(theta, theta)
     values, vectors = np.linalg.eigh(base * inverse)
     directions = vectors[:, values < LEAST_KNOWN**2]
@@ -368,30 +395,34 @@ def weigh(growth: Growth, others: CommonFactor | None = None) -> Posterior:
     """
     k = len(growth.names)
     n_paths = k - growth.has_standard
-    told = np.sum(growth.directions**2, axis=1) >= LEAST_PART
-    paths = [one for one in range(n_paths) if told[one]]
+    told = np.sum(growth.directions**2, axis=1)
+    paths = [one for one in range(n_paths) if told[one] >= LEAST_PART]
     hypotheses = _hypotheses(paths, range(n_paths, k), others is not None)
     one = growth.directions.T @ np.ones(k)
-    base = growth.covariance + PATH_WANDER**2 * np.eye(len(one))
+    base: Array = growth.covariance + PATH_WANDER**2 * np.eye(len(one))
     base = base + COMMON_WANDER**2 * np.outer(one, one)
-    logs = np.empty(len(hypotheses))
-    shift, spread = np.zeros(len(hypotheses)), np.full(len(hypotheses), COMMON_WANDER**2)
-    for place, this in enumerate(hypotheses):
-        mean, variance = _common_prior(this, others)
-        sides = GROWTH * growth.directions[list(this.grown)]
-        inverse = np.linalg.inv(base + variance * np.outer(one, one) + sides.T @ sides)
-        rest = growth.change - mean * one
-        logs[place] = _log_likelihood(rest, inverse) + math.log(this.weight)
-        grown = [at for at, flow in enumerate(this.grown) if flow < n_paths]
-        expected = sides @ inverse @ rest
-        sd = np.sqrt(np.maximum(1.0 - np.einsum("ij,jk,ik->i", sides, inverse, sides), 1e-12))
-        logs[place] += float(np.sum(np.log(np.maximum(2.0 * ndtr(expected / sd)[grown], 1e-300))))
-        if this.common:
-            shift[place] = mean + variance * float(one @ inverse @ rest)
-            spread[place] = variance * (1.0 - variance * float(one @ inverse @ one))
+    sides = GROWTH * growth.directions
+    grown = np.array([[flow in this.grown for flow in range(k)] for this in hypotheses])
+    priors = np.array([_common_prior(this, others) for this in hypotheses])
+    mean, variance = priors[:, 0], priors[:, 1]
+    spread = base + variance[:, None, None] * np.outer(one, one)
+    inverse = np.linalg.inv(spread + np.einsum("hk,ki,kj->hij", grown.astype(float), sides, sides))
+    rest = growth.change - mean[:, None] * one
+    pull = np.einsum("hij,hj->hi", inverse, rest)
+    square = np.sum(rest * pull, axis=1)
+    logs = np.log([this.weight for this in hypotheses]) + np.linalg.slogdet(inverse)[1] / 2
+    logs -= (FREEDOM + len(one)) / 2 * np.log1p(square / FREEDOM)
+    # Of each path's growth: mean over standard deviation.
+    left = np.sqrt(np.maximum(1.0 - np.einsum("ki,hij,kj->hk", sides, inverse, sides), 1e-12))
+    is_growth = np.log(np.maximum(2.0 * ndtr(pull @ sides.T / left), 1e-300))[:, :n_paths]
+    logs += np.sum(is_growth * grown[:, :n_paths], axis=1)
+    is_common = np.array([bool(this.common) for this in hypotheses])
+    shift = mean + variance * (pull @ one)
+    known = variance * (1.0 - variance * np.einsum("i,hij,j->h", one, inverse, one))
+    error = np.where(is_common, known, 0.0) + COMMON_WANDER**2
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    return _posterior(growth, hypotheses, weights, (shift, spread + COMMON_WANDER**2), told, others)
+    return _posterior(growth, hypotheses, weights, (shift, error), told, others)
 
 
 def _hypotheses(
@@ -421,19 +452,12 @@ def _common_prior(this: _Hypothesis, others: CommonFactor | None) -> tuple[float
     return 0.0, COMMON**2 if this.common else 0.0
 
 
-def _log_likelihood(rest: Array, inverse: Array) -> float:
-    """Of Student's t, but for a constant."""
-    square = float(rest @ inverse @ rest)
-    _, log_determinant = np.linalg.slogdet(inverse)
-    return float(log_determinant) / 2 - (FREEDOM + len(rest)) / 2 * math.log1p(square / FREEDOM)
-
-
 def _posterior(
     growth: Growth,
     hypotheses: Sequence[_Hypothesis],
     weights: Array,
     common: tuple[Array, Array],
-    told: Mask,
+    told: Array,
     others: CommonFactor | None,
 ) -> Posterior:
     def probability(of: Array | list[bool]) -> float:
@@ -454,9 +478,9 @@ def _posterior(
         paths={
             name: probability([at in one.grown for one in hypotheses])
             for at, name in enumerate(growth.names)
-            if told[at]
+            if told[at] >= LEAST_PART
         },
-        unjudged=tuple(np.array(growth.names)[~told].tolist()),
+        unjudged=tuple(np.array(growth.names)[told < LEAST_PART].tolist()),
         any_path=probability([bool(one.grown) for one in hypotheses]),
         common=probability(is_common),
         factor=_mixture(weights * is_common, log, sd),
@@ -464,6 +488,7 @@ def _posterior(
         tank=tank,
         own_sensor=own,
         with_temperature=growth.with_temperature,
+        has_standard=growth.has_standard and bool(told[-1] >= PROBABLE),
     )
 
 

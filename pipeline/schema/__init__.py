@@ -92,7 +92,7 @@ __all__ = [
 ]
 
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 
 # One file a night; a redone night of a motor replaces that motor's rows in each of them.
 NIGHT_TABLES = (

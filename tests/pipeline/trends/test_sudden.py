@@ -10,6 +10,7 @@ from pipeline.trends.indicators import DEVIATION
 from pipeline.trends.reasons import way_of, why_state
 from pipeline.trends.standing import RAISED, Standing
 from tests.pipeline.trends.nights import (
+    OIL,
     PATHS,
     Nights,
     event,
@@ -26,10 +27,6 @@ OTHER_MOTOR = {
     "balance_piston": step(N, AT, 0.25),
     "balance_sleeve": step(N, AT, 0.10),
 }
-
-
-def alike(size: float) -> dict[str, np.ndarray]:
-    return {path: step(N, AT, size) for path in PATHS}
 
 
 def words(found: Standing, place: int = N - 1) -> str:
@@ -61,13 +58,14 @@ def test_damage_to_every_path_at_once_is_not_ruled_out() -> None:
     assert "or all were damaged at once" in one.words
 
 
-def test_another_oil_or_a_sensor_moves_all_alike() -> None:
-    found = standing(Nights(motor(), N, alike(0.12)))
+def test_another_oil_or_a_sensor_moves_all_flows_by_one_factor() -> None:
+    found = standing(Nights(motor(), N, {OIL: step(N, AT, 0.12)}))
     (one,) = found.sudden
     assert (one.kind, one.place) == ("alike", AT)
     assert (
         "as by another oil or a sensor, not by wear; date an oil change in the motor's" in one.words
     )
+    assert "all flows × 1.12 ± " in one.words
 
 
 def test_leakage_that_falls_in_a_night_is_no_wear() -> None:
