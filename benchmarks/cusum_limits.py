@@ -22,7 +22,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 from scipy.special import chdtri
 
 from benchmarks.results_file import Part, write_parts
@@ -37,6 +36,7 @@ from leakage.cusum import (
     cusum,
 )
 from leakage.robust import MAD_TO_SD
+from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]
 
@@ -56,15 +56,6 @@ CANDIDATES = np.exp(np.linspace(np.log(2.0), np.log(400.0), 400))
 ROUNDS = 2_000
 ASCENT = 0.03
 TABLE = Path(__file__).parent.parent / "leakage" / "cusum_limits.py"
-
-
-def simulated(n: int, series: int, phi: float, generator: np.random.Generator) -> Array:
-    """Stationary autoregressions of unit variance, shape (n, series)."""
-    white = generator.standard_normal((n, series))
-    start = phi * generator.standard_normal((1, series))
-    values, _ = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], white, axis=0, zi=start)
-    result: Array = np.asarray(values, dtype=np.float64)
-    return result
 
 
 def estimated(values: Array) -> tuple[Array, Array, Array]:
@@ -123,7 +114,8 @@ def exceedance(length: int, phi: float, generator: np.random.Generator) -> tuple
     """Share of series in each bin of estimated φ, and of those above each candidate limit."""
     above, share = np.zeros((len(NODES), len(CANDIDATES))), np.zeros(len(NODES))
     for _ in range(SERIES // CHUNK):
-        found, _, highest = highest_sums(simulated(length + YEAR, CHUNK, phi, generator), length)
+        white = generator.standard_normal((length + YEAR, CHUNK))
+        found, _, highest = highest_sums(autoregression(white, phi), length)
         bins = np.clip(np.rint(found / 0.1).astype(int), 0, len(NODES) - 1)
         for place in range(len(NODES)):
             inside = np.sort(highest[bins == place])
@@ -152,7 +144,7 @@ def cheapest_limits(share: Array, above: Array, rate: float) -> Array:
 def same_as_the_package() -> None:
     """Fail where the side-by-side computation here and the package differ."""
     generator = np.random.default_rng(7)
-    values = 100.0 + simulated(60 + YEAR, 20, 0.5, generator)
+    values = 100.0 + autoregression(generator.standard_normal((60 + YEAR, 20)), 0.5)
     nights = np.arange(len(values))
     for floor in (0.0, 1.5):
         chosen = BaselineSettings(relative_floor=0.0, absolute_floor=floor)
@@ -229,7 +221,8 @@ def checked(limits: Array, of_floor: Array) -> Part:
             generator = np.random.default_rng([2, length, int(10 * phi)])
             cells = []
             for scatter in SCATTERS:
-                values = scatter * simulated(length + YEAR, 2 * CHUNK, phi, generator)
+                white = generator.standard_normal((length + YEAR, 2 * CHUNK))
+                values = scatter * autoregression(white, phi)
                 floored, highest_sd, highest = highest_sums(values, length, floor=1.0)
                 share = np.clip(
                     (highest_sd - FLOOR_DECIDES) / (NIGHTS_DECIDE - FLOOR_DECIDES), 0, 1

@@ -19,7 +19,6 @@ from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import (
     BLOCK_S,
     RATE_HZ,
-    correlated_noise,
     duty,
     motor,
     true_coefficients,
@@ -28,6 +27,7 @@ from leakage import Fit, Parametrisation, SearchSettings, fit, regressors
 from leakage.block_statistics import factors, merge
 from leakage.identifiability import Excitation, identify
 from leakage.multi_start import starting_points
+from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ def main() -> None:
     model = motor()
     seen = duty(HOURS, generator)
     columns = regressors(model, seen.conditions)
-    noise = 0.02 * correlated_noise(len(columns), 0.95, 1, generator)[:, 0]
+    noise = 0.02 * autoregression(generator.standard_normal(len(columns)), 0.95)
     z = np.column_stack([columns, columns @ np.append(true_coefficients(model), 1.0) + noise])
     points = starting_points(Parametrisation.of(model).free, STARTS, np.random.default_rng(7))
 
@@ -98,7 +98,7 @@ def _ours(z: Array, pressure_bar: Array) -> Fit:
     )
     estimate = fit(merge(blocks), model, settings, np.random.default_rng(7))
     limits = (float(pressure_bar.min()), float(pressure_bar.max()))
-    seen = Excitation(HOURS * 60 * 0.8, limits, (40.0, 60.0), (3.0, 110.0), 2.0, BLOCK_S)
+    seen = Excitation(limits, (40.0, 60.0), (3.0, 110.0))
     identify(estimate, blocks, seen)
     return estimate
 

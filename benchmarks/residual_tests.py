@@ -24,7 +24,6 @@ from benchmarks.simulated_nights import (
     RATE_HZ,
     CompressedNights,
     Duty,
-    correlated_noise,
     duty,
     motor,
     true_coefficients,
@@ -39,6 +38,7 @@ from leakage import (
     regressors,
 )
 from leakage.block_statistics import merge
+from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]
 
@@ -105,7 +105,9 @@ def nights(case: Case, seed: int) -> Iterator[tuple[str, ResidualAnalysis]]:
     columns = compressed.columns[:n]
     clean = _flow(_with_ring(model, case.ring), seen)[:n]
     clean = np.concatenate([np.full(case.delay, clean[0]), clean[: n - case.delay]])
-    noise = NOISE_L_PER_MIN * correlated_noise(n, case.phi, NIGHTS_A_DUTY, generator)
+    noise = NOISE_L_PER_MIN * autoregression(
+        generator.standard_normal((n, NIGHTS_A_DUTY)), case.phi
+    )
     if case.uneven:
         noise *= np.where(seen.pressure_bar[:n, None] < 100.0, 3.0, 1.0)
     flow = clean[:, None] + noise
@@ -207,7 +209,7 @@ def _milliseconds() -> float:
     """Best of five, one thread."""
     generator = np.random.default_rng(1)
     seen = duty(24.0, generator)
-    error = correlated_noise(len(seen.pressure_bar), 0.95, 1, generator)[:, 0]
+    error = autoregression(generator.standard_normal(len(seen.pressure_bar)), 0.95)
     inputs = {"p": seen.pressure_bar, "t": seen.temperature_c, "w": seen.speed_rpm}
     times = []
     with threadpool_limits(1):

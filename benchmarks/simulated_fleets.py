@@ -1,9 +1,9 @@
 """Fleets of nightly indicators whose errors are those of simulated, fitted nights.
 
-Some hundred nights of a CB560 are simulated and fitted by the package: their relative errors, with
-heavy tails and all, and their verdicts are what an indicator of a healthy motor scatters by. A
-fleet draws series from them: normal autoregressions that correlate between indicators as the errors
-do and from night to night as asked for, mapped to the errors' own distribution rank by rank.
+Some hundred nights of a kind are simulated and fitted by the package. A motor's night has the
+errors of one of them, drawn at random, all indicators together, so that they keep their heavy tails
+and depend on one another as they do; what is not identified stays unknown. Wander of the sensors
+moves a night's indicators by how its duty answers to it, from fits of noise-free flows.
 """
 
 from __future__ import annotations
@@ -12,190 +12,130 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from threadpoolctl import threadpool_limits
 
-from benchmarks.simulated_nights import (
-    BLOCK_S,
-    RATE_HZ,
-    REFERENCE,
-    CompressedNights,
-    Duty,
-    correlated_noise,
-    duty,
-    motor,
-    true_coefficients,
-)
-from leakage import (
-    Excitation,
-    Motor,
-    SearchSettings,
-    fit,
-    identify,
-    judge_leakage,
-    merge,
-    regressors,
-)
+from benchmarks.night_kinds import NIGHTS_A_DUTY, Kind, SimulatedNights, figures
+from benchmarks.simulated_nights import REFERENCE
+from leakage import certify, merge, regressors
+from leakage.multi_start import Parametrisation
+from pipeline.demo.noise import night_wander
 
 Array = NDArray[np.float64]
 
-DUTIES, NIGHTS_A_DUTY = 120, 8
-# Of the flow's noise: a deviation relative to the leakage itself and a memory of some seconds.
-RELATIVE_NOISE, NOISE_PHI = 0.013, 0.97
-MOST_HOURS = 3.0
-NO_SEARCH = SearchSettings(starting_points=0)
+DUTIES = 100
 # A motor is not quite the same every night: relative scatter of each K, as in the demo.
 SCATTER_OF_K = 0.006
 INDICATORS = (
-    "reference_leakage",
     "K_piston_ring",
     "K_balance_piston",
     "K_balance_sleeve",
+    "reference_leakage",
     "baseline_deviation",
 )
+PATHS = 3
+REFERENCE_LEAKAGE, DEVIATION = 3, 4
 
 
 @dataclass(frozen=True, slots=True)
 class NightErrors:
-    """What the simulated nights scatter by.
+    """Errors of the simulated nights of a kind.
 
     Attributes
     ----------
     errors
-        Relative errors of the indicators, shape (nights, 5); nan where the night has no verdict
-        `identified` for it.
-    raw_flow
-        Mean drain flow of each night over that of all nights, shape (nights,).
+        Relative errors of the indicators, shape (nights, 5); nan where the night has none that the
+        package would publish.
+    answers
+        Their change by 1 °C, by a gain of 1 (all of the flow), and by 1 bar, shape (nights, 5, 3).
     shares
-        Share of each path that can wear in the reference leakage: ring, piston, sleeve.
+        Share of ring, piston and sleeve in each night's flow, shape (nights, 3).
+    reference_shares
+        The same of the reference leakage, shape (3,).
+    mean_flow
+        Of each night, without errors [l/min], shape (nights,).
     """
 
     errors: Array
-    raw_flow: Array
+    answers: Array
     shares: Array
+    reference_shares: Array
+    mean_flow: Array
 
 
-def night_errors(seed: int = 1) -> NightErrors:
-    """Simulate and fit nights of duties of very different use."""
-    generator = np.random.default_rng(seed)
-    model = motor()
-    theta = true_coefficients(model)
-    row = regressors(model, REFERENCE)[0]
-    shares = row[:3] * theta[:3] / float(row[:-2] @ theta[:-1] + row[-1])
-    errors, raw = [], []
-    for _ in range(DUTIES):
-        seen = _duty(generator)
-        compressed = CompressedNights(model, seen)
-        columns = compressed.columns
-        for _ in range(NIGHTS_A_DUTY):
-            true = theta * np.append(1.0 + SCATTER_OF_K * generator.standard_normal(3), 1.0)
-            clean = columns @ np.append(true, 1.0)
-            noise = correlated_noise(len(clean), NOISE_PHI, 1, generator)[:, 0]
-            flow = clean * (1.0 + RELATIVE_NOISE * noise)
-            blocks = next(compressed.factors(flow[:, None]))
-            expected = float(np.mean(columns @ np.append(theta, 1.0)))
-            errors.append(_errors(model, theta, blocks, seen, float(flow.mean()) / expected))
-            raw.append(float(flow.mean()))
-    return NightErrors(np.array(errors), np.array(raw) / float(np.mean(raw)), shares)
-
-
-def _duty(generator: np.random.Generator) -> Duty:
-    """One to three hours of load between limits that are wide on most nights, narrow on some."""
-    seen = duty(generator.uniform(1.0, MOST_HOURS), generator)
-    low = generator.uniform(15.0, 40.0) if generator.random() < 0.9 else generator.uniform(60, 90)
-    high = generator.uniform(205.0, 300.0) if generator.random() < 0.9 else 190.0
-    cold = generator.uniform(41.0, 48.0)
-    share = (seen.pressure_bar - 15.0) / 285.0
-    warmth = (seen.temperature_c - 40.0) / 20.0
-    return Duty(low + (high - low) * share, cold + 12.0 * warmth, seen.speed_rpm)
-
-
-def _errors(model: Motor, theta: Array, blocks: Array, seen: Duty, ratio: float) -> Array:
-    """Relative errors of the indicators of one night."""
-    estimate = fit(merge(blocks), model, NO_SEARCH, np.random.default_rng(0))
-    excitation = Excitation(
-        minutes=len(blocks) * BLOCK_S / 60.0,
-        pressure_bar=(seen.pressure_bar.min(), seen.pressure_bar.max()),
-        temperature_c=(seen.temperature_c.min(), seen.temperature_c.max()),
-        speed_rpm=(seen.speed_rpm.min(), seen.speed_rpm.max()),
-        correlation_time_s=-1.0 / (RATE_HZ * np.log(NOISE_PHI)),
-        block_s=BLOCK_S,
+def night_errors(kind: Kind) -> NightErrors:
+    """Simulate and fit nights of one kind."""
+    errors, answers, shares, mean_flow = [], [], [], []
+    with threadpool_limits(1):
+        for seed in range(DUTIES):
+            nights = SimulatedNights.of(kind, seed)
+            flow = nights.flow(kind)
+            means = np.mean(nights.compressed.columns, axis=0) * np.append(nights.theta, 1.0)
+            for found, mean in zip(figures(nights, flow), flow.mean(axis=0), strict=True):
+                known = [one.error if one.half_width > 0.0 else np.nan for one in found[:4]]
+                errors.append([*known, float(mean / means.sum()) - 1.0])
+            answers += [answers_to_wander(nights)] * NIGHTS_A_DUTY
+            shares += [means[:PATHS] / means.sum()] * NIGHTS_A_DUTY
+            mean_flow += [means.sum()] * NIGHTS_A_DUTY
+    row = regressors(nights.motor, REFERENCE)[0] * np.append(nights.theta, 1.0)
+    return NightErrors(
+        np.array(errors),
+        np.array(answers),
+        np.array(shares),
+        row[:PATHS] / row.sum(),
+        np.array(mean_flow),
     )
-    verdicts = identify(estimate, blocks, excitation)
-    of_k = estimate.coefficients[:3] / theta[:3] - 1.0
-    known = [one.verdict == "identified" for one in verdicts.coefficients[:3]]
-    leakage = judge_leakage(estimate, verdicts, excitation, REFERENCE)
-    row = regressors(model, REFERENCE)[0]
-    reference = leakage.leakage_l_per_min / float(row[:-2] @ theta[:-1] + row[-1]) - 1.0
-    if leakage.verdict != "identified":
-        reference = np.nan
-    return np.array([reference, *np.where(known, of_k, np.nan), ratio - 1.0])
 
 
-@dataclass(frozen=True, slots=True)
-class Fleet:
-    """Nightly indicators of healthy motors, relative to what they are in truth.
-
-    Attributes
-    ----------
-    ratios
-        Indicator over its true value, shape (nights, motors, 5); nan where gated.
-    raw_flow
-        Mean drain flow of the night over its long-run mean, shape (nights, motors).
-    """
-
-    ratios: Array
-    raw_flow: Array
-
-
-def healthy_fleet(
-    of: NightErrors,
-    nights: int,
-    motors: int,
-    phi: float,
-    generator: np.random.Generator,
-    scale: Array | None = None,
-) -> Fleet:
-    """A fleet without wear.
-
-    Parameters
-    ----------
-    of
-        Errors to draw from.
-    nights, motors
-        Size of the fleet.
-    phi
-        Correlation of neighbouring nights, before the errors' own distribution is put on.
-    generator
-        Source of randomness.
-    scale
-        Factor on the errors of each indicator, shape (5,); 1 where left out.
-
-    Returns
-    -------
-    Fleet
-        Errors keep their distribution, and the rank correlation between indicators.
-    """
-    columns = np.column_stack([of.errors, of.raw_flow])
-    root = np.linalg.cholesky(_correlation_of_ranks(columns))
-    draws = correlated_noise(nights, phi, motors * columns.shape[1], generator)
-    latent = draws.reshape(nights, motors, -1) @ root.T
-    place = ndtr(latent)
-    found = np.empty_like(place)
-    for column in range(columns.shape[1]):
-        values = columns[:, column]
-        known = values[np.isfinite(values)]
-        found[..., column] = np.quantile(known, place[..., column])
-        gated = generator.random((nights, motors)) > np.mean(np.isfinite(values))
-        found[..., column][gated] = np.nan
-    errors = found[..., :-1] * (1.0 if scale is None else scale)
-    return Fleet(1.0 + errors, found[..., -1])
-
-
-def _correlation_of_ranks(columns: Array) -> Array:
-    """Correlation of the normal scores of the nights on which all columns are known."""
-    known = columns[np.isfinite(columns).all(axis=1)]
-    ranks = known.argsort(axis=0).argsort(axis=0)
-    scores = ndtri((ranks + 0.5) / len(known))
-    correlation = np.corrcoef(scores.T)
-    result: Array = correlation + 1e-9 * np.eye(len(correlation))
+def answers_to_wander(nights: SimulatedNights) -> Array:
+    """Relative change of the indicators by 1 °C, by a gain of 1, and by 1 bar, shape (5, 3)."""
+    seen, clean = nights.seen, nights.clean_flow
+    # Small enough to be linear, large against rounding.
+    small = 0.1
+    flows = np.hstack(
+        [
+            clean,
+            clean + nights.as_if(temperature_c=seen.temperature_c - small),
+            clean * (1.0 + small),
+            clean + nights.as_if(pressure_bar=seen.pressure_bar - small),
+        ]
+    )
+    bounds = Parametrisation.of(nights.motor).coefficient_bounds()
+    free = bounds[0] < bounds[1]
+    # Wide bounds: the answer to a small change must not end on one.
+    wide = np.where(free, -1e3, bounds[0]), np.where(free, 1e3, bounds[1])
+    row = regressors(nights.motor, REFERENCE)[0]
+    indicators = []
+    for place, blocks in enumerate(nights.compressed.factors(flows)):
+        theta = certify(merge(blocks), *wide).coefficients
+        leakage = row[:-2] @ theta[:-1] + row[-1]
+        indicators.append([*theta[:PATHS], leakage, flows[:, place].mean()])
+    at_rest, *moved = np.array(indicators)
+    result: Array = (np.array(moved) / at_rest - 1.0).T / small
     return result
+
+
+def fleet(
+    of: NightErrors,
+    growth: Array,
+    motors: int,
+    generator: np.random.Generator,
+    wanders: bool = True,
+) -> tuple[Array, Array]:
+    """Indicators of motors over their values as built, and the mean drain flow [l/min].
+
+    Shapes (nights, motors, 5), nan where unknown, and (nights, motors). `growth` is K of ring,
+    piston and sleeve over those of the first night, shape (nights, 3).
+    """
+    shape = (len(growth), motors)
+    drawn = generator.integers(len(of.errors), size=shape)
+    errors = of.errors[drawn]
+    if wanders:
+        wander = night_wander(generator, shape)
+        moved = np.stack([wander.temperature_c, wander.gain, wander.pressure_bar], axis=-1)
+        errors = errors + np.einsum("nmik,nmk->nmi", of.answers[drawn], moved)
+    grown = growth[:, None] * (1.0 + SCATTER_OF_K * generator.standard_normal((*shape, PATHS)))
+    reference = 1.0 + (grown - 1.0) @ of.reference_shares
+    deviation = 1.0 + np.einsum("nmi,nmi->nm", grown - 1.0, of.shares[drawn])
+    indicators = np.concatenate([grown, reference[..., None], deviation[..., None]], axis=-1)
+    indicators *= 1.0 + errors
+    return indicators, indicators[..., DEVIATION] * of.mean_flow[drawn]

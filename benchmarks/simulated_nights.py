@@ -8,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from leakage import Motor, OperatingConditions, Parametrisation, regressors
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FlushingTable
+from pipeline.demo.noise import lagging
 
 Array = NDArray[np.float64]
 CONFIGS = Path(__file__).parent.parent / "configs"
@@ -43,72 +43,82 @@ def true_coefficients(of: Motor) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Duty:
-    """What a motor saw in a night, on an even time base of 10 Hz; shape (n,) each."""
+    """What a motor saw in a night, on an even time base; shape (n,) each."""
 
+    rate_hz: float
     pressure_bar: Array
     temperature_c: Array
     speed_rpm: Array
 
     @property
+    def time_s(self) -> Array:
+        """Since the first sample [s]."""
+        return np.arange(len(self.pressure_bar)) / self.rate_hz
+
+    @property
+    def channels(self) -> tuple[Array, Array, Array]:
+        """Pressure difference [bar], temperature [°C] and speed [rpm]."""
+        return self.pressure_bar, self.temperature_c, self.speed_rpm
+
+    @property
     def conditions(self) -> OperatingConditions:
         """As the physics takes it."""
-        return OperatingConditions.from_bar(self.pressure_bar, self.temperature_c, self.speed_rpm)
+        return OperatingConditions.from_bar(*self.channels)
 
 
-def duty(hours: float, generator: np.random.Generator) -> Duty:
-    """Load steps every minute or so, smoothed; temperature drifting over tens of minutes."""
-    n = int(hours * 3600 * RATE_HZ)
+def duty(
+    hours: float,
+    generator: np.random.Generator,
+    rate_hz: float = RATE_HZ,
+    hold_s: tuple[float, float] = (60.0, 60.0),
+) -> Duty:
+    """Load steps that last so long, smoothed; temperature drifting over tens of minutes."""
+    n = round(hours * 3600 * rate_hz)
+
+    def walk(low: float, high: float, held_s: tuple[float, float], lag_s: float) -> Array:
+        most = int(n / (held_s[0] * rate_hz)) + 2
+        holds = np.rint(rate_hz * generator.uniform(*held_s, most)).astype(int)
+        steps = np.repeat(generator.uniform(low, high, most), holds)
+        # The level before the first sample fades as well.
+        before = np.full(1, generator.uniform(low, high))
+        return lagging(np.concatenate([before, steps[:n]]), 1.0 / rate_hz, lag_s)[1:]
+
     return Duty(
-        _walk(n, 15.0, 300.0, 60.0, 3.0, generator),
-        _walk(n, 40.0, 60.0, 600.0, 200.0, generator),
-        _walk(n, 3.0, 110.0, 90.0, 3.0, generator),
+        rate_hz,
+        walk(15.0, 300.0, hold_s, 3.0),
+        walk(40.0, 60.0, (600.0, 600.0), 200.0),
+        walk(3.0, 110.0, (1.5 * hold_s[0], 1.5 * hold_s[1]), 3.0),
     )
 
 
-def _walk(
-    n: int, low: float, high: float, hold_s: float, lag_s: float, generator: np.random.Generator
-) -> Array:
-    hold = int(hold_s * RATE_HZ)
-    steps = np.repeat(generator.uniform(low, high, n // hold + 1), hold)[:n]
-    decay = np.exp(-1.0 / (lag_s * RATE_HZ))
-    smoothed, _ = lfilter([1.0 - decay], [1.0, -decay], steps, zi=[decay * steps[0]])
-    result: Array = np.asarray(smoothed, dtype=np.float64)
-    return result
-
-
-def correlated_noise(n: int, phi: float, draws: int, generator: np.random.Generator) -> Array:
-    """First-order autoregressions of unit variance, in their stationary state; shape (n, draws)."""
-    white = generator.standard_normal((n, draws))
-    start = phi * generator.standard_normal((1, draws))
-    noise, _ = lfilter([np.sqrt(1.0 - phi**2)], [1.0, -phi], white, axis=0, zi=start)
-    result: Array = np.asarray(noise, dtype=np.float64)
-    return result
-
-
 class CompressedNights:
-    """Factors of nights that share their duty and differ in their noise.
+    """Factors of nights that share their duty and differ in their flow.
 
     The regressors' part of each block's decomposition is done once; a night then costs a product.
+    The factors are those of the samples, to rounding.
     """
 
     def __init__(self, of: Motor, seen: Duty) -> None:
         self.columns = regressors(of, seen.conditions)
-        rows = int(BLOCK_S * RATE_HZ)
-        self.n_blocks = len(self.columns) // rows
-        blocks = self.columns[: self.n_blocks * rows].reshape(self.n_blocks, rows, -1)
-        self._q, self._r = np.linalg.qr(blocks)
-        self._rows = rows
+        self._rows = round(BLOCK_S * seen.rate_hz)
+        self.n_blocks = -(-len(self.columns) // self._rows)
+        self._q, self._r = np.linalg.qr(self._in_blocks(self.columns))
 
     def factors(self, flow: Array) -> Iterator[Array]:
         """Block factors of each night, from its flow, shape (n, draws)."""
-        n, draws = self.n_blocks * self._rows, flow.shape[1]
-        blocks = flow[:n].reshape(self.n_blocks, self._rows, draws)
-        inside = np.einsum("brc,brd->bcd", self._q, blocks)
+        blocks = self._in_blocks(flow)
+        inside = self._q.transpose(0, 2, 1) @ blocks
         rest = np.linalg.norm(blocks - self._q @ inside, axis=1)
         size = self._r.shape[-1] + 1
-        for draw in range(draws):
+        for draw in range(flow.shape[1]):
             whole = np.zeros((self.n_blocks, size, size))
             whole[:, :-1, :-1] = self._r
             whole[:, :-1, -1] = inside[:, :, draw]
             whole[:, -1, -1] = rest[:, draw]
             yield whole
+
+    def _in_blocks(self, columns: Array) -> Array:
+        """Rows by block, shape (blocks, rows, columns); the last is filled up with rows of 0."""
+        missing = self.n_blocks * self._rows - len(columns)
+        filled = np.concatenate([columns, np.zeros((missing, columns.shape[1]))])
+        return filled.reshape(self.n_blocks, self._rows, -1)

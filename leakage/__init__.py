@@ -69,6 +69,7 @@ from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, err
 from leakage.sensor_zero import HaltZero, ZeroDrift, halt_zero, zero_drift
 from leakage.simulated_curves import fit_deformation_pressure, fit_speed_curve
 from leakage.slope import Slope, benjamini_hochberg, fit_slope, theil_sen
+from leakage.slow_errors import ShortBlocks, SlowErrors, short_blocks, slow_errors, whitened
 from leakage.speed_curve import SpeedCurve
 from leakage.time_to_limit import TimeToLimit, time_to_limit
 from leakage.uncertainty import ClusterRobust, Interval, block_bootstrap, cluster_robust
@@ -118,7 +119,9 @@ __all__ = [
     "ResidualAnalysis",
     "SearchSettings",
     "ShapeError",
+    "ShortBlocks",
     "Slope",
+    "SlowErrors",
     "SpeedCurve",
     "Start",
     "State",
@@ -175,11 +178,14 @@ __all__ = [
     "pressure_of_largest_leakage_pa",
     "regressors",
     "sample_count",
+    "short_blocks",
+    "slow_errors",
     "speed_beyond_curve",
     "theil_sen",
     "time_to_limit",
     "total_flow_l_per_min",
     "track",
     "walther_coefficients",
+    "whitened",
     "zero_drift",
 ]

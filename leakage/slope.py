@@ -64,19 +64,11 @@ class Slope:
         Generalised least squares, and its interval [unit a unit of position].
     p_value
         Two-sided, of no slope.
-    level
-        Value of the line at `pivot` [unit].
-    pivot
-        Position that `level` belongs to: the mean of the nights' positions.
-    covariance
-        Of (level, slope), shape (2, 2).
     phi
         Correlation of neighbouring nights.
     residual_sd
         Scatter of the nights about the line [unit]; of a night of weight 1, where they have
         weights.
-    freedom
-        Degrees of freedom, n − 3.
     theil_sen_outside
         Whether the Theil–Sen slope lies outside the interval: the nights are no line with errors.
     """
@@ -88,12 +80,8 @@ class Slope:
     lower: float | None = None
     upper: float | None = None
     p_value: float | None = None
-    level: float | None = None
-    pivot: float | None = None
-    covariance: Array | None = None
     phi: float | None = None
     residual_sd: float | None = None
-    freedom: int = 0
     theil_sen_outside: bool = False
 
 
@@ -161,8 +149,7 @@ def fit_slope(
     nights, values, x, scale = nights[kept], values[kept], x[kept], scale[kept]
     if not np.ptp(x) > 0.0:
         return Slope("no_span", n)
-    pivot = float(np.mean(x))
-    centred = x - pivot
+    centred = x - float(np.mean(x))
     median_slope = theil_sen(x, values) if median else None
     design = np.column_stack([np.ones(n), centred]) / scale[:, None]
     first, residuals = _least_squares(design, values / scale)
@@ -172,8 +159,6 @@ def fit_slope(
             n,
             median_slope,
             slope=float(first[1]),
-            level=float(first[0]),
-            pivot=pivot,
             phi=0.0,
             residual_sd=0.0,
         )
@@ -183,8 +168,7 @@ def fit_slope(
     line, errors = _least_squares(white, whitened(values / scale, rho))
     freedom = n - PARAMETERS
     variance = float(errors @ errors) / freedom
-    covariance = np.asarray(variance * np.linalg.inv(white.T @ white), dtype=np.float64)
-    error = float(np.sqrt(covariance[1, 1]))
+    error = float(np.sqrt(variance * np.linalg.inv(white.T @ white)[1, 1]))
     half = float(stdtrit(freedom, 0.5 + coverage / 2)) * error
     slope = float(line[1])
     return Slope(
@@ -195,12 +179,8 @@ def fit_slope(
         lower=slope - half,
         upper=slope + half,
         p_value=float(2.0 * stdtr(freedom, -abs(slope) / error)),
-        level=float(line[0]),
-        pivot=pivot,
-        covariance=covariance,
         phi=phi,
         residual_sd=float(np.sqrt(variance)),
-        freedom=freedom,
         theil_sen_outside=median_slope is not None and abs(median_slope - slope) > half,
     )
 

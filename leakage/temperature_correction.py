@@ -25,6 +25,7 @@ Array = NDArray[np.float64]
 
 # The column of b holds K, so it is made anew from the K of the pass before; three agree to 1e-6.
 PASSES = 3
+LEAST_SPAN_K = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,17 @@ class TemperatureCorrection:
         """Loss factors at some temperature over those at T₀, shape of `temperature_c`."""
         return np.asarray(1.0 + self.per_kelvin * (np.asarray(temperature_c) - self.reference_c))
 
+    def referred_to(self, reference_c: float) -> TemperatureCorrection:
+        """The same straight line, relative to its value at another temperature.
+
+        Examples
+        --------
+        >>> round(TemperatureCorrection(-0.01, 0.002, 50.0).referred_to(30.0).per_kelvin, 5)
+        -0.00833
+        """
+        there = float(self.factor(reference_c))
+        return TemperatureCorrection(self.per_kelvin / there, self.half_width / there, reference_c)
+
 
 def temperature_correction(
     factors: Array,
@@ -81,13 +93,15 @@ def temperature_correction(
     Returns
     -------
     TemperatureCorrection or None
-        None where temperature did not vary, or fewer than two clusters have samples.
+        None where temperature varied by less than 0.1 K, or fewer than two clusters have samples.
 
     Notes
     -----
     Holds for b (T − T₀) well below 1. What makes K change in step with temperature by another
     cause, such as wear in a year that gets warmer, is counted as b.
     """
+    if np.ptp(temperature_c) < LEAST_SPAN_K:
+        return None
     weights = np.sum(factors[:, :, -3] ** 2, axis=1)
     reference_c = float(np.average(temperature_c, weights=weights))
     above = (temperature_c - reference_c)[:, None]
@@ -108,6 +122,6 @@ def temperature_correction(
         theta[chosen] = found / scale[chosen]
     distribution = cluster_robust(by_cluster, theta, chosen)
     interval = None if distribution is None else distribution.interval(np.eye(len(theta))[0])
-    if interval is None or not chosen[0]:
+    if interval is None:
         return None
     return TemperatureCorrection(float(theta[0]), interval.half_width, reference_c)

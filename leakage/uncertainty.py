@@ -190,7 +190,7 @@ def cluster_robust(
     Parameters
     ----------
     factors
-        Triangular factors of the blocks, shape (b, c, c), columns: paths, one, known, measured.
+        Factors of the blocks, shape (b, c, c), columns: paths, one, known, measured.
     coefficients
         θ of the fit, shape (p + 1,).
     active
@@ -204,7 +204,7 @@ def cluster_robust(
     ClusterRobust or None
         None without an active coefficient, or with fewer than two blocks.
     """
-    filled = factors[np.sum(factors[:, :, -3] ** 2, axis=1) > 0.5]
+    filled = factors[factors.any(axis=(1, 2))]
     if not active.any() or len(filled) < 2:
         return None
     columns = filled[:, :, :-2][:, :, active]
@@ -233,28 +233,6 @@ def cluster_robust(
         _leverage=leverage,
         _inverse_root=inverse_root,
         _scores=inflation * np.einsum("bij,bj->bi", inverse_root, scores),
-    )
-
-
-def lengthened(factors: Array, group: int) -> Array:
-    """Factors of longer blocks: `group` neighbours merged into one, in time order.
-
-    Parameters
-    ----------
-    factors
-        Shape (b, c, c).
-    group
-        Blocks to a longer one, at least 1.
-
-    Returns
-    -------
-    ndarray
-        Shape (⌈b / group⌉, c, c).
-    """
-    if group <= 1 or not len(factors):
-        return factors
-    return np.stack(
-        [merge(factors[first : first + group]) for first in range(0, len(factors), group)]
     )
 
 
@@ -299,7 +277,7 @@ def block_bootstrap(
         nan where the active columns depend on each other.
     """
     nothing = np.full(len(coefficients), np.nan)
-    filled = factors[np.sum(factors[:, :, -3] ** 2, axis=1) > 0.5]
+    filled = factors[factors.any(axis=(1, 2))]
     distribution = cluster_robust(filled, coefficients, active)
     if not resamples or distribution is None or len(distribution._basis) < int(active.sum()):
         return Bootstrap(nothing, nothing.copy())

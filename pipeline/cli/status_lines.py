@@ -107,6 +107,8 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
     leakage, deviation = "unknown", "none yet"
     if motor.leakage_l_per_min is not None:
         leakage = f"{motor.leakage_l_per_min:.3g}"
+        if motor.leakage_verdict in ("uncertain", "extrapolated"):
+            leakage += f" ({motor.leakage_verdict})"
     elif motor.leakage_night is not None:
         leakage, deviation = f"not known since {motor.leakage_night}", "not known"
     if motor.deviation_percent is not None:

@@ -34,7 +34,7 @@ WORDS_AND_TOLERANCES = {
 # Where a channel stands in its log, which says nothing of its values.
 WHERE_IT_STANDS = {"field"}
 # Raise it when the code makes other figures of the same statistics: every night is then refitted.
-FIGURES_VERSION = 2
+FIGURES_VERSION = 3
 # Raise it when a reader makes other samples of the same file.
 READING_VERSION = 2
 
@@ -167,7 +167,10 @@ class SettingsHashes:
             self._statistics[key] = hash_of(
                 {
                     "model_hash": model_hash(spec, motor, night),
-                    "windows": spec.settings.windows.model_dump(mode="json"),
+                    # The least minutes shape no statistics; the hash is that of 15, the default
+                    # until version 6, so that no log is read anew for them.
+                    "windows": spec.settings.windows.model_dump(mode="json")
+                    | {"minimum_training_minutes": 15.0},
                     "sensor_health": spec.settings.sensor_health.model_dump(mode="json"),
                 }
             )
@@ -194,6 +197,7 @@ class SettingsHashes:
                         for name, channel in spec.file.channels.items()
                     },
                     "estimation": settings.estimation.model_dump(mode="json"),
+                    "minimum_training_minutes": settings.windows.minimum_training_minutes,
                     "reference": settings.reference.model_dump(mode="json"),
                     "model": settings.model.model_dump(mode="json"),
                 }
@@ -252,6 +256,8 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
         },
     }
     by_hand = ChosenPeriods.of(spec.file.periods, night_labelled(night, spec.settings.nights))
+    if settings["estimation"]["loss"] == "huber":
+        document["weights"] = "of all kept samples"
     if by_hand:
         document["periods"] = [by_hand.training, by_hand.validation]
     return hash_of(document)

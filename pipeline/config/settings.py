@@ -239,7 +239,7 @@ class Windows(Section):
         0.6, description="Share of the running motor's samples that must be kept for a fit"
     )
     minimum_training_minutes: Positive = Field(
-        15.0, description="Kept samples needed for training, as time"
+        5.0, description="Kept samples needed for training, as time"
     )
 
 

@@ -73,6 +73,8 @@ class Plan:
         Seed of the whole fleet.
     first_night
         Label of night 1: the date on which it ends.
+    slow_errors_min
+        Time constant of slow errors of the drain flow, [min]; 0: none.
     """
 
     nights: int
@@ -80,6 +82,7 @@ class Plan:
     rate_hz: float
     seed: int
     first_night: dt.date
+    slow_errors_min: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

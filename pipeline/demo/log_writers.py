@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from pipeline.config import Channel, MotorFile
 from pipeline.demo.mcap_writer import mcap_bytes
-from pipeline.demo.operation import FloatArray
+from pipeline.demo.noise import FloatArray
 from pipeline.demo.sensors import Recording
 from pipeline.units import conversion
 

@@ -8,9 +8,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
-FloatArray = NDArray[np.float64]
+from pipeline.demo.noise import FloatArray, correlated_noise
 
 LOW_PRESSURE_BAR: Final = 100.0  # below it the piston rings leak enough to be seen
 HOLD_S: Final = (20.0, 110.0)
@@ -86,39 +85,6 @@ def simulate_operation(duty: Duty, time_s: FloatArray, rng: np.random.Generator)
         speed_rpm=motion * _speed_rpm(duty, time_s, rng),
         back_flow=_back_flow(time_s, halts, rng),
     )
-
-
-def correlated_noise(
-    rng: np.random.Generator, samples: int, step_s: float, time_constant_s: float
-) -> FloatArray:
-    r"""First-order autoregressive noise of unit variance.
-
-    .. math:: x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k, \quad \varphi = e^{-\Delta t/\tau}
-
-    Parameters
-    ----------
-    rng
-        Source of randomness.
-    samples
-        Length n.
-    step_s, time_constant_s
-        Δt and τ, [s].
-
-    Returns
-    -------
-    ndarray
-        Shape (n,), standard deviation 1 from the first sample on, [-].
-
-    Examples
-    --------
-    >>> noise = correlated_noise(np.random.default_rng(1), 200_000, 0.2, 3.9)
-    >>> print(f"{noise.std():.1f} {np.corrcoef(noise[1:], noise[:-1])[0, 1]:.2f}")
-    1.0 0.95
-    """
-    phi = float(np.exp(-step_s / time_constant_s))
-    white = rng.standard_normal(samples)
-    white[1:] *= np.sqrt(1.0 - phi**2)
-    return np.asarray(lfilter([1.0], [1.0, -phi], white), dtype=np.float64)
 
 
 def _pressure_bar(duty: Duty, time_s: FloatArray, rng: np.random.Generator) -> FloatArray:

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from leakage import OperatingConditions, leakage_l_per_min
 from pipeline.config.motors import ChannelName
 from pipeline.demo.fleet import DemoNight, Plan, truth_of
-from pipeline.demo.operation import FloatArray, Operation, correlated_noise, simulate_operation
+from pipeline.demo.noise import FloatArray, correlated_noise
+from pipeline.demo.operation import Operation, simulate_operation
 from pipeline.demo.sensors import (
     FaultRates,
     Recording,
@@ -28,6 +29,7 @@ START_HOUR: Final = 21.5  # UTC, on the evening before the date that labels the 
 END_HOUR: Final = 6.0
 CHARGE_PRESSURE_BAR: Final = 15.0
 FROZEN_SHARE: Final = (0.40, 0.52)  # of the night
+SLOW_ERRORS: Final = 0.013  # of the mean leakage, as the short ones
 OWN_DELAY_US: Final = 4_000  # of one channel's stamps behind another's
 OWN_JITTER_US: Final = 2_000
 
@@ -86,7 +88,11 @@ def _drain_flow(night: DemoNight, operation: Operation, rng: np.random.Generator
         operation.pressure_difference_bar, operation.oil_temperature_c, operation.speed_rpm
     )
     leakage = leakage_l_per_min(motor, conditions, coefficients)
-    noise = flow_noise_l_per_min(leakage, 1.0 / night.plan.rate_hz, rng)
+    step_s, slow_s = 1.0 / night.plan.rate_hz, 60.0 * night.plan.slow_errors_min
+    noise = flow_noise_l_per_min(leakage, step_s, rng)
+    if slow_s:
+        slow = correlated_noise(night.generator("slow errors"), leakage.size, step_s, slow_s)
+        noise = noise + SLOW_ERRORS * leakage.mean() * slow
     flushing = coefficients[motor.constant.name] if motor.constant else 0.0
     flow = np.maximum(leakage + noise, 0.0) + flushing
     maximum = night.spec.file.channels["leakage_flow"].sensor_maximum

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.config.motors import ChannelName
-from pipeline.demo.operation import FloatArray, correlated_noise
+from pipeline.demo.noise import FloatArray, correlated_noise
 
 NOISE_TIME_CONSTANT_S: Final = 3.9  # φ = 0.95 at 5 samples a second
 MICROSECONDS: Final = 1_000_000

@@ -35,6 +35,7 @@ def write_demo(
     seed: int = 1,
     workers: int = 2,
     first_night: dt.date = dt.date(2026, 1, 2),
+    slow_errors_min: float = 0.0,
     progress: Progress | None = None,
 ) -> None:
     """Write the logs of the fleet ``configs/fleet.toml`` of a folder to ``demo/`` beside it.
@@ -58,6 +59,8 @@ def write_demo(
         Processes that write at the same time.
     first_night
         Label of the first night: the date on which it ends.
+    slow_errors_min
+        Time constant of slow errors of the drain flow, 0 (none) to 1440, [min].
     progress
         Called after each task with the number of files written and to be written.
 
@@ -68,8 +71,8 @@ def write_demo(
     ConfigError
         If the fleet's config has faults.
     """
-    _check_arguments(nights, minutes, rate_hz, seed, workers, first_night)
-    plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night)
+    plan = Plan(nights, float(minutes), float(rate_hz), seed, first_night, float(slow_errors_min))
+    _check_arguments(plan, workers)
     try:
         demo_nights = _demo_nights(demo_config(folder), plan)
         demo = folder / "demo"
@@ -102,16 +105,15 @@ def shipped_configs() -> Path:
     )
 
 
-def _check_arguments(
-    nights: int, minutes: float, rate_hz: float, seed: int, workers: int, first_night: dt.date
-) -> None:
+def _check_arguments(plan: Plan, workers: int) -> None:
     limits: Mapping[str, tuple[float, float, float]] = {
-        "nights": (nights, 1, 3650),
-        "minutes": (minutes, 1, 1440),
-        "rate_hz": (rate_hz, 0.1, 100),
-        "seed": (seed, 0, 2**63),
+        "nights": (plan.nights, 1, 3650),
+        "minutes": (plan.minutes, 1, 1440),
+        "rate_hz": (plan.rate_hz, 0.1, 100),
+        "seed": (plan.seed, 0, 2**63),
         "workers": (workers, 1, 256),
-        "the first night's year": (first_night.year, *YEARS),
+        "the first night's year": (plan.first_night.year, *YEARS),
+        "slow_errors_min": (plan.slow_errors_min, 0, 1440),
     }
     for name, (value, lowest, highest) in limits.items():
         if not lowest <= value <= highest:

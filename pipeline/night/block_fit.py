@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import datetime as dt
 import hashlib
-from collections.abc import Callable
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
-from leakage import Fit, OperatingConditions, SearchSettings, fit
+from leakage import Fit, OperatingConditions, Parametrisation, SearchSettings, fit
 from leakage.block_statistics import merge
+from leakage.certificate import Certificate, certify
 from leakage.identifiability import (
     Excitation,
     Identification,
@@ -18,35 +22,14 @@ from leakage.identifiability import (
     identify,
     judge_leakage,
 )
-from leakage.sensitivities import ErrorBudget
-from leakage.uncertainty import Bootstrap, block_bootstrap, lengthened
+from leakage.slow_errors import slow_errors, whitened
+from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
 from pipeline.night.residuals import PartResiduals
 from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.windows import TRAINING
 
-NO_BUDGET = ErrorBudget(())
-
-
-@dataclass(frozen=True, slots=True)
-class SampleFacts:
-    """Facts of the training samples that their blocks do not hold.
-
-    Attributes
-    ----------
-    minutes
-        Kept samples, as time [min].
-    own
-        Mean pressure difference [bar], temperature [°C] and speed [rpm].
-    charge_bar
-        Mean charge above case pressure; None in a model of one side.
-    inflation
-        Factor on standard errors that robust weights ask for; 1 without them.
-    """
-
-    minutes: float
-    own: tuple[float, float, float]
-    charge_bar: float | None
-    inflation: float
+REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,32 +41,39 @@ class BlockFit:
     name
         none, fixed or estimated.
     fit, identification
-        Estimates; verdicts and intervals.
+        Estimates from all kept samples; verdicts and intervals.
+    training
+        The fit to the training samples alone, which is validated on the others.
     excitation
-        Range that the training samples saw.
-    reference_conditions, own_conditions
-        Conditions at which the two leakages are evaluated.
+        Range of the samples.
+    own_means
+        Mean pressure difference [bar], temperature [°C] and speed [rpm].
+    reference_conditions
+        Where the reference leakage is evaluated.
     reference, own
         Leakage at the reference conditions, and at the night's own mean conditions.
     bootstrap
         Percentile limits, a cross-check.
-    budget
-        Effects of the stated tolerances on θ and both leakages. It needs samples; empty without
-        them, without a stated tolerance, or where one leads beyond the model's validity.
+    systematic
+        ± from stated tolerances by indicator, in its unit; without those that have none.
+    memory_s
+        Time over which the training errors forget [s]; it needs samples, nan without.
     residuals
         Residual analyses of training and validation samples; empty without samples.
     """
 
     name: str
     fit: Fit
+    training: Certificate
     identification: Identification
     excitation: Excitation
+    own_means: tuple[float, float, float]
     reference_conditions: OperatingConditions
-    own_conditions: OperatingConditions
     reference: LeakageJudgement
     own: LeakageJudgement
     bootstrap: Bootstrap
-    budget: ErrorBudget = NO_BUDGET
+    systematic: Mapping[str, float]
+    memory_s: float = math.nan
     residuals: tuple[PartResiduals, ...] = ()
 
 
@@ -91,23 +81,28 @@ def fit_stored_blocks(
     spec: MotorSpec,
     night: dt.date,
     mode: str,
-    training: StoredBlocks,
-    facts: SampleFacts,
-    memory_s: Callable[[Fit], float],
+    blocks: StoredBlocks,
+    charge_bar: float | None,
+    inflation: float,
+    sensitivities: Sequence[Mapping[str, Any]] = (),
     *,
     search: bool = True,
     bootstrap: bool = True,
 ) -> BlockFit:
-    """Fit a motor to blocks of training samples, with verdicts and intervals.
+    """Fit a motor to blocks of samples, with verdicts and intervals.
 
     Parameters
     ----------
     spec, night, mode
         Motor, night (it tells the oil) and mode of flushing.
-    training, facts
-        Blocks of the training samples, and facts of these.
-    memory_s
-        Gives the time over which the errors of a fit forget [s].
+    blocks
+        Blocks of all kept samples.
+    charge_bar
+        Mean charge above case pressure; None in a model of one side.
+    inflation
+        Factor on standard errors that robust weights ask for; 1 without them.
+    sensitivities
+        Rows of the table: effects of the stated tolerances under this mode.
     search
         Make the starts of the search, too; the estimate does not depend on them.
     bootstrap
@@ -116,9 +111,9 @@ def fit_stored_blocks(
     Raises
     ------
     EstimationError
-        If there are fewer samples than free coefficients.
+        If there are fewer training samples than free coefficients.
     """
-    estimation, reference = spec.settings.estimation, spec.settings.reference
+    estimation = spec.settings.estimation
     settings = SearchSettings(
         starting_points=estimation.starting_points,
         gradient_type=estimation.gradient_type,
@@ -131,42 +126,64 @@ def fit_stored_blocks(
     def generator(purpose: str) -> np.random.Generator:
         return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
 
-    fitted = fit(merge(training.factors), spec.motor(night, mode), settings, generator(mode))
-    excitation = _excitation(training, facts.minutes, memory_s(fitted))
-    identification = identify(fitted, training.factors, excitation, facts.inflation)
-    at_reference = OperatingConditions.from_bar(
-        reference.pressure_bar, reference.temperature_c, reference.speed_rpm, facts.charge_bar
+    motor = spec.motor(night, mode)
+    lower, upper = Parametrisation.of(motor).coefficient_bounds()
+    training = certify(blocks.factor_of(TRAINING), lower, upper)
+    short = blocks.short_blocks(spec.settings.windows.block_s)
+    slow = slow_errors(blocks.factors, short, lower == upper, lower)
+    factors = whitened(blocks.factors, short, slow)
+    fitted = fit(merge(factors), motor, settings, generator(mode))
+    excitation = Excitation(
+        blocks.span("pressure_bar"), blocks.span("temperature_c"), blocks.span("speed_rpm")
     )
-    at_own = OperatingConditions.from_bar(*facts.own, facts.charge_bar)
+    identification = identify(fitted, factors, excitation, inflation, slow)
+    systematic = systematic_errors(sensitivities)
+    at_reference, at_own = conditions(spec, blocks, charge_bar)
+
+    def leakage(name: str, at: OperatingConditions) -> LeakageJudgement:
+        return judge_leakage(fitted, identification, excitation, at, systematic.get(name, 0.0))
+
     return BlockFit(
         name=mode,
         fit=fitted,
+        training=training,
         identification=identification,
         excitation=excitation,
+        own_means=blocks.means(),
         reference_conditions=at_reference,
-        own_conditions=at_own,
-        reference=judge_leakage(fitted, identification, excitation, at_reference),
-        own=judge_leakage(fitted, identification, excitation, at_own),
+        reference=leakage(REFERENCE, at_reference),
+        own=leakage(OWN, at_own),
         bootstrap=block_bootstrap(
-            lengthened(training.factors, excitation.blocks_to_merge),
+            factors,
             fitted.coefficients,
             ~fitted.certificate.fixed,
             # A source of its own: limits do not depend on whether the search was made.
             generator(f"{mode}|bootstrap"),
             resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
+        systematic=systematic,
     )
 
 
-def _excitation(training: StoredBlocks, minutes: float, memory_s: float) -> Excitation:
-    return Excitation(
-        minutes=minutes,
-        pressure_bar=training.span("pressure_bar"),
-        temperature_c=training.span("temperature_c"),
-        speed_rpm=training.span("speed_rpm"),
-        correlation_time_s=memory_s,
-        block_s=training.length_s,
+def conditions(
+    spec: MotorSpec, blocks: StoredBlocks, charge_bar: float | None
+) -> tuple[OperatingConditions, OperatingConditions]:
+    """The reference conditions, and the mean ones of some blocks."""
+    reference = spec.settings.reference
+    return (
+        OperatingConditions.from_bar(
+            reference.pressure_bar, reference.temperature_c, reference.speed_rpm, charge_bar
+        ),
+        OperatingConditions.from_bar(*blocks.means(), charge_bar),
     )
+
+
+def systematic_errors(sensitivities: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """± of each indicator from rows of `sensitivities`: the sum of all effects by squares."""
+    squares: defaultdict[str, float] = defaultdict(float)
+    for row in sensitivities:
+        squares[row["indicator"]] += row["effect"] ** 2
+    return {indicator: math.sqrt(square) for indicator, square in squares.items()}
 
 
 def night_seed(seed: int, motor_id: str, night: dt.date, purpose: str) -> int:

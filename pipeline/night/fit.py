@@ -9,11 +9,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, LeakageError, OperatingConditions, regressors
+from leakage import LeakageError, Motor, OperatingConditions, regressors
 from leakage.correlation import slowest_correlation_time
 from leakage.sensitivities import ChannelTolerance, ErrorBudget, Tolerances, error_budget
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import NO_BUDGET, BlockFit, SampleFacts, fit_stored_blocks
+from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
+from pipeline.night.parameter_rows import Row, sensitivity_rows
 from pipeline.night.residuals import ROUNDING, night_residuals
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.stored_blocks import StoredBlocks
@@ -22,47 +23,36 @@ from pipeline.night.windows import TRAINING
 
 Array = NDArray[np.float64]
 
-# Longest memory of the errors that is looked for; beyond it there are no intervals.
+# Longest memory of the errors that is looked for in the samples.
 LONGEST_MEMORY_S = 600.0
 # Means over this time show a slow error under a larger fast one.
 MEMORY_CELL_S = 30.0
 PA_PER_BAR = 1e5
 
 
-def sample_facts(spec: MotorSpec, statistics: NightStatistics) -> SampleFacts:
-    """Facts of the training samples, and of the charge pressure over the night."""
-    samples, rows = statistics.samples, statistics.rows_of(TRAINING)
-    return SampleFacts(
-        minutes=int(rows.sum()) * (samples.period_us / 1e6) / 60.0,
-        own=(
-            float(np.abs(samples.pressure_difference_bar[rows]).mean()),
-            float(samples.oil_temperature_c[rows].mean()),
-            float(np.abs(samples.speed_rpm[rows]).mean()),
-        ),
-        charge_bar=mean_charge_bar(spec, samples),
-        inflation=statistics.inflation,
-    )
-
-
 def fit_modes(
     spec: MotorSpec, night: dt.date, statistics: NightStatistics, blocks: StoredBlocks
-) -> tuple[BlockFit, ...]:
-    """A fit for each mode of flushing, the primary one first; all over the same blocks.
+) -> tuple[tuple[BlockFit, ...], list[Row]]:
+    """A fit for each mode of flushing, the primary one first, and rows of `sensitivities`.
 
     Raises
     ------
     EstimationError
         If there are fewer samples than free coefficients.
     """
-    training, facts = blocks.part(TRAINING), sample_facts(spec, statistics)
-
-    def fit_mode(mode: str) -> BlockFit:
+    charge_bar = mean_charge_bar(spec, statistics.samples)
+    at = conditions(spec, blocks, charge_bar)
+    fits, rows = [], []
+    for mode in spec.file.flushing.modes:
+        motor = spec.motor(night, mode)
+        sensitivities = sensitivity_rows(motor, _budget(spec, statistics, motor, at, night))
         found = fit_stored_blocks(
-            spec, night, mode, training, facts, lambda fitted: _memory_s(statistics, fitted)
+            spec, night, mode, blocks, charge_bar, statistics.inflation, sensitivities
         )
-        return replace(found, budget=_budget(spec, statistics, found, night))
-
-    return tuple(fit_mode(mode) for mode in spec.file.flushing.modes)
+        memory_s = _memory_s(statistics, found.training.coefficients)
+        fits.append(replace(found, memory_s=memory_s))
+        rows += [{"flushing_mode": mode} | row for row in sensitivities]
+    return tuple(fits), rows
 
 
 def with_residuals(
@@ -75,8 +65,8 @@ def with_residuals(
             mode,
             residuals=night_residuals(
                 statistics,
-                mode.fit.coefficients,
-                mode.excitation.correlation_time_s,
+                mode.training.coefficients,
+                mode.memory_s,
                 smoothing,
             ),
         )
@@ -84,9 +74,9 @@ def with_residuals(
     )
 
 
-def _memory_s(statistics: NightStatistics, fitted: Fit) -> float:
+def _memory_s(statistics: NightStatistics, coefficients: Array) -> float:
     """Time over which the prediction errors of the training samples forget [s]."""
-    samples, error = statistics.samples, statistics.training_error(fitted.coefficients)
+    samples, error = statistics.samples, statistics.training_error(coefficients)
     period_s = samples.period_us / 1e6
     longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
     # Without noise the errors are rounding, and what rounding remembers is nothing.
@@ -106,11 +96,10 @@ def transport_delays_s(
     if delay is None:
         return None, None
     rows = samples.index - samples.first_index
-    conditions = statistics.conditions
+    charge = statistics.conditions.charge_over_case_pa
     theta = np.append(mode.fit.coefficients, 1.0)
 
     def predicted(inputs: Mapping[str, Array], chosen: NDArray[np.int64]) -> Array:
-        charge = conditions.charge_over_case_pa
         bar = inputs.get("pressure_difference", samples.pressure_difference_bar[chosen])
         celsius = inputs.get("oil_temperature", samples.oil_temperature_c[chosen])
         rpm = inputs.get("speed", samples.speed_rpm[chosen])
@@ -137,27 +126,27 @@ def transport_delays_s(
 def _budget(
     spec: MotorSpec,
     statistics: NightStatistics,
-    found: BlockFit,
+    motor: Motor,
+    at: tuple[OperatingConditions, OperatingConditions],
     night: dt.date,
 ) -> ErrorBudget:
-    """The stated tolerances carried through evenly thinned training samples."""
-    places = np.flatnonzero(statistics.rows_of(TRAINING))
-    wanted = min(spec.settings.estimation.sensitivity_samples, len(places))
-    chosen = places[np.linspace(0, len(places) - 1, wanted).round().astype(np.int64)]
-    conditions = statistics.conditions
-    charge = conditions.charge_over_case_pa
+    """The stated tolerances carried through evenly thinned samples; empty beyond validity."""
+    n = len(statistics.samples.index)
+    wanted = min(spec.settings.estimation.sensitivity_samples, n)
+    chosen = np.linspace(0, n - 1, wanted).round().astype(np.int64)
+    seen = statistics.conditions
+    charge = seen.charge_over_case_pa
     thinned = OperatingConditions(
-        conditions.pressure_difference_pa[chosen],
-        conditions.oil_temperature_c[chosen],
-        conditions.speed_rpm[chosen],
+        seen.pressure_difference_pa[chosen],
+        seen.oil_temperature_c[chosen],
+        seen.speed_rpm[chosen],
         None if charge is None else charge[chosen],
     )
     flow = statistics.samples.leakage_l_per_min[chosen]
     try:
-        at = found.reference_conditions, found.own_conditions
-        return error_budget(found.fit.motor, thinned, flow, tolerances(spec, night), at)
+        return error_budget(motor, thinned, flow, tolerances(spec, night), at)
     except LeakageError:
-        return NO_BUDGET
+        return ErrorBudget(())
 
 
 def tolerances(spec: MotorSpec, night: dt.date) -> Tolerances:

@@ -132,11 +132,11 @@ def fit_night(
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
             blocks = StoredBlocks.of_tonight(rows["block_statistics"], statistics.factors)
-            modes = fit_modes(spec, night.date, statistics, blocks)
+            modes, sensitivities = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
             modes = with_residuals(spec, statistics, modes)
         with _timed(seconds, "fit_s"):
-            rows |= fit_rows(spec, night.date, statistics, modes, previous)
+            rows |= fit_rows(spec, night.date, statistics, modes, sensitivities, previous)
             rows["predictions"] = prediction_rows(spec.motor_id, night.date, statistics, modes)
     except Insufficient as outcome:
         return unfitted(

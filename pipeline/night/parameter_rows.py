@@ -11,14 +11,15 @@ from numpy.typing import NDArray
 from leakage import (
     Fit,
     LeakagePath,
+    Motor,
     Parametrisation,
     path_flows_l_per_min,
     regressors,
 )
 from leakage.identifiability import Judgement
-from leakage.sensitivities import Effect
+from leakage.sensitivities import Effect, ErrorBudget
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import BlockFit
+from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -58,13 +59,15 @@ def _coefficient_row(
     if place is None or judgement.verdict == "fixed":
         return row
     row["spread_over_starts"] = spreads.get(path.coefficient_name)
+    if judgement.information is not None:
+        row["interval_degrees_of_freedom"] = judgement.information.degrees_of_freedom
+        row["largest_block_share"] = judgement.information.largest_block_share
     if judgement.interval is None:
         return row
     row |= _interval(value, judgement.interval.half_width)
     row["bootstrap_lower"] = _finite(mode.bootstrap.lower[place])
     row["bootstrap_upper"] = _finite(mode.bootstrap.upper[place])
-    systematic = mode.budget.coefficients()
-    row["systematic"] = None if systematic is None else float(systematic[place])
+    row["systematic"] = mode.systematic.get(path.coefficient_name)
     return row
 
 
@@ -126,7 +129,7 @@ def _share_rows(mode: BlockFit) -> list[Row]:
     With L = Σ K_i φ_i + known, the share Q_j / L has the gradient φ_i (δ_ij L − Q_j) / L².
     """
     reference, fit = mode.reference, mode.fit
-    if reference.verdict not in ("identified", "fixed"):
+    if not reference.is_told:
         return [
             {"parameter": f"share_{path.name}", "unit": "1", "value": None}
             | {"verdict": reference.verdict, "reason": reference.reason}
@@ -163,12 +166,12 @@ def _share_row(mode: BlockFit, path: LeakagePath, share: float, gradient: Array)
     return row | {"verdict": "identified"} | _interval(share, interval.half_width)
 
 
-def sensitivity_rows(mode: BlockFit) -> list[Row]:
-    """Rows of `sensitivities`: what each stated tolerance does to each figure."""
-    return [row for effect in mode.budget.effects for row in _effect_rows(mode, effect)]
+def sensitivity_rows(motor: Motor, budget: ErrorBudget) -> list[Row]:
+    """Rows of `sensitivities`: effect of each stated tolerance on each figure."""
+    return [row for effect in budget.effects for row in _effect_rows(motor, effect)]
 
 
-def _effect_rows(mode: BlockFit, effect: Effect) -> list[Row]:
+def _effect_rows(motor: Motor, effect: Effect) -> list[Row]:
     source: Row = {
         "source": effect.source.name,
         "tolerance": effect.source.tolerance,
@@ -177,14 +180,12 @@ def _effect_rows(mode: BlockFit, effect: Effect) -> list[Row]:
     rows: list[Row] = [
         {"indicator": path.coefficient_name, "unit": path.coefficient_unit}
         | {"effect": float(effect.coefficients[place])}
-        for place, path in enumerate(_columns(mode.fit))
+        for place, path in enumerate(Parametrisation.of(motor).paths)
         if path is not None and path.is_free
     ]
     leakages = effect.leakages_l_per_min.tolist()
     rows += [
         {"indicator": name, "unit": "l_per_min", "effect": value}
-        for name, value in zip(
-            ("reference_leakage", "own_conditions_leakage"), leakages, strict=True
-        )
+        for name, value in zip((REFERENCE, OWN), leakages, strict=True)
     ]
     return [row | source for row in rows]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from leakage import EstimationError
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import BlockFit, SampleFacts, fit_stored_blocks
+from pipeline.night.block_fit import BlockFit, fit_stored_blocks
 from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
@@ -32,16 +32,12 @@ from pipeline.night.rows import (
     start_rows,
 )
 from pipeline.night.stored_blocks import StoredBlocks
-from pipeline.night.windows import TRAINING
 
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
 STARTS_TABLES = ("starts",)
 JUDGED_TABLES = ("fits",)
-# Columns of `parameters` that need samples, or the starts.
-KEPT_OF_PARAMETERS = ("systematic", "spread_over_starts")
-KEPT_OF_FITS = ("reference_leakage_systematic", "own_conditions_leakage_systematic")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +48,7 @@ class PublishedNight:
     ----------
     label
         The night.
-    fits, parameters
+    fits, parameters, sensitivities
         Rows of these tables.
     blocks
         Rows of `block_statistics` in order of time; None where there are none.
@@ -61,6 +57,7 @@ class PublishedNight:
     label: dt.date
     fits: Sequence[Row]
     parameters: Sequence[Row]
+    sensitivities: Sequence[Row]
     blocks: pl.DataFrame | None
 
 
@@ -101,7 +98,16 @@ def refit(
         key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
         before = fits[mode]
         try:
-            found = _fit(spec, night.label, before, blocks, with_starts)
+            found = fit_stored_blocks(
+                spec,
+                night.label,
+                mode,
+                blocks,
+                before["mean_charge_over_case_bar"],
+                before["weight_inflation"],
+                [row for row in night.sensitivities if row["flushing_mode"] == mode],
+                search=with_starts,
+            )
         except EstimationError:
             return None
         row = _fits_row(spec, before, found, blocks) | (
@@ -144,34 +150,10 @@ def is_refit(outcome: NightOutcome) -> bool:
     return outcome.tables is not None and set(REFITTED_TABLES) <= set(outcome.tables)
 
 
-def _fit(spec: MotorSpec, label: dt.date, row: Row, blocks: StoredBlocks, search: bool) -> BlockFit:
-    memory_s = row["correlation_time_s"]
-    facts = SampleFacts(
-        minutes=row["n_training"] * row["sample_period_s"] / 60.0,
-        own=(row["own_pressure_bar"], row["own_temperature_c"], row["own_speed_rpm"]),
-        charge_bar=row["mean_charge_over_case_bar"],
-        inflation=row["weight_inflation"],
-    )
-    return fit_stored_blocks(
-        spec,
-        label,
-        row["flushing_mode"],
-        blocks.part(TRAINING),
-        facts,
-        lambda _: np.inf if memory_s is None else memory_s,
-        search=search,
-    )
-
-
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
     """A row of `fits`; what needs samples is as before."""
     reference = spec.settings.reference
-    row = before | block_fit_columns(found) | leakage_columns(found)
-    row |= {
-        name: before[name]
-        for name in KEPT_OF_FITS
-        if row[name.replace("_systematic", "_l_per_min")] is not None
-    }
+    row = before | block_fit_columns(spec, found) | leakage_columns(found)
     row |= {
         "is_refitted": True,
         "reference_pressure_bar": reference.pressure_bar,
@@ -192,10 +174,9 @@ def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:
 
 
 def _parameters(spec: MotorSpec, found: BlockFit, before: Sequence[Row]) -> list[Row]:
-    """Rows of `parameters`; what needs samples or starts is as before."""
-    kept = {row["parameter"]: row for row in before}
-    rows = []
-    for row in parameter_rows(spec, found):
-        old = kept.get(row["parameter"], {})
-        rows.append(row | {name: old.get(name) for name in KEPT_OF_PARAMETERS})
-    return rows
+    """Rows of `parameters`; what needs starts is as before."""
+    spreads = {row["parameter"]: row["spread_over_starts"] for row in before}
+    return [
+        row | {"spread_over_starts": spreads.get(row["parameter"])}
+        for row in parameter_rows(spec, found)
+    ]

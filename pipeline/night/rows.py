@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
-from leakage.uncertainty import Interval
+from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.validation import (
     Agreement,
     agreement,
@@ -20,12 +20,12 @@ from leakage.validation import (
 )
 from pipeline.arrays import utc
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import BlockFit
-from pipeline.night.fit import sample_facts, transport_delays_s
+from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
+from pipeline.night.fit import transport_delays_s
 from pipeline.night.operation_rows import coarse_histogram
-from pipeline.night.parameter_rows import parameter_rows, sensitivity_rows
+from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
-from pipeline.night.statistics import NightStatistics
+from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.time_base import Quality
 from pipeline.night.windows import TRAINING, VALIDATION
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
@@ -84,7 +84,9 @@ def statistics_rows(
         "speed": ("rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
     }
     rows = []
-    for block, r in zip(statistics.blocks, statistics.factors, strict=True):
+    for block, r, means in zip(
+        statistics.blocks, statistics.factors, statistics.short_means, strict=True
+    ):
         part = slice(block.first_row, block.end_row)
         row: Row = {
             "motor_id": motor_id,
@@ -98,6 +100,7 @@ def statistics_rows(
             "share_reversed": float(np.mean(samples.speed_rpm[part] < 0)),
             "n_beyond_curve": int(beyond[part].sum()),
             "model_hash": statistics.model_hash,
+            "short_means": means,
         }
         for name, (unit, values, edges) in channels.items():
             row |= _spread(name, unit, values[part], edges)
@@ -120,25 +123,26 @@ def fit_rows(
     night: dt.date,
     statistics: NightStatistics,
     modes: Sequence[BlockFit],
+    sensitivities: Sequence[Row],
     previous: Mapping[str, tuple[float, ...]],
 ) -> Rows:
     """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
+    motor_night = {"motor_id": spec.motor_id, "night": night}
     period_s = statistics.samples.period_us / 1e6
     rows: Rows = {
         "fits": [],
         "parameters": [],
-        "sensitivities": [],
+        "sensitivities": [motor_night | row for row in sensitivities],
         "starts": [],
         "residual_tests": [],
         "residual_verdicts": [],
     }
     for mode in modes:
-        key = {"motor_id": spec.motor_id, "night": night, "flushing_mode": mode.name}
+        key = motor_night | {"flushing_mode": mode.name}
         own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
         rows["fits"].append(own | criteria_columns(own))
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
-        rows["sensitivities"] += [key | row for row in sensitivity_rows(mode)]
         rows["starts"] += [key | row for row in start_rows(mode.fit)]
         for name, made in (
             ("residual_tests", residual_test_rows),
@@ -152,26 +156,19 @@ def fit_rows(
 def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics) -> Row:
     """Columns that a night's fits have in common."""
     samples, model = statistics.samples, spec.settings.model
-    training, validation = (statistics.rows_of(part) for part in (TRAINING, VALIDATION))
-    used = np.flatnonzero(training | validation)
     reference = spec.settings.reference
     share = "" if model.film_pressure == "slot" else f" {model.film_pressure_share:g}"
-    facts = sample_facts(spec, statistics)
-    pressure, temperature, speed = facts.own
     return {
         "motor_type": spec.file.motor_type,
-        "window_start": utc(samples.time_us[used[0]]),
-        "window_end": utc(samples.time_us[used[-1]]),
+        "window_start": utc(samples.time_us[0]),
+        "window_end": utc(samples.time_us[-1]),
         "status": "ok",
-        "n_training": int(training.sum()),
-        "n_validation": int(validation.sum()),
+        "n_training": int(statistics.rows_of(TRAINING).sum()),
+        "n_validation": int(statistics.rows_of(VALIDATION).sum()),
         "smoothing_s": spec.settings.smoothing.window_s,
         "reference_pressure_bar": reference.pressure_bar,
         "reference_temperature_c": reference.temperature_c,
         "reference_speed_rpm": reference.speed_rpm,
-        "own_pressure_bar": pressure,
-        "own_temperature_c": temperature,
-        "own_speed_rpm": speed,
         "mean_flow_l_per_min": float(samples.leakage_l_per_min.mean()),
         "kept_share": samples.kept_share,
         "film_pressure": f"{model.film_pressure}{share}",
@@ -183,8 +180,8 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "night_factor": upper_triangle(statistics.judged_on()),
         "n_kept": len(samples.index),
         "sample_period_s": samples.period_us / 1e6,
-        "mean_charge_over_case_bar": facts.charge_bar,
-        "weight_inflation": facts.inflation,
+        "mean_charge_over_case_bar": mean_charge_bar(spec, samples),
+        "weight_inflation": statistics.inflation,
         "is_refitted": False,
     }
 
@@ -214,19 +211,19 @@ def _mode_columns(
     """Figures of one fit."""
     chosen = statistics.rows_of(TRAINING)
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    error = statistics.training_error(mode.fit.coefficients)
+    error = statistics.training_error(mode.training.coefficients)
     phi = lag_one_autocorrelation(error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
         **search_columns(mode.fit),
-        "correlation_time_s": mode.excitation.correlation_time_s,
+        "correlation_time_s": mode.memory_s,
         "n_effective": effective_sample_count(len(error), phi),
         "lag_one_autocorrelation": phi,
         **agreement_columns(spec, statistics.judged_on, mode),
         **previous_model_columns(spec, statistics.judged_on(), previous),
-        **block_fit_columns(mode),
+        **block_fit_columns(spec, mode),
         **residual_columns(mode.residuals),
         **leakage_columns(mode),
     }
@@ -246,10 +243,10 @@ def agreement_columns(
     judged_on: Callable[[str], Array],
     mode: BlockFit,
 ) -> Row:
-    """Agreement of a fit with the samples of both parts."""
-    fit, resolution = mode.fit, spec.file.channels["leakage_flow"].resolution
-    training = agreement(judged_on(TRAINING), fit.coefficients, resolution)
-    validation = agreement(judged_on(VALIDATION), fit.coefficients, resolution)
+    """How the fit to the training samples agrees with both parts."""
+    theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
+    training = agreement(judged_on(TRAINING), theta, resolution)
+    validation = agreement(judged_on(VALIDATION), theta, resolution)
     return {
         "training_fit_percent": training.fit_percent,
         "validation_fit_percent": validation.fit_percent,
@@ -275,9 +272,11 @@ def previous_model_columns(
     }
 
 
-def block_fit_columns(mode: BlockFit) -> Row:
-    """Columns of a fit that come from its blocks alone."""
-    certificate, fit = mode.fit.certificate, mode.fit
+def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
+    """What the blocks of a fit say of it."""
+    certificate, fit, slow = mode.fit.certificate, mode.fit, mode.identification.slow
+    pressure, temperature, speed = mode.own_means
+    rests_on = mode.reference.information
     condition = certificate.condition_number
     return {
         "cost": certificate.cost,
@@ -287,17 +286,39 @@ def block_fit_columns(mode: BlockFit) -> Row:
         "singular_values": certificate.singular_values.tolist(),
         "coefficients": fit.coefficients.tolist(),
         "coefficient_covariance": _covariance(mode),
-        "interval_status": mode.identification.interval_status,
+        "interval_status": _interval_status(mode, spec.settings.windows.block_s),
         "n_interval_blocks": mode.identification.n_blocks,
-        "n_parameters": certificate.n_estimated,
+        "n_parameters": mode.training.n_estimated,
+        "own_pressure_bar": pressure,
+        "own_temperature_c": temperature,
+        "own_speed_rpm": speed,
+        "slow_error_memory": slow.memory,
+        "slow_error_ratio": slow.variance_ratio,
+        "within_block_inflation": slow.within,
+        "slow_error_evidence": slow.evidence,
+        "reference_degrees_of_freedom": rests_on and rests_on.degrees_of_freedom,
+        "reference_block_share": rests_on and rests_on.largest_block_share,
     }
+
+
+def _interval_status(mode: BlockFit, block_s: float) -> str:
+    """``ok``, how long slow errors remember, or why there are no intervals."""
+    found = mode.identification
+    if found.distribution is None and not mode.fit.certificate.fixed.all():
+        return ONE_BLOCK
+    if not found.slow.are_slow:
+        return "ok"
+    minutes = found.slow.memory_s(block_s) / 60.0
+    time = f"{minutes:.0f} minutes" if minutes < 120 else f"{minutes / 60:.0f} hours"
+    return f"ok: the errors remember for about {time}; the intervals allow for it"
 
 
 def criteria_columns(row: Row) -> Row:
     """FPE and information criteria of a row of `fits`, by n_training and by n_effective."""
-    cost, d = row["cost"], row["n_parameters"]
+    d = row["n_parameters"]
     # The criteria are those of a squared loss: a robust one has none of them.
     squared = row["weight_inflation"] == 1.0
+    cost = (row["training_rmse_l_per_min"] or 0.0) ** 2
     figures = criteria(cost, d, row["n_training"] if squared else 0)
     honest = criteria(cost, d, (row["n_effective"] or 0.0) if squared else 0.0)
     return {
@@ -323,38 +344,28 @@ def mark_modes(rows: Sequence[Row], primary: str) -> None:
 
 
 def leakage_columns(mode: BlockFit) -> Row:
-    """Reference leakage, where it is identified; leakage at own conditions; intervals of both."""
-    reference, own = mode.reference, mode.own
-    identified = reference.verdict in ("identified", "fixed")
-    systematic = mode.budget.leakages_l_per_min()
-    own_identified = own.verdict in ("identified", "fixed")
-    own_range = _limits(own.leakage_l_per_min, own.interval if own_identified else None)
-    range_ = _limits(reference.leakage_l_per_min, reference.interval if identified else None)
+    """Reference leakage and leakage at own conditions, where they are told, with intervals."""
     return {
-        "reference_leakage_l_per_min": reference.leakage_l_per_min if identified else None,
-        "reference_leakage_lower": range_[0],
-        "reference_leakage_upper": range_[1],
-        "reference_leakage_systematic": (
-            float(systematic[0]) if identified and systematic is not None else None
-        ),
-        "reference_verdict": reference.verdict,
-        "reference_reason": reference.reason or None,
-        "outside_fitted_range": reference.verdict == "outside_fitted_range",
-        "own_conditions_leakage_l_per_min": own.leakage_l_per_min if own_identified else None,
-        "own_conditions_leakage_lower": own_range[0],
-        "own_conditions_leakage_upper": own_range[1],
-        "own_conditions_leakage_systematic": (
-            float(systematic[1]) if own_identified and systematic is not None else None
-        ),
-        "own_conditions_verdict": own.verdict,
-        "own_conditions_reason": own.reason or None,
+        "reference_verdict": mode.reference.verdict,
+        "reference_reason": mode.reference.reason or None,
+        "outside_fitted_range": mode.reference.verdict in OUTSIDE,
+        "own_conditions_verdict": mode.own.verdict,
+        "own_conditions_reason": mode.own.reason or None,
+        **_leakage(REFERENCE, mode.reference, mode.systematic),
+        **_leakage(OWN, mode.own, mode.systematic),
     }
 
 
-def _limits(value: float, interval: Interval | None) -> tuple[float | None, float | None]:
-    if interval is None:
-        return None, None
-    return value - interval.half_width, value + interval.half_width
+def _leakage(name: str, found: LeakageJudgement, systematic: Mapping[str, float]) -> Row:
+    ends = ("l_per_min", "lower", "upper", "systematic")
+    row: Row = dict.fromkeys(f"{name}_{end}" for end in ends)
+    if found.is_told:
+        row[f"{name}_l_per_min"] = found.leakage_l_per_min
+        row[f"{name}_systematic"] = systematic.get(name)
+        if found.interval is not None:
+            row[f"{name}_lower"] = found.leakage_l_per_min - found.interval.half_width
+            row[f"{name}_upper"] = found.leakage_l_per_min + found.interval.half_width
+    return row
 
 
 def start_rows(fit: Fit) -> list[Row]:
@@ -383,7 +394,7 @@ def prediction_rows(
     """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
     samples = statistics.samples
     measured = statistics.z[:, -1]
-    primary = statistics.z[:, :-1] @ np.append(modes[0].fit.coefficients, 1.0)
+    primary = statistics.z[:, :-1] @ np.append(modes[0].training.coefficients, 1.0)
     pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
     chosen = keep_extremes(
         np.stack([measured, measured - primary, pressure, speed]).T, PREDICTION_POINTS
@@ -399,7 +410,7 @@ def prediction_rows(
     }
     rows: list[Row] = []
     for mode in modes:
-        predicted = (z[:, :-1] @ np.append(mode.fit.coefficients, 1.0)).tolist()
+        predicted = (z[:, :-1] @ np.append(mode.training.coefficients, 1.0)).tolist()
         key = {"motor_id": motor_id, "night": night, "flushing_mode": mode.name}
         columns = {"time": times, "part": parts, **inputs, "predicted_l_per_min": predicted}
         rows += [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,6 +45,9 @@ class NightStatistics:
         Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
     plain_factors
         The same without weights: what a fit is judged on.
+    short_means
+        What each stored block keeps of the short blocks that were merged into it: place, samples
+        and means but of the ones of each, in a row; None where none were.
     inflation
         Factor on standard errors that robust weights ask for; 1 without them.
     model_hash
@@ -58,6 +62,7 @@ class NightStatistics:
     blocks: tuple[Block, ...]
     factors: Array
     plain_factors: Array
+    short_means: tuple[list[float] | None, ...]
     inflation: float
     model_hash: str
 
@@ -106,15 +111,11 @@ def night_statistics(
     stored = merge_neighbours(short, settings.windows.maximum_blocks)
     borders = np.array([*(block.first_row for block in stored), len(z)])
     plain = factors(z, borders)
-    made, inflation = plain, 1.0
+    made, inflation, weighted = plain, 1.0, z
     if settings.estimation.loss == "huber":
-        training = np.repeat(
-            [block.part == TRAINING for block in stored], [block.n for block in stored]
-        )
         bounds = Parametrisation.of(motor).coefficient_bounds()
-        weights = huber_weights(z[training], *bounds)
-        weighted = z.copy()
-        weighted[training] *= np.sqrt(weights)[:, None]
+        weights = huber_weights(z, *bounds)
+        weighted = z * np.sqrt(weights)[:, None]
         made, inflation = factors(weighted, borders), weight_inflation(weights)
     return NightStatistics(
         samples=samples,
@@ -125,9 +126,29 @@ def night_statistics(
         blocks=stored,
         factors=made,
         plain_factors=plain,
+        short_means=_short_means(weighted, short, stored),
         inflation=inflation,
         model_hash=model_hash(spec, motor, night.date),
     )
+
+
+def _short_means(
+    z: Array, short: Sequence[Block], stored: Sequence[Block]
+) -> tuple[list[float] | None, ...]:
+    """Place, samples and means of the short blocks within each stored one."""
+    if len(short) == len(stored):
+        return (None,) * len(stored)
+    first = np.array([block.first_row for block in short])
+    ones = z[:, -3]
+    n = np.add.reduceat(ones * ones, first)
+    means = np.add.reduceat(z * ones[:, None], first) / n[:, None]
+    owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
+    start_us = np.array([block.start_us for block in short])
+    length_us = short[0].end_us - short[0].start_us
+    place = (start_us - np.array([block.start_us for block in stored])[owner]) // length_us
+    table = np.column_stack([place, n, np.delete(means, -3, axis=1)])
+    parts = (table[owner == place] for place in range(len(stored)))
+    return tuple(part.ravel().tolist() if len(part) > 1 else None for part in parts)
 
 
 def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditions:

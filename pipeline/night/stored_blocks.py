@@ -11,6 +11,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage.block_statistics import merge
+from leakage.slow_errors import ShortBlocks, short_blocks
 from pipeline.schema import BLOCK_STATISTICS
 
 Array = NDArray[np.float64]
@@ -27,6 +28,7 @@ BLOCK_COLUMNS = (
     "columns",
     "statistics",
     "model_hash",
+    "short_means",
     *(f"{end}_{name}" for name in CHANNELS for end in ("mean", "minimum", "maximum")),
 )
 
@@ -74,6 +76,38 @@ class StoredBlocks:
     def factor_of(self, part: str) -> Array:
         """Factor of all blocks of a part, shape (c, c)."""
         return merge(self.part(part).factors)
+
+    def short_blocks(self, block_s: float) -> ShortBlocks:
+        """Short blocks that these were merged from; themselves where they were not.
+
+        Parameters
+        ----------
+        block_s
+            Length of a short block [s].
+        """
+        start_us = self.rows["block_start"].dt.timestamp("us").to_numpy()
+        number = np.round((start_us - start_us[:1]) / (1e6 * block_s)).astype(np.int64)
+        whole = short_blocks(self.factors, number)
+        inside = self.rows["short_means"].to_list()
+        if not any(inside):
+            return whole
+        size = self.factors.shape[2] + 1
+        parts = []
+        for place, values in enumerate(inside):
+            if values:
+                part = np.reshape(values, (-1, size)).astype(np.float64)
+                part[:, 0] += number[place]
+            else:
+                means = np.delete(whole.means[place], -3)
+                part = np.array([[number[place], whole.n[place], *means]])
+            parts.append(part)
+        table = np.concatenate(parts)
+        return ShortBlocks(
+            table[:, 1],
+            np.insert(table[:, 2:], size - 3, 1.0, axis=1),
+            table[:, 0].astype(np.int64),
+            np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+        )
 
     @property
     def n_samples(self) -> int:

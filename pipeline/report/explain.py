@@ -125,8 +125,11 @@ def _fit(fit: Row) -> Iterator[str]:
             f"search: {fit['n_starts_at_minimum']} of {fit['n_starts']} starts end at the proven "
             "minimum"
         )
-    if fit["interval_status"] != "ok":
-        yield f"no intervals: {fit['interval_status']}"
+    status = fit["interval_status"]
+    if status.startswith("ok: "):
+        yield status.removeprefix("ok: ")
+    elif status != "ok":
+        yield f"no intervals: {status}"
 
 
 def fit_words(name: str, percent: float) -> str:
@@ -167,6 +170,10 @@ def _figure(fit: Row, name: str) -> str:
         text += f" [{fit[f'{name}_lower']:.4g}, {fit[f'{name}_upper']:.4g}]"
     if fit[f"{name}_systematic"] is not None:
         text += f" ± {fit[f'{name}_systematic']:.2g} from stated tolerances"
+    stem = name.removesuffix("_leakage")
+    verdict, reason = fit[f"{stem}_verdict"], fit[f"{stem}_reason"]
+    if verdict not in ("identified", "fixed"):
+        text += f"; {verdict}: {reason}"
     return text
 
 

@@ -31,6 +31,7 @@ ORDER = (*CHANGED, "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_flow")
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
+TEMPERATURE_EFFECT = "temperature_effect"
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
@@ -66,10 +67,14 @@ class MotorState:
         empty.
     leakage_indicator, leakage_lower, leakage_upper
         Indicator that the leakage is from, and its 95 % interval.
+    leakage_verdict
+        Verdict on the leakage at the reference conditions; None for that at the motor's own.
     gap_path, gap_change_percent
         Path with the largest gap change now, and that change; None where no gap is known.
     limit_dates
         Dates between which the indicator reaches its limit, in words; empty without one.
+    temperature_effect
+        That loss factors change with temperature, in words; empty where they do not.
     """
 
     motor_id: str
@@ -91,14 +96,16 @@ class MotorState:
     leakage_upper: float | None = None
     gap_path: str | None = None
     gap_change_percent: float | None = None
+    leakage_verdict: str | None = None
     limit_dates: str = ""
+    temperature_effect: str = ""
 
     @property
     def why(self) -> str:
-        """The state in words, with dates, a failure, a poor fit and an acknowledgement."""
+        """The state in words, with what else is to be known, and an acknowledgement."""
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         reason = self.reason or "no change of external leakage"
-        parts = (reason, dates, self.failure, self.poor_fit)
+        parts = (reason, dates, self.temperature_effect, self.failure, self.poor_fit)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -143,7 +150,8 @@ def fleet_status(
         If a table is damaged.
     """
     trends = read_rows(output, TRENDS, motor_ids)
-    columns = ("motor_id", "night", "status", "reason", "is_primary", *TONIGHTS_FITS)
+    keys = ("motor_id", "night", "status", "reason", "is_primary")
+    columns = (*keys, "reference_verdict", *TONIGHTS_FITS)
     fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
     motors = [
@@ -209,8 +217,12 @@ def motor_state(
     # A motor that never sees the fleet's conditions is judged by its other indicators.
     if worst["state"] in ("insufficient", "stale") and "ok" in set(watched["state"]):
         worst = worst | {"state": "ok"}
+    if worst["state"] == "insufficient":
+        progress = tonight.filter(indicator="baseline_progress")["state_reason"]
+        worst = worst | {"state_reason": next(iter(progress), worst["state_reason"])}
     is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
+    effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
     leakage_night, leakage = _leakage(trends, began)
@@ -229,9 +241,11 @@ def motor_state(
         leakage_indicator=leakage.get("indicator"),
         leakage_lower=leakage.get("lower"),
         leakage_upper=leakage.get("upper"),
+        leakage_verdict=_verdict(fits, leakage_night, leakage),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
         limit_dates="" if is_ok else limit_dates(worst),
+        temperature_effect=next(iter(effects), None) or "",
     )
 
 
@@ -246,6 +260,14 @@ def _leakage(trends: pl.DataFrame, change_start: dt.date | None) -> tuple[dt.dat
     """Last night and row of the reference leakage, of the fleet's conditions or the motor's own."""
     found = [one for name in REFERENCES if (one := _newest(trends, name, change_start))]
     return next((one for one in found if one[1]), found[0] if found else (None, {}))
+
+
+def _verdict(fits: pl.DataFrame, night: dt.date | None, leakage: Row) -> str | None:
+    """Verdict of a night on the leakage at the fleet's reference conditions."""
+    if leakage.get("indicator") != REFERENCES[0]:
+        return None
+    rows = fits.filter("is_primary", pl.col("night") == night)["reference_verdict"]
+    return None if rows.is_empty() else str(rows[0])
 
 
 def _largest_gap_change(trends: pl.DataFrame, change_start: dt.date | None) -> Row:

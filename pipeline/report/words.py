@@ -24,6 +24,8 @@ VERDICTS: Final[Mapping[str, str]] = {
     "too_little_data": "too little data to say",
     "not_identified": "not determined by the data",
     "outside_fitted_range": "outside what the night's data cover",
+    "uncertain": "known, but not well",
+    "extrapolated": "extrapolated from close by",
 }
 UNITS: Final[Mapping[str, str]] = {
     "m3": "m³",

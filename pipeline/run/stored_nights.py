@@ -14,7 +14,7 @@ from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.refit import PublishedNight, judge_again, refit
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, Table
+from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
 from pipeline.store.tables import read_rows
 
 log = logging.getLogger(__name__)
@@ -36,13 +36,14 @@ class StoredNights:
             label,
             self._rows(FITS, label),
             self._rows(PARAMETERS, label),
+            self._rows(SENSITIVITIES, label),
             self._of_night(BLOCK_STATISTICS, label),
         )
         return refit(self._spec, night, previous, with_starts=self._with_starts)
 
     def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
         """Judge another model before on a night; None where the log has to be read."""
-        night = PublishedNight(label, self._rows(FITS, label), (), None)
+        night = PublishedNight(label, self._rows(FITS, label), (), (), None)
         return judge_again(self._spec, night, previous)
 
     def refitted(self) -> set[dt.date]:

@@ -8,6 +8,7 @@ import polars as pl
 
 TIMESTAMP = pl.Datetime("us", "UTC")
 NUMBERS = pl.List(pl.Float64)
+SHORT_NUMBERS = pl.List(pl.Float32)
 COUNTS = pl.List(pl.Int64)
 NAMES = pl.List(pl.String)
 

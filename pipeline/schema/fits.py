@@ -47,7 +47,13 @@ FITS = Table(
         ),
         Column("reason", pl.String, "", "Why there is no fit, in words; null where status is ok"),
         Column("error_code", pl.String, "", "Stable code of the failure; null unless failed"),
-        Column("n_training", pl.Int64, "", "Samples that the model was fitted to"),
+        Column(
+            "n_training",
+            pl.Int64,
+            "",
+            "Samples of the fit that is validated; estimates and intervals are those of a fit to "
+            "all kept samples",
+        ),
         Column("n_validation", pl.Int64, "", "Samples that it was validated on"),
         Column("training_fit_percent", pl.Float64, "%", "Fit (23) on the training samples"),
         Column(
@@ -100,7 +106,13 @@ FITS = Table(
             "",
             "The night's mode of flushing with the highest validation fit",
         ),
-        Column("cost", pl.Float64, "(l/min)²", "Criterion V (20) at the published estimate"),
+        Column(
+            "cost",
+            pl.Float64,
+            "(l/min)²",
+            "Criterion V (20) at the published estimate, of all kept samples; where errors are "
+            "slow, of whitened ones",
+        ),
         Column(
             "certificate_gap",
             pl.Float64,
@@ -119,14 +131,20 @@ FITS = Table(
         Column("condition_number", pl.Float64, "", "Of the free regressors, columns scaled"),
         Column("singular_values", NUMBERS, "", "Of the free regressors, columns scaled to norm 1"),
         Column("correlation_time_s", pl.Float64, "s", "Time over which the training errors forget"),
-        Column("interval_status", pl.String, "", "ok, or why the night has no intervals"),
-        Column("n_interval_blocks", pl.Int64, "", "Blocks behind the intervals, after lengthening"),
+        Column(
+            "interval_status",
+            pl.String,
+            "",
+            "Begins with ok, then how long slow errors remember where they do; otherwise why the "
+            "night has no intervals",
+        ),
+        Column("n_interval_blocks", pl.Int64, "", "Blocks behind the intervals"),
         Column(
             "reference_leakage_l_per_min",
             pl.Float64,
             "l/min",
             "Leakage of the fitted model at the reference conditions, flushing excluded; null "
-            "unless identified or fixed",
+            "unless identified, uncertain, extrapolated or fixed",
         ),
         *_interval("reference_leakage", "l/min", "the reference leakage"),
         Column("reference_leakage_systematic", pl.Float64, "l/min", "± from stated tolerances"),
@@ -134,7 +152,9 @@ FITS = Table(
             "reference_verdict",
             pl.String,
             "",
-            "identified, fixed, not_identified, outside_fitted_range or too_little_data",
+            "identified (± 10 % at most, tolerances included), uncertain (25 %), extrapolated "
+            "(12 %, at most 20 bar or 10 K beyond the night's range) or fixed; without a value: "
+            "not_identified, outside_fitted_range or too_little_data",
         ),
         Column("reference_reason", pl.String, "", "The verdict in words; null where identified"),
         Column("reference_pressure_bar", pl.Float64, "bar", "Reference conditions"),
@@ -145,7 +165,7 @@ FITS = Table(
             pl.Float64,
             "l/min",
             "Leakage of the fitted model at the night's own mean conditions, flushing excluded; "
-            "null unless identified or fixed",
+            "null unless identified, uncertain or fixed",
         ),
         *_interval("own_conditions_leakage", "l/min", "the leakage at own conditions"),
         Column(
@@ -157,15 +177,15 @@ FITS = Table(
             "own_pressure_bar",
             pl.Float64,
             "bar",
-            "Mean magnitude over the training samples",
+            "Mean magnitude over the fitted samples",
         ),
-        Column("own_temperature_c", pl.Float64, "°C", "Mean over the training samples"),
-        Column("own_speed_rpm", pl.Float64, "rpm", "Mean magnitude over the training samples"),
+        Column("own_temperature_c", pl.Float64, "°C", "Mean over the fitted samples"),
+        Column("own_speed_rpm", pl.Float64, "rpm", "Mean magnitude over the fitted samples"),
         Column(
             "outside_fitted_range",
             pl.Boolean,
             "",
-            "The reference conditions lie outside what the training samples saw",
+            "The reference conditions lie outside what the fitted samples saw",
         ),
         Column("mean_flow_l_per_min", pl.Float64, "l/min", "Mean measured drain flow"),
         Column("kept_share", pl.Float64, "", "Share of the running motor's samples that was kept"),
@@ -281,6 +301,42 @@ FITS = Table(
         ),
         Column("validation_whiteness", pl.String, "", "The same of the validation errors"),
         Column("validation_independence", pl.String, "", "The same of the validation errors"),
+        Column(
+            "slow_error_memory",
+            pl.Float64,
+            "",
+            "ρ: correlation of the slow errors of neighbouring blocks of two minutes; 0: none",
+        ),
+        Column(
+            "slow_error_ratio",
+            pl.Float64,
+            "",
+            "λ: variance of the slow error over that of a block's mean without it",
+        ),
+        Column(
+            "within_block_inflation",
+            pl.Float64,
+            "",
+            "κ: variance that errors within a block act with, over their own",
+        ),
+        Column(
+            "slow_error_evidence",
+            pl.Float64,
+            "",
+            "−2 Δ log REML of no slow error; from 4 on, with ρ above 0, the fit allows for it",
+        ),
+        Column(
+            "reference_degrees_of_freedom",
+            pl.Float64,
+            "",
+            "Of the interval of the reference leakage; 2 are needed",
+        ),
+        Column(
+            "reference_block_share",
+            pl.Float64,
+            "",
+            "Share of what is known of it that rests on one single block; at most 0.5",
+        ),
     ),
 )
 
@@ -326,6 +382,18 @@ PARAMETERS = Table(
             "",
             "The value is made from a placeholder of the path's geometry and means nothing; null "
             "where no geometry is in it, and in rows of before version 3",
+        ),
+        Column(
+            "interval_degrees_of_freedom",
+            pl.Float64,
+            "",
+            "Of a coefficient's interval; 4 are needed; null of other parameters",
+        ),
+        Column(
+            "largest_block_share",
+            pl.Float64,
+            "",
+            "Share of what is known of a coefficient that rests on one block; at most 0.5",
         ),
     ),
 )

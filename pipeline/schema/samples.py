@@ -13,6 +13,7 @@ from pipeline.schema.columns import (
     NIGHT,
     NUMBERS,
     RUN_ID,
+    SHORT_NUMBERS,
     TIMESTAMP,
     Column,
     Table,
@@ -152,6 +153,14 @@ BLOCK_STATISTICS = Table(
         Column("n_beyond_curve", pl.Int64, "", "Samples beyond the range of a speed curve"),
         Column("model_hash", pl.String, "", "Blocks of different hash never merge"),
         RUN_ID,
+        Column(
+            "short_means",
+            SHORT_NUMBERS,
+            "",
+            "Of each block of two minutes that was merged into this one: its place on the clock, "
+            "counted from the start in such blocks, its samples, and the means of the columns but "
+            "one; null where none was merged, and in rows of before version 6",
+        ),
     ),
 )
 

@@ -31,7 +31,7 @@ INDICATOR = Column(
     "",
     "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
     "and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, drain_flow, "
-    "comparable_drain_flow or baseline_progress",
+    "comparable_drain_flow, baseline_progress or temperature_effect",
 )
 
 TRENDS = Table(
@@ -43,7 +43,7 @@ TRENDS = Table(
         NIGHT,
         INDICATOR,
         Column("value", pl.Float64, "see unit", "The night's figure; null without one"),
-        Column("unit", pl.String, "", "l/min, m3, %, bar or 1"),
+        Column("unit", pl.String, "", "l/min, m3, %, %/K, bar or 1"),
         Column("lower", pl.Float64, "see unit", "Lower end of its 95 % interval"),
         Column("upper", pl.Float64, "see unit", "Upper end of its 95 % interval"),
         Column("n_nights", pl.Int64, "", "Nights behind it: 1, or those of the filter"),

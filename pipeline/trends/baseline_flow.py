@@ -78,10 +78,16 @@ def expected_flow(sums: Array, theta: Array) -> tuple[Array, Array]:
     return measured, expected
 
 
-def log_ratio(history: History, segment: Segment, theta: Array) -> Array:
-    """ln (measured / expected flow) of a segment's nights; nan where there is no figure."""
+def log_ratio(history: History, segment: Segment, theta: Array, warm: Array) -> Array:
+    """ln (measured / expected flow) of a segment's nights; nan where there is no figure.
+
+    `warm`: loss factors of each night over the model's, shape (n,).
+    """
     here = slice(segment.first, segment.end)
-    measured, expected = expected_flow(column_sums(history, here), theta)
+    sums = column_sums(history, here)
+    measured, expected = expected_flow(sums, theta)
+    known = sums[:, -2]
+    expected = known + (expected - known) * warm[here]
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = np.log(measured / expected)
         some = history.fitted[here] & (measured > 0.0) & (expected > 0.0)

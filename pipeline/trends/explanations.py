@@ -18,6 +18,7 @@ from leakage.hypotheses import Blocks, CommonFactor, Growth, Posterior, growth, 
 from pipeline.trends.baseline_flow import factors_of
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
+from pipeline.trends.temperature import warming
 
 # Nights that say what is now, at most, and what was before, at least.
 NIGHTS_OF_NOW = 10
@@ -101,18 +102,21 @@ class Explanations:
             return None
         return growth(
             layout.paths,
-            self._blocks(before),
-            self._blocks(now),
+            self._blocks(before, era),
+            self._blocks(now, era),
             np.array(layout.configured),
             np.array(layout.free),
             standard_name(self.history),
         )
 
-    def _blocks(self, places: Places) -> Blocks:
-        """Nights as blocks of their own."""
+    def _blocks(self, places: Places, era: Era) -> Blocks:
+        """Nights as blocks of their own, with what their temperature does to K in the columns."""
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
-        return Blocks(factors_of(self.history, places), places, temperature if known else None)
+        factors = factors_of(self.history, places)
+        effect = warming(self.history, places, era.temperature)
+        factors[:, :, : len(self.history.layout.paths)] *= effect[:, None, None]
+        return Blocks(factors, places, temperature if known else None)
 
 
 def standard_name(history: History) -> str:

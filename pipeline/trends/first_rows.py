@@ -1,4 +1,4 @@
-"""Rows of `trends` that need no baseline: drain flow, and how far the baseline has come."""
+"""Rows of `trends` that are told and not watched: drain flow, baseline, effect of temperature."""
 
 from __future__ import annotations
 
@@ -9,10 +9,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.trends.baseline_flow import column_sums, expected_flow
-from pipeline.trends.indicators import BASELINE_PROGRESS, COMPARABLE_FLOW, DEVIATION, DRAIN_FLOW
+from pipeline.trends.indicators import (
+    BASELINE_PROGRESS,
+    COMPARABLE_FLOW,
+    DEVIATION,
+    DRAIN_FLOW,
+    TEMPERATURE_EFFECT,
+)
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.reasons import good_nights, why_no_baseline
-from pipeline.trends.standing import Standing
+from pipeline.trends.standing import CHANGED, Standing
+from pipeline.trends.temperature import NIGHTS, correction_of
+from pipeline.trends.words import temperature_words
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -32,6 +40,36 @@ def first_rows(standing: Standing, place: int) -> Iterator[Row]:
         good, needed = good_nights(standing, DEVIATION, place)
         row = _row(BASELINE_PROGRESS, "%", 100.0 * min(good / needed, 1.0))
         yield row | state | {"state_reason": why_no_baseline(standing, DEVIATION, place)}
+    if (effect := temperature_row(standing, place)) is not None:
+        yield effect
+
+
+def temperature_row(standing: Standing, place: int) -> Row | None:
+    """Effect of temperature on the loss factors, of the last nights and of the baseline's [%/K].
+
+    None before the baseline's is known, or where the last nights cannot tell it.
+    """
+    history, era = standing.history, standing.era(place)
+    if era.model is None or era.temperature is None or place < era.temperature_from:
+        return None
+    fitted = era.segment.first + np.flatnonzero(history.fitted[era.segment.first : place + 1])
+    last = fitted[-NIGHTS:]
+    now = correction_of(history, last, era.model)
+    if now is None:
+        return None
+    frozen = era.temperature
+    now = now.referred_to(frozen.reference_c)
+    # Wear within the last nights is no effect of their temperature.
+    wears = any(states[place] in CHANGED for states in standing.told.values())
+    row = _row(TEMPERATURE_EFFECT, "%/K", 100.0 * now.per_kelvin)
+    return row | {
+        "lower": 100.0 * (now.per_kelvin - now.half_width),
+        "upper": 100.0 * (now.per_kelvin + now.half_width),
+        "n_nights": len(last),
+        "baseline_mean": 100.0 * frozen.per_kelvin,
+        "state": standing.states[DEVIATION][place],
+        "state_reason": temperature_words(frozen, frozen if wears else now) or None,
+    }
 
 
 def _row(indicator: str, unit: str, value: float) -> Row:

@@ -19,7 +19,7 @@ REFERENCE, OWN_REFERENCE = "reference_leakage", "own_reference_leakage"
 DEVIATION, PEER_DEVIATION = "baseline_deviation", "peer_deviation"
 # Told from the first night on, and not watched.
 DRAIN_FLOW, COMPARABLE_FLOW = "drain_flow", "comparable_drain_flow"
-BASELINE_PROGRESS = "baseline_progress"
+BASELINE_PROGRESS, TEMPERATURE_EFFECT = "baseline_progress", "temperature_effect"
 # An indicator around 0 is watched as a ratio around 1.
 SHIFTS = {DEVIATION: 1.0}
 NO_BASELINE = "no baseline yet"

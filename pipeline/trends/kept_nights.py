@@ -92,8 +92,10 @@ class KeptMonth:
         pq.write_table(
             table.replace_schema_metadata({HEAD: text, DIGEST: digest}),
             sink,
-            compression="zstd",
+            # What is read every night is to be quick to read.
+            compression="lz4",
             use_dictionary=False,
+            write_statistics=False,
         )
         content: bytes = sink.getvalue().to_pybytes()
         return content
@@ -121,7 +123,7 @@ class KeptMonth:
 def whole_table(content: bytes) -> pa.Table | None:
     """The table of a file's content; None where it is not as it was written."""
     try:
-        table = pq.read_table(pa.BufferReader(content), use_threads=False)
+        table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
         metadata = table.schema.metadata
         return table if metadata[DIGEST] == _digest(metadata[HEAD], table) else None
     except (OSError, ValueError, KeyError, TypeError):

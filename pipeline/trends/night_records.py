@@ -18,6 +18,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import Parametrisation
+from leakage.identifiability import OUTSIDE, TOLD
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import OK
 
@@ -26,7 +27,8 @@ Array = NDArray[np.float64]
 Records = NDArray[Any]
 
 FLUSHING = "C_f"
-TRUSTED = ("identified", "fixed")
+# A night alone tells a leakage where its statistical half-width is no wider; else the filter does.
+WIDEST_ALONE = 0.02
 HISTOGRAMS = ("pressure_histogram", "temperature_histogram", "speed_histogram")
 BINS = (20, 28, 15)
 OPERATED = (
@@ -236,7 +238,8 @@ def records_of(
 ) -> tuple[Records, list[NightWords]]:
     """Records of a motor's nights, from their rows."""
     records = blank_records(layout, fits["night"].to_list())
-    records["fitted"] = (fits["status"] == OK) & (fits["interval_status"] == OK)
+    has_intervals = fits["interval_status"].str.starts_with(OK).fill_null(False)
+    records["fitted"] = (fits["status"] == OK) & has_intervals
     records["mode"] = _texts(fits, "flushing_mode")
     records["model"] = _texts(fits, "model_hash")
     for name, column in SINGLE.items():
@@ -330,18 +333,28 @@ def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> li
     before = np.column_stack([_numbers(fits, name) for name in REFERENCE_CONDITIONS])
     elsewhere = np.isfinite(before).all(axis=1) & (before != now).any(axis=1)
     verdicts, reasons = _texts(fits, "reference_verdict"), _texts(fits, "reference_reason")
-    records["outside"] = [verdict == "outside_fitted_range" for verdict in verdicts]
+    records["outside"] = [verdict in OUTSIDE for verdict in verdicts]
     for place, column in enumerate(REFERENCE):
         records["reference"][:, place] = _numbers(fits, column)
+    value, low, high = records["reference"].T
     words = []
-    for verdict, reason, other in zip(verdicts, reasons, elsewhere.tolist(), strict=True):
+    for verdict, reason, other, half in zip(
+        verdicts, reasons, elsewhere.tolist(), ((high - low) / (2 * value)).tolist(), strict=True
+    ):
         if other:
             words.append("fitted for other reference conditions, and its statistics are not there")
+        elif half > WIDEST_ALONE:
+            words.append(too_wide(half))
         else:
             words.append(_gate(verdict, reason))
     trusted = records["fitted"] & np.array([not one for one in words], dtype=np.bool_)
     records["reference"][~trusted] = np.nan
     return words
+
+
+def too_wide(half: float) -> str:
+    """Words for a leakage that a night alone does not tell well enough, by its relative ±."""
+    return f"known to ± {100 * half:.1f} % only; {100 * WIDEST_ALONE:.0f} % are needed"
 
 
 def _fill_figures(
@@ -377,6 +390,6 @@ def _fill_figures(
 
 def _gate(verdict: str, reason: str) -> str:
     """Why a figure does not count, by its verdict."""
-    if verdict in TRUSTED:
+    if verdict in TOLD:
         return ""
     return reason or verdict.replace("_", " ") or "no figure"

@@ -26,7 +26,7 @@ from pipeline.trends.indicators import (
     Indicator,
     with_filtered,
 )
-from pipeline.trends.night_records import HISTOGRAMS, triangle
+from pipeline.trends.night_records import HISTOGRAMS, WIDEST_ALONE, too_wide, triangle
 from pipeline.trends.segments import Segment
 
 Array = NDArray[np.float64]
@@ -36,8 +36,6 @@ LEVEL = 0.95
 EDGES = (PRESSURE_EDGES_BAR, TEMPERATURE_EDGES_C, SPEED_EDGES_RPM)
 OUTSIDE = "the motor's own reference conditions lie outside what the night saw"
 NO_INTERVAL = "no intervals in this night"
-# A night alone tells the leakage where its interval is no wider.
-WIDEST_ALONE = 0.02
 # How far beyond what was seen so far a filtered leakage is told: bar, K, rpm.
 REACH = (20.0, 10.0, 0.0)
 
@@ -77,18 +75,7 @@ class OwnLeakage:
 
 def reference_leakage(history: History) -> Indicator:
     """Leakage at the fleet's reference conditions."""
-    figures, reference = history.records["reference"], history.spec.settings.reference
-    charge = _last_known(history.records["charge"])
-    at = [
-        OwnConditions(
-            reference.pressure_bar,
-            reference.temperature_c,
-            reference.speed_rpm,
-            None if np.isnan(one) else one,
-        )
-        for one in charge.tolist()
-    ]
-    n = len(history)
+    figures, n = history.records["reference"], len(history)
     alone = Indicator(
         REFERENCE,
         "l/min",
@@ -102,8 +89,35 @@ def reference_leakage(history: History) -> Indicator:
         np.ones(n, dtype=np.bool_),
         np.ones(n, dtype=np.int32),
     )
+    at = _reference_conditions(history)
     found = _filtered_leakage(history, slice(0, n), at, np.isnan(figures[:, 0]))
     return with_filtered(alone, found, WIDEST_LEAKAGE, np.abs(found.value))
+
+
+def known_at_reference(history: History) -> Array:
+    """Known flow at the fleet's reference conditions in each night [l/min], shape (n,).
+
+    0 where the model does not hold there.
+    """
+    rows = (
+        regressor_row(history, place, one)
+        for place, one in enumerate(_reference_conditions(history))
+    )
+    return np.array([0.0 if isinstance(row, str) else float(row[-1]) for row in rows])
+
+
+def _reference_conditions(history: History) -> list[OwnConditions]:
+    """The fleet's reference conditions, with each night's charge pressure."""
+    asked = history.spec.settings.reference
+    return [
+        OwnConditions(
+            asked.pressure_bar,
+            asked.temperature_c,
+            asked.speed_rpm,
+            None if np.isnan(charge) else charge,
+        )
+        for charge in _last_known(history.records["charge"]).tolist()
+    ]
 
 
 def _last_known(values: Array) -> Array:
@@ -141,15 +155,17 @@ def own_conditions(history: History, places: NDArray[np.intp]) -> OwnConditions 
     return OwnConditions(pressure, temperature, speed, above_case)
 
 
-def own_leakage(history: History, segment: Segment, own: OwnConditions) -> OwnLeakage:
+def own_leakage(history: History, segment: Segment, own: OwnConditions, warm: Array) -> OwnLeakage:
     """Leakage of a segment's nights at the motor's own conditions, flushing excluded.
 
     From θ and its covariance, as the published intervals are those of other conditions; Student's t
-    with as many degrees of freedom as the night has blocks beyond its coefficients.
+    with as many degrees of freedom as the night has blocks beyond its coefficients. `warm`: loss
+    factors of each night over those at the baseline's temperature, shape (n,).
     """
     here = slice(segment.first, segment.end)
     records = history.records[here]
     contrast, known, words = _regressors(history, segment, own)
+    contrast = contrast / warm[here, None]
     value = _row_sums(records["theta"] * contrast) + known
     variance = _quadratic_forms(records["covariance"], contrast)
     freedom = records["blocks"] - records["theta"].shape[1]
@@ -165,8 +181,7 @@ def own_leakage(history: History, segment: Segment, own: OwnConditions) -> OwnLe
         elif outside[place]:
             gated[place] = OUTSIDE
         elif not half[place] <= WIDEST_ALONE * abs(value[place]):
-            percent = 100 * half[place] / abs(value[place])
-            gated[place] = f"known to ± {percent:.1f} % only; {100 * WIDEST_ALONE:.0f} % are needed"
+            gated[place] = too_wide(half[place] / abs(value[place]))
     counts = np.array([not one for one in gated], dtype=np.bool_)
     found = _filtered_leakage(history, here, [own] * len(gated), ~counts)
     return OwnLeakage(

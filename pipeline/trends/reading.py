@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import polars as pl
-from numpy.lib.recfunctions import drop_fields
 from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
@@ -188,7 +187,8 @@ class MotorNights:
         kept = self._joined(one.records for one in self.months.values())
         anew = np.isin(kept["night"], np.array(sorted(nights), dtype="M8[D]"))
         new = blank_records(self.layout, []) if made is None else made.records
-        self.until = min((self.until, *_changed(kept[anew], new, self.layout)))
+        read = np.append(kept["night"][anew], new["night"])
+        self.until = min((self.until, *_labels(read)))
         self._records = self._joined([kept[~anew], new])
         if len(self._records):
             places = np.searchsorted(self._records["night"], new["night"]).tolist()
@@ -282,22 +282,3 @@ def _dates(nights: Iterable[str]) -> list[dt.date]:
 def _differing(before: Mapping[str, str], now: Mapping[str, str]) -> set[str]:
     """Nights of which a file has come, gone or changed."""
     return {night for night, _ in before.items() ^ now.items()}
-
-
-def _differ(one: Records, two: Records, layout: Layout) -> NDArray[np.bool_]:
-    """Which records are not the same to the bit, but for what the filter fills."""
-    filled = [name for name, *_ in layout.filtered]
-    one, two = (drop_fields(records, filled) for records in (one, two))
-    size = one.dtype.itemsize
-    bytes_ = [
-        np.frombuffer(records.tobytes(), dtype=np.uint8).reshape(-1, size) for records in (one, two)
-    ]
-    differ: NDArray[np.bool_] = np.any(bytes_[0] != bytes_[1], axis=1)
-    return differ
-
-
-def _changed(before: Records, now: Records, layout: Layout) -> list[str]:
-    """Nights whose record has come, gone or changed."""
-    both, first, second = np.intersect1d(before["night"], now["night"], return_indices=True)
-    odd = np.setxor1d(before["night"], now["night"])
-    return _labels(np.append(odd, both[_differ(before[first], now[second], layout)]))

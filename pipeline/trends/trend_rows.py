@@ -224,7 +224,7 @@ def _figures(indicator: Indicator, place: int) -> Row:
         "value": _finite(indicator.value[place]) if told else None,
         "lower": _finite(indicator.lower[place]) if told else None,
         "upper": _finite(indicator.upper[place]) if told else None,
-        "n_nights": int(indicator.n_nights[place]),
+        "n_nights": int(indicator.n_nights[place]) if told else 1,
         "gated_reason": (gated if told else NO_BASELINE) or None,
         "outside_fitted_range": told and bool(indicator.outside[place]),
     }

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Mapping
 from typing import Any
 
 from leakage.monitoring import ChangeSize
+from leakage.temperature_correction import TemperatureCorrection
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 
 NAMES = {
@@ -15,6 +17,7 @@ NAMES = {
     DEVIATION: "drain flow against the baseline's model",
     "peer_deviation": "drain flow against the other motors of the circuit",
     "drain_flow": "drain flow",
+    "temperature_effect": "effect of temperature on the loss factors",
     "comparable_drain_flow": "drain flow at the reference conditions",
     "baseline_progress": "progress towards a baseline",
     "C_f": "flushing",
@@ -93,6 +96,30 @@ def _date_ahead(night: dt.date, days: float) -> str:
     """A day in the next two months, a month later on."""
     date = day(night + dt.timedelta(days=int(days)))
     return date if days < TO_THE_DAY else date.split(" ", 1)[1]
+
+
+def temperature_words(frozen: TemperatureCorrection, now: TemperatureCorrection) -> str:
+    """Effect of temperature on the loss factors, and its change; empty where neither is certain.
+
+    Examples
+    --------
+    >>> falls, none = TemperatureCorrection(-0.0097, 0.002, 50.0), TemperatureCorrection(0, 1e-3, 9)
+    >>> temperature_words(falls, falls)
+    "K falls by 0.97 % a kelvin: the sensor is not where the gap is, or the oil's curve is off"
+    >>> temperature_words(none, falls)
+    'K falls by 0.97 % a kelvin, since the baseline: the sensor or the oil has changed'
+    """
+    changed = abs(now.per_kelvin - frozen.per_kelvin) > math.hypot(
+        now.half_width, frozen.half_width
+    )
+    if not (changed or frozen.is_certain):
+        return ""
+    told = now if changed else frozen
+    way = "falls" if told.per_kelvin < 0.0 else "rises"
+    effect = f"K {way} by {100.0 * abs(told.per_kelvin):.2f} % a kelvin"
+    if changed:
+        return f"{effect}, since the baseline: the sensor or the oil has changed"
+    return f"{effect}: the sensor is not where the gap is, or the oil's curve is off"
 
 
 def size_words(indicator: str, size: ChangeSize, since: object) -> str:

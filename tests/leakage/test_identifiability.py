@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +23,7 @@ from leakage.identifiability import (
     identify,
     judge_leakage,
 )
+from leakage.slow_errors import NOT_SLOW, SlowErrors
 from tests.leakage.made_samples import made_samples
 from tests.leakage.placeholders import placeholder_motor
 
@@ -46,22 +46,13 @@ def judged(
     motor: Motor,
     conditions: OperatingConditions,
     noise: float = 0.02,
-    change: Callable[[Excitation], Excitation] = lambda seen: seen,
+    blocks_kept: int = BLOCKS,
 ) -> tuple[Fit, Identification, Excitation]:
     z = made_samples(motor, noise_l_per_min=noise, conditions=conditions)
-    blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
+    blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))[:blocks_kept]
     estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
     bar = conditions.pressure_difference_pa / 1e5
-    seen = change(
-        Excitation(
-            minutes=120.0,
-            pressure_bar=(float(bar.min()), float(bar.max())),
-            temperature_c=(40.0, 60.0),
-            speed_rpm=(3.0, 110.0),
-            correlation_time_s=0.0,
-            block_s=120.0,
-        )
-    )
+    seen = Excitation((float(bar.min()), float(bar.max())), (40.0, 60.0), (3.0, 110.0))
     return estimate, identify(estimate, blocks, seen), seen
 
 
@@ -121,31 +112,111 @@ def test_paths_that_noise_hides_together_name_their_partner() -> None:
         assert judgement.interval is None
 
 
-@pytest.mark.parametrize(
-    ("minutes", "interval", "coefficient"), [(29.0, False, False), (45.0, True, False)]
-)
-def test_too_short_a_window_says_so(minutes: float, interval: bool, coefficient: bool) -> None:
+@pytest.mark.parametrize(("blocks", "reason"), [(1, "a single block"), (4, "degrees of freedom")])
+def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
     estimate, found, seen = judged(
-        placeholder_motor("CB560"),
-        duty(10.0, 300.0),
-        change=lambda seen: replace(seen, minutes=minutes),
+        placeholder_motor("CB560"), duty(10.0, 300.0), noise=1e-4, blocks_kept=blocks
     )
-    assert verdicts(found)[:3] == ["too_little_data"] * 3
-    assert "minutes" in found.coefficients[0].reason
-    leakage = judge_leakage(estimate, found, seen, REFERENCE)
-    assert (leakage.interval is not None) is interval
-    assert (found.coefficients[0].interval is not None) is coefficient
+    assert "identified" not in verdicts(found)
+    assert found.coefficients[1].verdict == "too_little_data"
+    assert reason in found.coefficients[1].reason
+    assert found.coefficients[1].interval is None
+    if blocks == 1:
+        leakage = judge_leakage(estimate, found, seen, REFERENCE)
+        assert (leakage.verdict, leakage.is_told) == ("too_little_data", False)
+        assert reason in leakage.reason
 
 
-def test_errors_that_remember_lengthen_the_blocks_and_then_take_the_interval() -> None:
-    motor, conditions = placeholder_motor("CB560"), duty(10.0, 300.0)
-    counts = []
-    for memory_s in (0.0, 11.0, 25.0, 500.0):
-        _, found, _ = judged(
-            motor, conditions, change=lambda seen, s=memory_s: replace(seen, correlation_time_s=s)
+def test_five_blocks_tell_a_leakage_and_no_loss_factor() -> None:
+    """Ten minutes of cycles, simulated: the leakage was told in 94–99 %, and 94–97 % held."""
+    motor, held, told = placeholder_motor("CB560"), 0, 0
+    truth = judge_leakage_of(motor)
+    for seed in range(60):
+        conditions = duty(10.0, 300.0, seed)
+        z = made_samples(motor, seed=seed, conditions=conditions)
+        blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))[:5]
+        estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+        found = identify(estimate, blocks, Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0)))
+        assert "identified" not in verdicts(found)
+        leakage = judge_leakage(
+            estimate, found, Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0)), REFERENCE
         )
-        counts.append((found.n_blocks, found.interval_status == "ok"))
-    assert counts == [(60, True), (60, True), (20, True), (2, False)]
+        if leakage.is_told:
+            assert leakage.interval is not None
+            told += 1
+            held += abs(leakage.leakage_l_per_min - truth) <= leakage.interval.half_width
+    assert told >= 45
+    assert held >= 0.86 * told
+
+
+def test_a_figure_that_passes_rests_on_enough_blocks() -> None:
+    _, found, _ = judged(placeholder_motor("CB560"), duty(10.0, 300.0), blocks_kept=15)
+    for judgement in found.coefficients[:3]:
+        assert judgement.verdict == "identified"
+        assert judgement.interval is not None
+        assert judgement.interval.degrees_of_freedom >= 4.0
+
+
+def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
+    motor, conditions = placeholder_motor("CB560"), duty(10.0, 300.0)
+    blocks = factors(
+        made_samples(motor, conditions=conditions),
+        np.arange(0, PER_BLOCK * BLOCKS + 1, PER_BLOCK),
+    )
+    estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
+    halves = []
+    for slow in (NOT_SLOW, SlowErrors(0.9, 10.0, 5.0, 20.0)):
+        interval = identify(estimate, blocks, seen, slow=slow).coefficients[0].interval
+        assert interval is not None
+        halves.append(interval.half_width)
+    assert halves[1] == pytest.approx(1.25 * halves[0])
+
+
+@pytest.mark.parametrize(
+    ("systematic_percent", "verdict"),
+    [(9.9, "identified"), (10.1, "uncertain"), (24.9, "uncertain"), (25.1, "not_identified")],
+)
+def test_a_leakage_is_as_sure_as_statistics_and_tolerances_leave_it(
+    systematic_percent: float, verdict: str
+) -> None:
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0), noise=1e-4)
+    systematic = systematic_percent / 100 * 1.371423
+    leakage = judge_leakage(estimate, found, seen, REFERENCE, systematic)
+    assert leakage.verdict == verdict
+    assert leakage.is_told == (verdict != "not_identified")
+    assert (f"± {systematic_percent} %" in leakage.reason) == (verdict != "identified")
+
+
+@pytest.mark.parametrize(
+    ("low_bar", "high_bar", "celsius", "systematic_percent", "verdict"),
+    [
+        (10.0, 185.0, 50.0, 0.0, "extrapolated"),
+        (10.0, 179.0, 50.0, 0.0, "outside_fitted_range"),
+        (10.0, 300.0, 31.0, 0.0, "extrapolated"),
+        (10.0, 300.0, 29.0, 0.0, "outside_fitted_range"),
+        (10.0, 185.0, 50.0, 11.8, "extrapolated"),
+        (10.0, 185.0, 50.0, 12.1, "outside_fitted_range"),
+    ],
+)
+def test_a_leakage_near_what_was_seen_is_extrapolated(
+    low_bar: float, high_bar: float, celsius: float, systematic_percent: float, verdict: str
+) -> None:
+    """Model.md: up to 20 bar or 10 K short of the reference, up to 12 %."""
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(low_bar, high_bar), noise=1e-3)
+    seen = replace(seen, pressure_bar=(low_bar, high_bar))
+    at = OperatingConditions.from_bar(200.0, celsius, 30.0)
+    systematic = systematic_percent / 100 * float(leakage_l_per_min(estimate.motor, at)[0])
+    leakage = judge_leakage(estimate, found, seen, at, systematic)
+    assert leakage.verdict == verdict
+    assert leakage.interval is not None
+    assert "lies outside the night's" in leakage.reason
+
+
+def test_a_speed_that_was_not_seen_is_not_extrapolated() -> None:
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0))
+    leakage = judge_leakage(estimate, found, replace(seen, speed_rpm=(31.0, 110.0)), REFERENCE)
+    assert leakage.verdict == "outside_fitted_range"
 
 
 def test_a_coefficient_on_its_bound_has_no_interval() -> None:
@@ -161,7 +232,7 @@ def test_a_coefficient_on_its_bound_has_no_interval() -> None:
     blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
     bounded = replace(motor, paths=narrow)
     estimate = fit(merge(blocks), bounded, NO_SEARCH, np.random.default_rng(0))
-    seen = Excitation(120.0, (10.0, 300.0), (40.0, 60.0), (3.0, 110.0), 0.0, 120.0)
+    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
     found = identify(estimate, blocks, seen)
     assert found.coefficients[0].verdict == "at_bound"
     assert found.coefficients[0].interval is None
@@ -184,7 +255,7 @@ def test_a_bound_is_no_knowledge() -> None:
     motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=0.001)
     conditions = duty(10.0, 300.0)
     held, on_bound = 0, 0
-    seen = Excitation(120.0, (10.0, 300.0), (40.0, 60.0), (3.0, 110.0), 0.0, 120.0)
+    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
     truth = judge_leakage_of(motor)
     for seed in range(60):
         z = made_samples(motor, seed=seed, conditions=conditions, noise_l_per_min=0.05)
@@ -212,16 +283,6 @@ def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:
     assert found.coefficients[0].verdict == "not_excited"
     assert "one short stretch" in found.coefficients[0].reason
     assert found.coefficients[0].interval is None
-
-
-def test_a_memory_without_end_takes_the_intervals() -> None:
-    _, found, _ = judged(
-        placeholder_motor("CB560"),
-        duty(10.0, 300.0),
-        change=lambda seen: replace(seen, correlation_time_s=np.inf),
-    )
-    assert "longer than the window" in found.interval_status
-    assert found.distribution is None
 
 
 def test_leakage_of_which_only_the_flushing_is_estimated_is_fixed() -> None:

@@ -12,7 +12,7 @@ from scipy.stats import t as student_t
 
 from leakage import certify
 from leakage.block_statistics import factors, merge
-from leakage.uncertainty import block_bootstrap, cluster_robust, lengthened
+from leakage.uncertainty import block_bootstrap, cluster_robust
 
 Array = NDArray[np.float64]
 
@@ -143,13 +143,6 @@ def test_empty_blocks_change_nothing() -> None:
     assert one is not None
     assert other is not None
     assert one.interval(np.eye(4)[0]) == other.interval(np.eye(4)[0])
-
-
-def test_lengthened_blocks_are_those_of_the_longer_stretches() -> None:
-    z, borders, _ = made_blocks(7, (30,) * 7)
-    longer = lengthened(factors(z, borders), 3)
-    expected = factors(z, np.array([0, 90, 180, 210]))
-    assert longer == pytest.approx(expected, rel=1e-9, abs=1e-6)
 
 
 def test_intervals_of_strongly_correlated_errors_hold_the_truth() -> None:

@@ -149,7 +149,9 @@ motorLeakage.nightTables = (() => {
           "Poor: the mean of these samples describes them better than the model does.",
         ),
       );
-    if (fit.interval_status && fit.interval_status !== "ok")
+    const slow = /^ok: (.)(.*)/.exec(fit.interval_status ?? "");
+    if (slow) parts.push(element("p", {}, `${slow[1].toUpperCase()}${slow[2]}.`));
+    else if (fit.interval_status && fit.interval_status !== "ok")
       parts.push(element("p", { class: "absent" }, `No intervals: ${fit.interval_status}`));
     if (modes.length > 1) {
       parts.push(

@@ -105,8 +105,9 @@ def test_check_names_the_page_that_is_out_of_date(
 def test_every_key_of_every_model_is_on_the_page() -> None:
     listed = {cell.strip("`").split(".")[-1] for cell in first_cells(PAGES["config.md"]())}
     headings = set(re.findall(r"`\[+(\w+)", PAGES["config.md"]()))
-    waiting, keys = list(FILES.values()), set()
-    models = [*waiting, *_below(Section)]
+    keys: set[str] = set()
+    shipped = (one for one in _below(Section) if one.__module__.startswith("pipeline."))
+    models = [*FILES.values(), *shipped]
     for model in models:
         keys |= model.model_fields.keys()
     assert keys - listed - headings == set()

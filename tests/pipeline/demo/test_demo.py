@@ -109,6 +109,23 @@ def test_truth_names_flushing_and_what_is_not_excited(truth: dict[str, Any]) -> 
 # Physics and operation
 
 
+def test_slow_errors_change_the_flow_alone_and_remember_for_their_minutes(
+    specs: dict[str, MotorSpec],
+) -> None:
+    plain = night_of(specs, "CB400-01")
+    slow = replace(plain, plan=replace(PLAN, slow_errors_min=15.0))
+    before, after = (record_night(night).values for night in (plain, slow))
+    changed = [name for name in before if not np.array_equal(before[name], after[name], True)]
+    assert changed == ["leakage_flow"]
+    added = after["leakage_flow"] - before["leakage_flow"]
+    added = added[np.abs(added) < 0.5]
+    # Forgets 1 − exp(−1/15) of its variance in a minute.
+    minutes = added[: added.size // 300 * 300].reshape(-1, 300).mean(axis=1)
+    assert np.var(np.diff(minutes)) < 0.5 * np.var(minutes)
+    leakage = np.nanmedian(before["leakage_flow"])
+    assert 0.003 < minutes.std() / leakage < 0.03
+
+
 @pytest.mark.parametrize("motor_id", EXCITED)
 def test_least_squares_recovers_the_truth(specs: dict[str, MotorSpec], motor_id: str) -> None:
     errors = np.array([recovery(night_of(specs, motor_id, number)) for number in (1, 40, 75)])
@@ -445,6 +462,7 @@ def test_a_file_in_the_folder_s_place_is_told(tmp_path: Path) -> None:
         {"seed": -1},
         {"workers": 0},
         {"first_night": dt.date(1960, 1, 1)},
+        {"slow_errors_min": -1.0},
     ],
 )
 def test_nonsense_is_refused_before_anything_is_written(

@@ -297,9 +297,9 @@ def test_a_handful_of_samples(spec: MotorSpec, n: int) -> None:
 
 
 def test_too_little_training(spec: MotorSpec) -> None:
-    operation = operate(minutes=16.0)
+    operation = operate(minutes=5.0)
     row = check_unfitted(fit(spec, operation, simulate(spec, operation)), INSUFFICIENT_DATA)
-    assert "15 are needed" in row["reason"]
+    assert "5 are needed" in row["reason"]
 
 
 def test_too_much_refused_names_the_causes(spec: MotorSpec) -> None:

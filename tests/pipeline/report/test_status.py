@@ -17,6 +17,7 @@ from pipeline.errors import UsageError
 from pipeline.report.status import (
     RAISED,
     TOLD,
+    MotorState,
     age_in_hours,
     fleet_status,
     last_alarm,
@@ -103,6 +104,16 @@ def test_the_headline_names_every_part_in_alarm() -> None:
     assert found.reason.startswith("balance sleeve leakage +")
     assert "; balance piston leakage +" in found.reason
     assert found.change_start == night_of(80)
+
+
+def test_a_motor_without_a_baseline_says_how_far_it_has_come_and_what_it_drains() -> None:
+    rows = [one | {"run_id": "r"} for one in trend_rows(standing(Nights(motor(), 5)), [4])]
+    others = [one for one in rows if one["indicator"] != "reference_leakage"]
+    found = motor_state("M1", frame(TRENDS, others), fits_of("M1"), ())
+    assert (found.state, found.leakage_indicator) == ("insufficient", "comparable_drain_flow")
+    assert found.reason == "5 of 15 good nights for a baseline (first nights)"
+    # A healthy motor drains what its configured gaps leak (CB560, model.md, section 3).
+    assert found.leakage_l_per_min == pytest.approx(1.371423, rel=1e-6)
 
 
 def of_leakage(name: str, values: list[float | None], **tonight: Any) -> list[dict[str, Any]]:
@@ -524,3 +535,16 @@ def test_an_age_that_is_none(text: str) -> None:
     with pytest.raises(UsageError) as caught:
         age_in_hours(text)
     assert caught.value.code == "age"
+
+
+def test_dates_and_the_effect_of_temperature_stand_in_the_words_of_a_state() -> None:
+    found = MotorState(
+        "M",
+        "warning",
+        reason="piston ring leakage +18 %",
+        limit_dates="not before August 2027",
+        temperature_effect="K falls by 0.97 % a kelvin",
+    )
+    assert found.why == (
+        "piston ring leakage +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
+    )

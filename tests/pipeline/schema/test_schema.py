@@ -227,6 +227,7 @@ class TestFrame:
             "Boolean": True,
             "Date": dt.date(2026, 1, 2),
             "List(String)": ["x"],
+            "List(Float32)": [1.0],
         }
         value: Any = values.get(kind, "x")
         found = frame(table, [{}] * 1000 + [{last: value}])

@@ -41,7 +41,7 @@ FIRST = dt.date(2026, 1, 2)
 DAY = dt.timedelta(days=1)
 OIL = "oil"
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve")
-# Relative scatter of the estimates, as simulated nights have it (benchmarks/results/alarms.md).
+# Relative scatter of the estimates, as simulated nights of one to three hours have it.
 SCATTER = {"piston_ring": 0.013, "balance_piston": 0.024, "balance_sleeve": 0.016, "C_f": 0.002}
 CONDITIONS = tuple(product((20.0, 60.0, 120.0, 200.0, 280.0), (42.0, 50.0, 58.0), (10.0, 30.0, 90)))
 HOURS = 12.0

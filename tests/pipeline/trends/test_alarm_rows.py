@@ -117,4 +117,4 @@ def test_an_indicator_that_is_no_longer_watched_is_closed(healthy: Standing) -> 
 def test_a_healthy_motor_has_only_its_baselines_taken(healthy: Standing) -> None:
     rows = alarm_rows(healthy, range(N))
     assert {(row["to_state"], row["reason"]) for row in rows} == {("ok", "a baseline was taken")}
-    assert {row["night"] for row in of(rows, REFERENCE)} == {night_of(30)}
+    assert {row["night"] for row in of(rows, REFERENCE)} == {night_of(15)}

@@ -44,7 +44,7 @@ SPEC = motor()
 # Nights in all, and the last that was told before something is said.
 N, LAST = 62, 55
 # Good nights of a baseline that serves.
-BASELINE = 30
+BASELINE = 15
 EVENTS = {"overhaul": None, "motor_exchanged": None, "oil_change": SPEC.file.oil}
 SEVERITY = {"warning": 1, "alarm": 2}
 
@@ -55,7 +55,7 @@ class Read:
 
     history: History
     published: list[Row]
-    known: None = None
+    filter_from: dt.date = dt.date.max
 
     def keep(self, *_: object) -> None:
         """Nothing is kept."""

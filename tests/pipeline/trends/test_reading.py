@@ -84,7 +84,7 @@ class Fleet:
         nothing = dict.fromkeys(these(6, 7, 8, 19, 20, 21), NOTHING)
         zero = 0.05 * (np.arange(n) >= self.before + 12) + 0.001 * np.cos(np.arange(n))
         self.motors = {
-            # Groups of three, one of them across the end of the first run; and no log.
+            # Poor nights in rows, one of them across the end of the first run; and no log.
             "M1": Nights(
                 m1,
                 n,
@@ -149,7 +149,7 @@ def late_log(fleet: Fleet) -> None:
 
 
 def late_log_of_the_other(fleet: Fleet) -> None:
-    """In files that hold nights of a group of the first motor."""
+    """In files that hold poor nights of the first motor."""
     changes = fleet.motors["M2"].changes
     poor = dict.fromkeys((fleet.before + 12, fleet.before + 13), POOR)
     fleet.motors["M2"] = replace(fleet.motors["M2"], changes={**changes, **poor})
@@ -286,10 +286,9 @@ def test_a_night_reads_what_is_new(
         fleet.publish(place)
         fleet.run()
         tonight = [night_of(place)]
-        expected = {"fits": tonight, "parameters": tonight, "operation": tonight}
-        if place == 18:
-            # The third poor night in a row: they are fitted together, and no other.
-            expected["block_statistics"] = [night_of(one) for one in (16, 17, 18)]
+        # Both are nights without intervals of one motor, whose blocks inform the filter.
+        tables = ("fits", "parameters", "operation", "block_statistics")
+        expected = dict.fromkeys(tables, tonight)
         assert {name: nights for name, nights in reads if name != "alarms"} == expected
         reads.clear()
 

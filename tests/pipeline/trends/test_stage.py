@@ -77,10 +77,13 @@ def test_the_first_run_publishes_every_night(fleet: tuple[Path, Path, Nights]) -
     assert trends["night"].unique().sort().to_list() == [night_of(place) for place in range(N)]
     assert trends.n_unique(["night", "indicator"]) == trends.height
     states = trends.filter(indicator="K_piston_ring").sort("night")["state"].to_list()
-    # The thirtieth good night makes the provisional baseline, which serves from the next on.
-    assert states == ["insufficient"] * 30 + ["ok"] * 3
+    # The fifteenth good night makes the first baseline, which serves from the next on.
+    assert states == ["insufficient"] * 15 + ["ok"] * 18
     frozen = rows(output, BASELINES).filter(indicator="K_piston_ring")
-    assert frozen.select("night", "n", "provisional").rows() == [(night_of(29), 30, True)]
+    assert frozen.select("night", "n", "provisional").rows() == [
+        (night_of(14), 15, True),
+        (night_of(29), 30, True),
+    ]
     assert rows(output, ALARMS)["to_state"].unique().to_list() == ["ok"]
     # The made-up fits were not published by a run; what the stage wrote is proven.
     assert [one for one in verify_tables(output) if one.code != "table_unlisted"] == []
@@ -114,7 +117,7 @@ def test_a_reset_makes_all_nights_anew(fleet: tuple[Path, Path, Nights]) -> None
     trends = rows(output, TRENDS)
     ring = trends.filter(indicator="K_piston_ring", night=night_of(N)).row(0, named=True)
     assert ring["state"] == "insufficient"
-    assert ring["state_reason"].startswith("3 of 30 good nights for a baseline (reset from ")
+    assert ring["state_reason"].startswith("3 of 15 good nights for a baseline (reset from ")
     assert ring["state_reason"].endswith(": new rings)")
     sleeve = trends.filter(indicator="K_balance_sleeve", night=night_of(N)).row(0, named=True)
     assert sleeve["state"] == "ok"

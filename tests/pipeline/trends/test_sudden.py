@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from pipeline.trends.attribution import path_behind
@@ -88,7 +87,7 @@ def test_a_dated_event_explains_it(kind: str) -> None:
     spec = named(motor(), "M1", events=[event(AT, kind)])
     found = standing(Nights(spec, N, OTHER_MOTOR))
     assert found.sudden == ()
-    assert found.states[DEVIATION][AT:] == ("insufficient",) * 30 + ("ok",) * (N - AT - 30)
+    assert found.states[DEVIATION][AT:] == ("insufficient",) * 15 + ("ok",) * (N - AT - 15)
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -134,8 +133,8 @@ def test_after_weeks_of_silence_nobody_can_tell_what_was_sudden() -> None:
 
 
 def test_before_there_is_a_baseline_it_is_said_with_what_is_missing() -> None:
-    early = {path: step(40, 20, -0.3) for path in PATHS}
+    early = {path: step(40, 8, -0.3) for path in PATHS}
     found = standing(Nights(motor(), 40, early))
-    assert {one.place for one in found.sudden} == {20}
-    assert found.states[DEVIATION][:30] == ("insufficient",) * 30
-    assert set(found.states[DEVIATION][30:]) == {"warning"}
+    assert {one.place for one in found.sudden} == {8}
+    assert found.states[DEVIATION][:15] == ("insufficient",) * 15
+    assert set(found.states[DEVIATION][15:]) == {"warning"}

@@ -111,7 +111,7 @@ def test_a_step_is_no_slope() -> None:
     assert row["days_to_limit_status"] == "insufficient"
 
 
-@pytest.mark.parametrize("n", [3, 19])
+@pytest.mark.parametrize("n", [3, 14])
 def test_fewer_than_twenty_nights_have_a_status_and_no_slope(n: int) -> None:
     row = rows(standing(Nights(motor(), n)), n - 1)["K_piston_ring"]
     assert row["slope_per_year"] is None
@@ -119,7 +119,7 @@ def test_fewer_than_twenty_nights_have_a_status_and_no_slope(n: int) -> None:
     assert row["theil_sen_per_year"] is None
     assert row["n_slope"] == n
     assert row["days_to_limit_status"] == "insufficient"
-    assert row["state_reason"].startswith(f"{n} of 30 good nights for a baseline")
+    assert row["state_reason"].startswith(f"{n} of 15 good nights for a baseline")
 
 
 def test_between_twenty_and_sixty_nights_a_slope_is_provisional(healthy: Standing) -> None:
@@ -180,7 +180,7 @@ def test_confounders_are_columns() -> None:
 
 def test_own_conditions_are_told_from_the_night_on_which_they_are_known(healthy: Standing) -> None:
     name = "own_reference_leakage"
-    before, known = rows(healthy, 28)[name], rows(healthy, 29)[name]
+    before, known = rows(healthy, 13)[name], rows(healthy, 14)[name]
     assert before["value"] is None
     assert before["gated_reason"] == "no baseline yet"
     assert known["value"] > 0

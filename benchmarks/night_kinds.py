@@ -1,0 +1,215 @@
+"""Nights by length, rate, load and errors, fitted as a nightly run does, against their truth.
+
+The samples of each night are simulated; only the decomposition of the regressors is shared by the
+nights of one duty, which changes no figure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.simulated_nights import (
+    REFERENCE,
+    CompressedNights,
+    Duty,
+    duty,
+    motor,
+    true_coefficients,
+)
+from leakage import (
+    AnnularGap,
+    Motor,
+    OperatingConditions,
+    Parametrisation,
+    SearchSettings,
+    fit,
+    regressors,
+)
+from leakage.block_statistics import merge
+from leakage.identifiability import Excitation, identify, judge_leakage
+from leakage.paths import LeakagePath
+from leakage.slow_errors import short_blocks, slow_errors, whitened
+from pipeline.demo import noise
+
+Array = NDArray[np.float64]
+
+NIGHTS_A_DUTY = 5
+# Short errors are this large, and three times larger below 100 bar.
+NOISE_L_PER_MIN = 0.015
+# A load is held for so long.
+STEPS_S, CYCLES_S = (60.0, 900.0), (15.0, 90.0)
+NO_SEARCH = SearchSettings(starting_points=0)
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedNights:
+    """Nights of one duty of a motor of known θ; `seen` is the duty as the log has it."""
+
+    motor: Motor
+    theta: Array
+    seen: Duty
+    compressed: CompressedNights
+    generator: np.random.Generator
+
+    @classmethod
+    def of(cls, kind: Kind, seed: int) -> SimulatedNights:
+        """Nights of a kind; the same seed makes the same."""
+        generator = np.random.default_rng(seed)
+        simulated = motor() if kind.coefficients == 3 else one_coefficient(motor())
+        seen = duty(kind.minutes / 60.0, generator, kind.rate_hz, kind.hold_s)
+        compressed = CompressedNights(simulated, seen)
+        return cls(simulated, true_coefficients(simulated), seen, compressed, generator)
+
+    @property
+    def step_s(self) -> float:
+        """Between samples [s]."""
+        return 1.0 / self.seen.rate_hz
+
+    @property
+    def clean_flow(self) -> Array:
+        """Drain flow without errors, shape (n, 1) [l/min]."""
+        return self.compressed.columns @ np.append(self.theta, 1.0)[:, None]
+
+    @property
+    def level(self) -> Array:
+        """Standard deviation of the short errors, shape (n, 1) [l/min]."""
+        return NOISE_L_PER_MIN * np.where(self.seen.pressure_bar < 100.0, 3.0, 1.0)[:, None]
+
+    def white(self) -> Array:
+        """Normal white noise, shape (n, NIGHTS_A_DUTY)."""
+        return self.generator.standard_normal((len(self.level), NIGHTS_A_DUTY))
+
+    def as_if(self, **changes: Array) -> Array:
+        """Change of the flow, shape (n, 1) [l/min], where the truth is not as the log has it."""
+        truth = replace(self.seen, **changes).conditions
+        return regressors(self.motor, truth) @ np.append(self.theta, 1.0)[:, None] - self.clean_flow
+
+    def flow(self, kind: Kind) -> Array:
+        """Drain flow as the log has it, shape (n, NIGHTS_A_DUTY) [l/min]."""
+        short = self.level * noise.autoregression(self.white(), kind.phi)
+        return self.clean_flow + short + ERRORS[kind.errors](self)
+
+
+def slow(of: SimulatedNights, minutes: float) -> Array:
+    """Errors as large as the short ones that remember for minutes."""
+    phi = noise.phi_of(of.step_s, 60.0 * minutes)
+    return NOISE_L_PER_MIN * noise.autoregression(of.white(), phi)
+
+
+def late_heat(of: SimulatedNights, minutes: float) -> Array:
+    """Oil at the gaps that warms later than at its sensor."""
+    late = noise.lagging(of.seen.temperature_c, of.step_s, 60.0 * minutes)
+    return of.as_if(temperature_c=late)
+
+
+def dead_band(of: SimulatedNights) -> Array:
+    """Of the flow meter."""
+    return noise.dead_band(of.clean_flow, of.seen.pressure_bar[:, None]) - of.clean_flow
+
+
+def wander(of: SimulatedNights) -> Array:
+    """Of temperature, gain and pressure from night to night."""
+    found = noise.night_wander(of.generator, (NIGHTS_A_DUTY,))
+    shifted = [
+        of.as_if(temperature_c=of.seen.temperature_c - t, pressure_bar=of.seen.pressure_bar - p)
+        for t, p in zip(found.temperature_c, found.pressure_bar, strict=True)
+    ]
+    return np.hstack(shifted) + of.clean_flow * found.gain
+
+
+# Beside the short errors, which all nights have.
+ERRORS: dict[str, Callable[[SimulatedNights], Array | float]] = {
+    "–": lambda _: 0.0,
+    "slow, 5 min": partial(slow, minutes=5.0),
+    "slow, 15 min": partial(slow, minutes=15.0),
+    "slow, 60 min": partial(slow, minutes=60.0),
+    "random walk": lambda of: noise.random_walk(of.white(), of.step_s, 2.0 * NOISE_L_PER_MIN),
+    "warm-up": lambda of: noise.warm_up(of.seen.time_s, 4.0 * NOISE_L_PER_MIN)[:, None],
+    "dead band": dead_band,
+    "drifting offset": lambda of: noise.drifting_offset(of.seen.time_s)[:, None],
+    "heat 1 min late": partial(late_heat, minutes=1.0),
+    "heat 10 min late": partial(late_heat, minutes=10.0),
+    "heavy tails": lambda of: of.level * noise.heavy_tailed(of.generator, of.white().shape),
+    "wander": wander,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """Length, rate, φ of the short errors, load, other errors, and free K of nights."""
+
+    minutes: float
+    rate_hz: float
+    phi: float
+    hold_s: tuple[float, float] = CYCLES_S
+    errors: str = "–"
+    coefficients: int = 3
+
+    @property
+    def words(self) -> list[str]:
+        """First columns of its row."""
+        numbers = (self.minutes, self.rate_hz, self.phi)
+        load = "steps" if self.hold_s == STEPS_S else "cycles"
+        return [*(f"{one:g}" for one in numbers), load, self.errors, str(self.coefficients)]
+
+
+KIND_HEADER = ("minutes", "Hz", "φ", "load", "other errors", "free K")
+
+
+def one_coefficient(of: Motor) -> Motor:
+    """The motor with K of the balance pistons free alone."""
+
+    def fixed(path: LeakagePath) -> LeakagePath:
+        if not isinstance(path, AnnularGap) or path.name == "balance_piston":
+            return path
+        known = path.eccentricity and replace(path.eccentricity, fixed=True)
+        return replace(path, gap=replace(path.gap, fixed=True), eccentricity=known)
+
+    return replace(of, paths=tuple(fixed(path) for path in of.paths))
+
+
+class Figure(NamedTuple):
+    """A figure of a night: half-width of its interval (nan: none) and its error, relative."""
+
+    name: str
+    half_width: float
+    error: float
+
+
+def figures(nights: SimulatedNights, flow: Array) -> Iterator[list[Figure]]:
+    """Each night's K, and leakage at the reference and at its own mean conditions."""
+    own = OperatingConditions.from_bar(*(float(np.mean(one)) for one in nights.seen.channels))
+    for blocks in nights.compressed.factors(flow):
+        yield _figures(nights, blocks, own)
+
+
+def _figures(nights: SimulatedNights, blocks: Array, own: OperatingConditions) -> list[Figure]:
+    of, theta = nights.motor, nights.theta
+    bounds = Parametrisation.of(of).coefficient_bounds()
+    short = short_blocks(blocks, np.arange(len(blocks)))
+    errors = slow_errors(blocks, short, bounds[0] == bounds[1], bounds[0])
+    blocks = whitened(blocks, short, errors)
+    estimate = fit(merge(blocks), of, NO_SEARCH, np.random.default_rng(0))
+    excitation = Excitation(*((one.min(), one.max()) for one in nights.seen.channels))
+    verdicts = identify(estimate, blocks, excitation, slow=errors)
+    found = []
+    paths = Parametrisation.of(of).paths
+    judged = zip(paths, verdicts.coefficients, estimate.coefficients, theta, strict=True)
+    for path, judgement, value, true in judged:
+        if path is not None and path.is_free:
+            half_width = judgement.interval.half_width if judgement.interval else np.nan
+            found.append(Figure(path.coefficient_name, half_width / true, value / true - 1.0))
+    for name, conditions in (("reference", REFERENCE), ("own conditions", own)):
+        row = regressors(of, conditions)[0]
+        true = float(row[:-2] @ theta[:-1] + row[-1])
+        leakage = judge_leakage(estimate, verdicts, excitation, conditions)
+        told = leakage.interval if leakage.is_told else None
+        half_width = told.half_width if told else np.nan
+        found.append(Figure(name, half_width / true, leakage.leakage_l_per_min / true - 1.0))
+    return found

@@ -1,0 +1,163 @@
+"""Errors of machines and sensors, for the demo and the benchmarks.
+
+Pure functions along the first axis, which is time; series side by side share a call. Randomness
+comes as white noise of unit variance or as a generator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+FloatArray = NDArray[np.float64]
+
+# Wander of sensors from night to night.
+WANDER_PHI: Final = 0.6
+WANDER_TEMPERATURE_C: Final = 0.3
+WANDER_GAIN: Final = 0.003
+WANDER_PRESSURE_BAR: Final = 0.3
+
+
+def phi_of(step_s: float, time_constant_s: float) -> float:
+    """Coefficient of a first-order autoregression: φ = exp(−Δt/τ), both times in [s]."""
+    return float(np.exp(-step_s / time_constant_s))
+
+
+def autoregression(white: FloatArray, phi: float) -> FloatArray:
+    r"""First-order autoregression in its stationary state, of the variance of its white noise.
+
+    .. math:: x_0 = w_0, \quad x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k
+
+    Parameters
+    ----------
+    white
+        Independent values of zero mean, shape (n, ...).
+    phi
+        φ, the correlation of neighbours, 0 to 1.
+
+    Returns
+    -------
+    ndarray
+        Shape and unit of `white`; the correlation at lag k is φ^k.
+
+    Examples
+    --------
+    >>> autoregression(np.array([1.0, 0.0, 1.0]), 0.8).round(2)
+    array([1.  , 0.8 , 1.24])
+    """
+    driven = white * np.sqrt(1.0 - phi**2)
+    driven[:1] = white[:1]
+    return np.asarray(lfilter([1.0], [1.0, -phi], driven, axis=0), dtype=np.float64)
+
+
+def correlated_noise(
+    generator: np.random.Generator, samples: int, step_s: float, time_constant_s: float
+) -> FloatArray:
+    """Autoregression of unit variance, shape (samples,), by its step and time constant [s].
+
+    Examples
+    --------
+    >>> noise = correlated_noise(np.random.default_rng(1), 200_000, 0.2, 3.9)
+    >>> print(f"{noise.std():.1f} {np.corrcoef(noise[1:], noise[:-1])[0, 1]:.2f}")
+    1.0 0.95
+    """
+    return autoregression(generator.standard_normal(samples), phi_of(step_s, time_constant_s))
+
+
+def heavy_tailed(
+    generator: np.random.Generator, shape: tuple[int, ...], freedom: float = 4.0
+) -> FloatArray:
+    """White noise of unit variance with the tails of Student's t; `freedom` above 2."""
+    drawn = generator.standard_t(freedom, shape)
+    return np.asarray(drawn * np.sqrt((freedom - 2.0) / freedom), dtype=np.float64)
+
+
+def random_walk(white: FloatArray, step_s: float, after_an_hour: float = 1.0) -> FloatArray:
+    """Sum of white noise; `after_an_hour` is its standard deviation after 3600 s, in its unit."""
+    walk = np.cumsum(white, axis=0) * (after_an_hour * np.sqrt(step_s / 3600.0))
+    return np.asarray(walk, dtype=np.float64)
+
+
+def warm_up(time_s: FloatArray, at_start: float, time_constant_s: float = 600.0) -> FloatArray:
+    """Error that fades as a machine warms up, shape (n,), in the unit of `at_start`."""
+    return np.asarray(at_start * np.exp(-time_s / time_constant_s), dtype=np.float64)
+
+
+def dead_band(
+    flow_l_per_min: FloatArray,
+    pressure_difference_bar: FloatArray,
+    width_l_per_min: float = 0.02,
+    below_bar: float = 40.0,
+) -> FloatArray:
+    """Reading of a flow meter that loses a little at low pressure and never reads below 0.
+
+    Parameters
+    ----------
+    flow_l_per_min
+        True flow, shape (n,), [l/min].
+    pressure_difference_bar
+        Shape (n,), [bar]; its sign does not count.
+    width_l_per_min
+        What the meter loses, [l/min].
+    below_bar
+        Where it loses that, [bar].
+
+    Returns
+    -------
+    ndarray
+        Shape (n,), [l/min].
+
+    Examples
+    --------
+    >>> dead_band(np.array([0.01, 0.5, 0.5]), np.array([20.0, -39.0, 40.0])).tolist()
+    [0.0, 0.48, 0.5]
+    """
+    lost = np.maximum(flow_l_per_min - width_l_per_min, 0.0)
+    return np.where(np.abs(pressure_difference_bar) < below_bar, lost, flow_l_per_min)
+
+
+def drifting_offset(time_s: FloatArray, drift: float = 0.3) -> FloatArray:
+    """Offset that drifts evenly from −drift/2 to drift/2 in the time given, shape (n,)."""
+    share = (time_s - time_s[0]) / (time_s[-1] - time_s[0])
+    return np.asarray(drift * (share - 0.5), dtype=np.float64)
+
+
+def lagging(signal: FloatArray, step_s: float, time_constant_s: float) -> FloatArray:
+    """First-order lag behind a signal, settled on its first value: heat behind its sensor."""
+    phi = phi_of(step_s, time_constant_s)
+    lagged, _ = lfilter([1.0 - phi], [1.0, -phi], signal, axis=0, zi=phi * signal[:1])
+    return np.asarray(lagged, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class NightWander:
+    """Errors that sensors keep for a night, shape (nights, ...) each.
+
+    Attributes
+    ----------
+    temperature_c, pressure_bar
+        Added to the oil temperature and the pressure difference, [°C] and [bar].
+    gain
+        Relative error of the drain flow, [-].
+    """
+
+    temperature_c: FloatArray
+    gain: FloatArray
+    pressure_bar: FloatArray
+
+
+def night_wander(generator: np.random.Generator, shape: tuple[int, ...]) -> NightWander:
+    """Wander from night to night: 0.3 °C and 0.3 % with φ = 0.6, 0.3 bar without memory."""
+
+    def remembered() -> FloatArray:
+        return autoregression(generator.standard_normal(shape), WANDER_PHI)
+
+    return NightWander(
+        temperature_c=WANDER_TEMPERATURE_C * remembered(),
+        gain=WANDER_GAIN * remembered(),
+        pressure_bar=WANDER_PRESSURE_BAR * generator.standard_normal(shape),
+    )
