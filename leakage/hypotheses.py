@@ -60,7 +60,7 @@ OWN_FACTOR: Final = 0.025
 # Relative standard error of the baseline up to which a direction of θ is judged.
 LEAST_KNOWN: Final = 1.0 / 8.0
 # Part of a path that must lie in the directions that are judged.
-LEAST_PART: Final = 0.25
+LEAST_PART: Final = 0.1
 # Nights of now from which on the change with temperature is estimated.
 NIGHTS_OF_BETA: Final = 6
 RANK_TOLERANCE: Final = 1e-9
@@ -320,7 +320,7 @@ class _Fit:
         left, turn = np.linalg.eigh(np.eye(inside.shape[-1]) - inside)
         adjust = (turn / np.sqrt(np.maximum(left, 1e-8))[:, None, :]) @ turn.transpose(0, 2, 1)
         errors = np.einsum("bij,bj->bi", adjust, (sums - grams @ theta) @ root)
-        hidden = scale[:, None] * vectors[:, ~seen]
+        hidden = vectors[:, ~seen] / scale[:, None]
         hidden = hidden / np.linalg.norm(hidden, axis=0)
         return cls(theta, root @ root.T, hidden @ hidden.T, errors @ (gram @ root).T, gram)
 

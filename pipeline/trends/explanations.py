@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.hypotheses import Blocks, CommonFactor, Growth, Posterior, growth, mean_factor, weigh
+from leakage.temperature_correction import TemperatureCorrection
 from pipeline.trends.baseline_flow import factors_of
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
@@ -100,21 +101,22 @@ class Explanations:
         before = self._informed(era.segment.first, int(now[0]))[: trend.baseline_nights]
         if len(before) < LEAST_NIGHTS:
             return None
+        known = era.temperature if now[-1] > era.temperature_from else None
         return growth(
             layout.paths,
-            self._blocks(before, era),
-            self._blocks(now, era),
+            self._blocks(before, known),
+            self._blocks(now, known),
             np.array(layout.configured),
             np.array(layout.free),
             standard_name(self.history),
         )
 
-    def _blocks(self, places: Places, era: Era) -> Blocks:
+    def _blocks(self, places: Places, correction: TemperatureCorrection | None) -> Blocks:
         """Nights as blocks of their own, with what their temperature does to K in the columns."""
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
         factors = factors_of(self.history, places)
-        effect = warming(self.history, places, era.temperature)
+        effect = warming(self.history, places, correction)
         factors[:, :, : len(self.history.layout.paths)] *= effect[:, None, None]
         return Blocks(factors, places, temperature if known else None)
 

@@ -36,7 +36,7 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
         parts += _sizes(standing, name, place)
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
-    if told:
+    if found.own.severity[inside]:
         parts.append(why_words(standing.history, place, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
