@@ -39,6 +39,9 @@ def why_words(history: History, place: int, found: Posterior | None, own: str = 
     if found.verdict == "no_change":
         no_path = probable_words(1.0 - found.any_path)
         return f"no path ({no_path}), and no common change of all flows is certain"
+    if found.is_common:
+        besides = cannot_be_told(found)
+        return f"{_factor(history, place, found)}; whether a path has grown besides {besides}"
     return cannot_be_told(found)
 
 
@@ -108,18 +111,18 @@ def cannot_be_told(found: Posterior) -> str:
     """What it may be, and what would tell."""
     some = [f"{_plain(name)} ({100 * found.paths[name]:.0f} %)" for name in found.candidates]
     is_path = found.any_path >= PROBABLE
-    if not is_path and found.common > 1.0 - PROBABLE:
+    if not is_path and 1.0 - PROBABLE < found.common < PROBABLE:
         some.append(f"a common change of all flows ({100 * found.common:.0f} %)")
     missing = [_plain(name) for name in found.unjudged]
     if missing:
         some.append(f"{' or '.join(missing)}, of which the nights tell too little")
-    tells = ["more nights"] if some else []
+    tells = ["more nights"]
     if not found.has_standard:
         tells.append("varying speed")
     if not is_path and found.tank is None:
         tells.append("a second motor on the tank")
-    if not is_path:
+    if not is_path and not found.is_common:
         tells.append("an oil sample")
     what = "which path cannot be told" if is_path else "cannot be told"
-    would = f"; what would tell: {', '.join(tells)}" if tells else ""
-    return f"{what}: {' or '.join(some) or 'nothing is probable enough'}{would}"
+    may_be = f": {' or '.join(some)}" if some else ""
+    return what + may_be + (f"; what would tell: {', '.join(tells)}" if tells else "")

@@ -40,6 +40,9 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
         parts.append(why_words(standing.history, place, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
+        if not found.own.severity[inside]:
+            behind = standing.why.at(place, sudden.place)
+            parts.append(why_words(standing.history, place, behind))
     return "; ".join(part for part in parts if part)
 
 

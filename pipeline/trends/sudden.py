@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from leakage.hypotheses import Posterior
 from leakage.jumps import AFTER, LEAST_BEFORE, MOST_BEFORE, Jump, find_jumps, is_undone
 from pipeline.trends.decisions import Decision
-from pipeline.trends.explanation_words import why_words
 from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, Indicator
@@ -130,8 +129,6 @@ def _of_paths(
         members = [(paths[name].watched, jumps[name][place]) for at, name in here if at <= told]
         moved = {name: one.size for name, one in steps.items()}
         words = _words_of_paths(kind, history, part.first + place, moved, len(paths))
-        if kind in ("alike", "circuit"):
-            words = f"{words}: {why_words(history, part.first + told, behind)}"
         until = _until(part, told, members)
         found.append(Sudden(part.first + place, part.first + told, until, kind, words, moved))
     return found
@@ -206,8 +203,6 @@ def _falls(history: History, part: Segment, flow: Indicator, why: Why) -> list[S
         kind: Kind = "circuit" if is_of_tank else "fall"
         moved = {DEVIATION: jump.log_step}
         words = _words_of_fall(kind, history, part.first + place, jump.log_step)
-        if behind is not None and behind.is_common:
-            words = f"{words}: {why_words(history, told, behind)}"
         until = _until(part, jump.told, [(flow.watched, jump)])
         found.append(Sudden(part.first + place, told, until, kind, words, moved))
     return found

@@ -80,7 +80,7 @@ def test_thinner_oil_is_a_factor_of_all_flows_and_no_path() -> None:
         assert verdict == "common"
         assert re.search(
             r"all flows × 1\.25 ± 0\.0\d: as if the oil were 20 % thinner, or the temperature "
-            r"sensor read 5 °C low, or the meter 25 % high; no path \((9\d|over 99) %\)$",
+            r"sensor read 5 °C low, or the meter 25 % high; no path \((9\d|over 99) %\)",
             words,
         )
         told_row = row(found, name)
