@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.report.history import OWN_REFERENCE, REFERENCE, Course, MotorHistory
+from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.status import MotorState, urgency
 from pipeline.report.words import SENSORS, STATUSES
@@ -110,10 +110,13 @@ def _row(
 
 def _drawn(motor: MotorHistory, state: MotorState) -> tuple[str, Course, float | None]:
     """Kind and course of the leakage to draw, and its baseline: that of the state if it has one."""
-    kinds = {REFERENCE: "reference", OWN_REFERENCE: "frozen"}
+    kinds = {REFERENCE: "reference", OWN_REFERENCE: "frozen", COMPARABLE: "comparable"}
     kind = kinds.get(state.leakage_indicator or "") or motor.leakage_kind
-    baselines = next((motor.baselines.get(name) for name in kinds if kinds[name] == kind), None)
-    return kind, motor.leakages[kind], baselines[-1][1] if baselines else None
+    course = motor.leakages.get(kind)
+    # A figure of the filter has no course of its own: what the fits know best is drawn.
+    drawn = kind if course is not None and course.is_known.any() else motor.leakage_kind
+    baselines = next((motor.baselines.get(name) for name in kinds if kinds[name] == drawn), None)
+    return kind, motor.leakages[drawn], baselines[-1][1] if baselines else None
 
 
 def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:

@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 
 REFERENCE = "reference_leakage"
 OWN_REFERENCE = "own_reference_leakage"
+COMPARABLE = "comparable_drain_flow"
 NO_BASELINES = frame(BASELINES, [])
 COEFFICIENT_PREFIXES = ("K_", "C_", "scale_")
 

@@ -55,6 +55,7 @@ TESTS: Final[Mapping[str, str]] = {
 LEAKAGE_KINDS: Final[Mapping[str, str]] = {
     "reference": "",
     "frozen": "at the motor's own conditions",
+    "comparable": "drain flow at the reference conditions, not fitted",
 }
 SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
 STATES: Final[Mapping[str, str]] = {

@@ -121,14 +121,16 @@ def test_shares_sum_to_one_and_have_intervals(spec: MotorSpec) -> None:
         assert row["lower"] < row["value"] < row["upper"]
 
 
-def test_a_night_of_three_blocks_has_no_interval_and_says_why(spec: MotorSpec) -> None:
+def test_eight_minutes_tell_a_leakage_and_no_loss_factor(spec: MotorSpec) -> None:
     operation = operate(minutes=8.0)
     flow = configured_flow(spec, operation) + noise(len(operation.time_us))
     outcome = fitted(spec, operation, flow)
     row = primary(outcome)
-    assert row["reference_leakage_l_per_min"] is None
-    assert row["own_conditions_leakage_l_per_min"] is None
-    assert row["own_conditions_verdict"] in ("too_little_data", "not_identified")
+    # Its pressures and temperatures come near the reference conditions.
+    assert row["reference_verdict"] == "extrapolated"
+    assert row["outside_fitted_range"]
+    assert row["reference_leakage_lower"] < 1.371423 < row["reference_leakage_upper"]
+    assert 2 <= row["reference_degrees_of_freedom"] < 4
     for name in true_k(spec):
         assert parameters(outcome)[name]["verdict"] != "identified"
         assert "lower" not in parameters(outcome)[name]

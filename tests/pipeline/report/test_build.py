@@ -98,7 +98,8 @@ def test_pages_of_ten_years_are_small(output: Path) -> None:
     assert page.stat().st_size < 1_000_000
     payload = page_payload(page)
     assert len(payload["nights"]) == 3653
-    assert 500 < len(unpacked(payload["reference"]["value"])) <= 1500
+    # Nights that are all alike have no extremes but the first of each stretch.
+    assert 100 < len(unpacked(payload["reference"]["value"])) <= 1500
 
 
 def test_no_clock_and_no_path_of_the_machine_stands_in_a_page(report: Path) -> None:

@@ -27,7 +27,7 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
         "validation",
         "starts end at the proven minimum",
         "reference leakage (200 bar, 50 °C, 30 rpm): 1.4",
-        "K_piston_ring: too little data",
+        "K_piston_ring: identified, ",
         "training errors: 0.0",
         "l/min (root mean square)",
         "training errors: not white (25 of 25 lags outside the 99 % band)",
