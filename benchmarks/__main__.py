@@ -7,6 +7,7 @@ import sys
 
 BENCHMARKS = (
     "alarms",
+    "attribution",
     "coverage",
     "cusum_limits",
     "dates",

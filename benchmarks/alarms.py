@@ -28,7 +28,6 @@ from benchmarks.simulated_fleets import (
 )
 from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
 from leakage.monitoring import MonitorSettings, monitor
-from leakage.peers import peer_deviations
 from leakage.robust import MAD_TO_SD
 from leakage.slope import fit_slope
 
@@ -49,7 +48,6 @@ KINDS = (
 )
 WATCHED_SLOPES = ("reference_leakage", "baseline_deviation")
 STORED = RESULTS / "alarms.json"
-CIRCUITS, MOTORS_OF_A_CIRCUIT = 125, 4
 USUAL = Kind(60, 1.0, 0.9)
 
 
@@ -84,7 +82,7 @@ WEARS = (
 )
 
 
-def raised(values: Array, others: Array | None = None) -> list[list[int]]:
+def raised(values: Array) -> list[list[int]]:
     """Nights on which each indicator of a motor, shape (nights, 5), becomes a warning or alarm."""
     known = int(np.isfinite(values).any(axis=0).sum())
     found = []
@@ -94,8 +92,7 @@ def raised(values: Array, others: Array | None = None) -> list[list[int]]:
             false_alarms_per_year=RATE_PER_MOTOR / known,
             baseline=BaselineSettings(relative_floor=floor),
         )
-        common = None if others is None else others[:, place]
-        changes = monitor(np.arange(len(values)), values[:, place], settings, common).changes
+        changes = monitor(np.arange(len(values)), values[:, place], settings).changes
         found.append(
             [one.night for one in changes if one.after in RAISED and one.before not in RAISED]
         )
@@ -231,63 +228,6 @@ def _crossings(ratio: Array, threshold: float) -> int:
     return int((above[1:] & ~above[:-1]).sum() + above[0].sum())
 
 
-def circuits() -> Part:
-    """Four motors on one tank whose oil thins by 20 %."""
-    errors = night_errors(USUAL)
-    rows = []
-    nights = np.arange(BASELINE + YEAR)
-    thinning = np.clip((nights - 150) / 90, 0.0, 1.0)
-    for words, share in (("at once", nights >= 150), ("over 90 nights", thinning)):
-        for worn in (False, True):
-            growth = np.ones((len(nights), PATHS))
-            growth[:, SLEEVE] += worn * np.clip(nights - 150, 0, None) / YEAR
-            generator = np.random.default_rng([5, int(worn)])
-            false, seen = 0, []
-            for _ in range(CIRCUITS):
-                values = _circuit(errors, growth, 1.25**share, generator)
-                others = np.stack(
-                    [peer_deviations(np.log(one)).others for one in np.moveaxis(values, 2, 0)],
-                    axis=-1,
-                )
-                for motor in range(MOTORS_OF_A_CIRCUIT):
-                    told = [
-                        night for one in raised(values[:, motor], others[:, motor]) for night in one
-                    ]
-                    if worn and motor == 0:
-                        seen.append(min((n - 149 for n in told if n >= 150), default=np.inf))
-                    else:
-                        false += len(told)
-            healthy = CIRCUITS * (MOTORS_OF_A_CIRCUIT - worn)
-            told_on = quantiles(seen) if worn else "–"
-            rows.append([words, "yes" if worn else "no", *rate_cells(false, healthy), told_on])
-    return Part(
-        "A tank whose oil thins by 20 %",
-        f"{CIRCUITS} circuits of {MOTORS_OF_A_CIRCUIT} motors with nights of "
-        f"{USUAL.minutes:g} minutes, watched for a year from the baseline on; from night 150 on "
-        "all flows rise by 25 %. False alarms of motors that do not wear; where one motor's "
-        "sleeves wear as well, K by 100 % a year, nights until it is told.",
-        (
-            "oil thins",
-            "one motor wears",
-            "false alarms",
-            "a motor-year",
-            "95 % interval",
-            "nights until the wear is told",
-        ),
-        rows,
-    )
-
-
-def _circuit(
-    errors: NightErrors, growth: Array, common: Array, generator: np.random.Generator
-) -> Array:
-    """Indicators of a worn motor and of healthy ones under a common factor."""
-    worn, _ = fleet(errors, growth, 1, generator)
-    healthy, _ = fleet(errors, np.ones_like(growth), MOTORS_OF_A_CIRCUIT - 1, generator)
-    both: Array = np.concatenate([worn, healthy], axis=1) * common[:, None, None]
-    return both
-
-
 def slopes() -> Part:
     """Coverage of slope intervals of motors that do not wear."""
     errors, rows = night_errors(USUAL), []
@@ -317,7 +257,6 @@ PARTS: dict[str, Callable[[], Part]] = {
     "false_alarms": false_alarms,
     "detection": detection,
     "raw_flow": raw_flow,
-    "circuits": circuits,
     "slopes": slopes,
 }
 

@@ -2,7 +2,6 @@
 
 from leakage.alarms import Levels, Limits, State, StateChange
 from leakage.annular_gap import AnnularGap
-from leakage.attribution import Attribution, attribute
 from leakage.baseline import Baseline, BaselineSettings, fit_baseline
 from leakage.block_statistics import (
     BlockStatistics,
@@ -80,7 +79,6 @@ from leakage.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 __all__ = [
     "Agreement",
     "AnnularGap",
-    "Attribution",
     "Baseline",
     "BaselineSettings",
     "BlockStatistics",
@@ -137,7 +135,6 @@ __all__ = [
     "ZeroDrift",
     "agreement",
     "analyse_residuals",
-    "attribute",
     "autocorrelation",
     "benjamini_hochberg",
     "block_bootstrap",

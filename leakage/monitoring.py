@@ -2,11 +2,6 @@
 
 A night's state depends on that night and those before it alone, so a run that looks back at a year
 says of each night what a run on that night said.
-
-A motor that shares its oil with others is watched three times: its own values; its values divided
-by the common change of the other motors of the circuit; and that common change. Oil, temperature
-and charge pressure move all motors, wear moves one: where the values have moved, the corrected ones
-have not, and the circuit has, the state is ``common_cause`` in place of a warning or an alarm.
 """
 
 from __future__ import annotations
@@ -125,9 +120,7 @@ class Monitoring:
     Attributes
     ----------
     own
-        The indicator itself.
-    corrected, circuit
-        Corrected for the other motors of the circuit, and their common change; None without.
+        The indicator against its baseline.
     states
         One a night.
     changes
@@ -135,8 +128,6 @@ class Monitoring:
     """
 
     own: Track
-    corrected: Track | None
-    circuit: Track | None
     states: list[State]
     changes: tuple[StateChange, ...]
 
@@ -166,9 +157,6 @@ def monitor(
     nights: Nights,
     values: Array,
     settings: MonitorSettings | None = None,
-    others_log_change: Array | None = None,
-    others_known_from: int = 0,
-    by_itself: NDArray[np.bool_] | None = None,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -181,27 +169,13 @@ def monitor(
         Indicator, positive, shape (n,); nan on nights that are missing or not to be trusted.
     settings
         How it is watched; the defaults where left out.
-    others_log_change
-        Median over the other motors of the circuit of the logarithm of the same indicator over its
-        baseline (:func:`leakage.peers.peer_deviations`), shape (n,); nan where none is known. None
-        for a motor without a circuit.
-    others_known_from
-        Place of the first night on which that was known, of any night: before it the own values
-        decide alone, as they did then.
-    by_itself
-        Nights on which the motor itself tells that the change is its own, whatever the others did,
-        shape (n,); none where left out.
 
     Returns
     -------
     Monitoring
         States: ``insufficient`` without a baseline; ``stale`` after too many nights without a
-        value; otherwise what the own and the corrected values both say, the milder of the two. The
-        own ones decide alone where the corrected have no baseline or are stale, until the others
-        are back from a longer silence for as many nights as a level needs, and where all together
-        tell nothing of a change that is the motor's own. What was told in any other way than for
-        want of the others stays for as long as the own values tell it. An absolute limit holds
-        whatever the others do, with or without a baseline.
+        value; otherwise what levels and sum say. An absolute limit holds with or without a
+        baseline.
 
     Raises
     ------
@@ -220,17 +194,8 @@ def monitor(
     """
     chosen = settings or MonitorSettings()
     own = track(nights, values, chosen)
-    corrected = circuit = None
-    comparable = np.arange(len(nights)) >= others_known_from
-    if others_log_change is not None:
-        check_series(nights, others_log_change)
-        common = np.exp(others_log_change)
-        corrected = track(nights, values / common, replace(chosen, limits=Limits()))
-        circuit = track(nights, common, replace(chosen, limits=Limits()))
-        comparable &= _are_back(nights, others_log_change, corrected, chosen)
-    alone = np.zeros(len(nights), dtype=np.bool_) if by_itself is None else by_itself
-    states = _states(own, corrected, circuit, chosen.stale_nights, comparable, alone)
-    return Monitoring(own, corrected, circuit, states, state_changes(nights, states))
+    states = _states(own, chosen.stale_nights)
+    return Monitoring(own, states, state_changes(nights, states))
 
 
 def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
@@ -425,56 +390,14 @@ def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
     return ""
 
 
-def _states(
-    own: Track,
-    corrected: Track | None,
-    circuit: Track | None,
-    stale_nights: int,
-    comparable: NDArray[np.bool_],
-    by_itself: NDArray[np.bool_],
-) -> list[State]:
-    """State of each night from its tracks."""
-    severity, common = own.severity, np.zeros(len(own.severity), dtype=np.bool_)
-    if corrected is not None and circuit is not None:
-        usable = corrected.has_baseline & (corrected.since_good <= stale_nights) & comparable
-        both = np.where(usable, np.minimum(severity, corrected.severity), severity)
-        # What was told stays told while the own values tell it, unless there was nobody to ask:
-        # that another motor rises later does not undo it.
-        both = _with_told(both, usable, severity)
-        both = _with_told(np.where(by_itself & (both == 0), severity, both), by_itself, severity)
-        common = (both == 0) & (severity > 0) & (circuit.severity > 0)
-        severity = both
-    severity = np.maximum(severity, own.limit_severity)
+def _states(own: Track, stale_nights: int) -> list[State]:
+    """State of each night from its track."""
+    severity = np.maximum(own.severity, own.limit_severity)
     states = np.array(OF_SEVERITY, dtype=object)[severity]
-    states[common & (own.limit_severity == 0)] = "common_cause"
     states[own.since_good > stale_nights] = "stale"
     states[~own.has_baseline & (own.limit_severity == 0)] = "insufficient"
     found: list[State] = states.tolist()
     return found
-
-
-def _are_back(
-    nights: Nights, others: Array, corrected: Track, settings: MonitorSettings
-) -> NDArray[np.bool_]:
-    """Nights with as many good ones since the others' last silence as a level needs to go on.
-
-    The levels of the corrected values would else count nights from before it.
-    """
-    silent = nights_since_good(nights, np.isfinite(others)) > settings.stale_nights
-    good = np.cumsum(corrected.since_good == 0)
-    before = np.maximum.accumulate(np.where(silent, good, 0))
-    back: NDArray[np.bool_] = good - before >= settings.levels.on_nights
-    return back
-
-
-def _with_told(said: Severities, told: NDArray[np.bool_], own: Severities) -> Severities:
-    """Severities; those told in some nights last for as long as the own values tell them."""
-    places = np.arange(len(said))
-    for severity in (1, 2):
-        begun = np.maximum.accumulate(np.where(told & (said >= severity), places, -1))
-        ended = np.maximum.accumulate(np.where(own >= severity, -1, places))
-        said = np.where(begun > ended, np.maximum(said, severity), said)
-    return said
 
 
 def _joined(*reasons: str) -> str:

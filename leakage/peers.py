@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from leakage.autoregression import Array
 from leakage.errors import ShapeError
-from leakage.medians import row_medians
 
 # Good nights that say how far something has moved.
 NIGHTS_OF_NOW = 5
@@ -125,21 +123,3 @@ def medians_of_others(values: Array) -> tuple[Array, NDArray[np.int64]]:
     low, high = np.maximum(numbers - 1, 0) // 2, numbers // 2
     medians = (without_itself(low) + without_itself(high)) / 2
     return np.where(numbers > 0, medians, np.nan), numbers
-
-
-def recent_median(values: Array) -> Array:
-    """Median of the last five good nights up to each; nan before there is one.
-
-    Examples
-    --------
-    >>> recent_median(np.array([np.nan, 1.0, 9.0, 2.0, np.nan])).tolist()
-    [nan, 1.0, 5.0, 2.0, 2.0]
-    """
-    good = np.flatnonzero(np.isfinite(values))
-    result = np.full(len(values), np.nan)
-    if len(good):
-        padded = np.concatenate([np.full(NIGHTS_OF_NOW - 1, np.nan), values[good]])
-        medians = row_medians(sliding_window_view(padded, NIGHTS_OF_NOW))
-        last = np.searchsorted(good, np.arange(len(values)), side="right") - 1
-        result[last >= 0] = medians[last[last >= 0]]
-    return result

@@ -365,12 +365,6 @@ class Alarms(Section):
         description="False alarms per motor and year, over all its indicators together, for "
         "which the limits of the change test are calibrated",
     )
-    common_cause_percent: Positive = Field(
-        5.0,
-        description="The state is `common_cause` instead of an alarm if the other motors of the "
-        "oil circuit changed alike; not if a motor's own loss factors differ by more than these "
-        "points and by half of the largest: oil changes all paths alike",
-    )
     command: tuple[str, ...] = Field(
         (),
         description="Program and arguments, run without a shell for each delivery; it gets the new "

@@ -94,9 +94,9 @@ TRENDS = Table(
             "insufficient",
         ),
         Column("state_reason", pl.String, "", "The state in words; null where ok"),
-        Column("path", pl.String, "", "Path whose growth explains the change; null: none does"),
-        Column("path_probability", pl.Float64, "", "That it does, given the fits' covariance"),
-        Column("path_reason", pl.String, "", "Why paths cannot be told apart"),
+        Column("path", pl.String, "", "Path whose growth explains the change; null: none is told"),
+        Column("path_probability", pl.Float64, "", "That it does"),
+        Column("path_reason", pl.String, "", "Why no explanation is told, and what would tell"),
         Column("limit", pl.Float64, "see unit", "The limit that the days count to"),
         Column("days_to_limit", pl.Float64, "d", "Until the limit, as likely later as earlier"),
         Column("days_to_limit_lower", pl.Float64, "d", "Not before: lower end of its 90 % set"),
@@ -139,6 +139,23 @@ TRENDS = Table(
             pl.Date,
             "",
             "First night of the change that the state tells; null where it tells none",
+        ),
+        Column(
+            "common_factor",
+            pl.Float64,
+            "1",
+            "Factor of all flows since the baseline, from the nights since the change; null unless "
+            "its probability is 0.9",
+        ),
+        Column("common_factor_lower", pl.Float64, "1", "Lower end of its 95 % interval"),
+        Column("common_factor_upper", pl.Float64, "1", "Upper end"),
+        Column("common_probability", pl.Float64, "", "That all flows changed by one factor"),
+        Column(
+            "common_origin",
+            pl.String,
+            "",
+            "tank: the other motors of the oil circuit have the factor, too; own_sensor: they have "
+            "not; null: neither is told",
         ),
         Column(
             "model_verdict",

@@ -91,7 +91,7 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
     return row | {
         "reason": why_state(standing, name, place, path),
         "way": way_of(standing, name, place) if after in RAISED else after,
-        "path": path_named(standing, name, place, path),
+        "path": path_named(standing, name, path),
     }
 
 

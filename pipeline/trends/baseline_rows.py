@@ -76,7 +76,7 @@ def change_point_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row
 
 def _due(standing: Standing, name: str) -> NDArray[np.bool_]:
     """Nights on which an indicator that has changed is described."""
-    states = np.array(standing.states[name])
+    states = np.array(standing.told[name])
     changed = np.isin(states, CHANGED)
     if not changed.any():
         return changed

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from leakage.model_verdict import model_verdict
-from pipeline.trends.attribution import reference_row
 from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import (
     BASELINE_PROGRESS,
@@ -19,11 +19,13 @@ from pipeline.trends.indicators import (
     TEMPERATURE_EFFECT,
 )
 from pipeline.trends.model import misfit_at, misfit_words
+from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.reasons import good_nights, why_no_baseline
 from pipeline.trends.standing import CHANGED, Standing
 from pipeline.trends.temperature import NIGHTS, correction_of
 from pipeline.trends.words import temperature_words
 
+Array = NDArray[np.float64]
 Row = dict[str, Any]
 
 
@@ -63,7 +65,7 @@ def temperature_row(standing: Standing, place: int) -> Row | None:
     frozen = era.temperature
     now = now.referred_to(frozen.reference_c)
     # Wear within the last nights is no effect of their temperature.
-    wears = any(states[place] in CHANGED for states in standing.states.values())
+    wears = any(states[place] in CHANGED for states in standing.told.values())
     row = _row(TEMPERATURE_EFFECT, "%/K", 100.0 * now.per_kelvin)
     return row | {
         "lower": 100.0 * (now.per_kelvin - now.half_width),
@@ -98,7 +100,7 @@ def _row(indicator: str, unit: str, value: float) -> Row:
     }
 
 
-def _comparable_flow(standing: Standing, place: int, sums: np.ndarray[Any, Any]) -> float | None:
+def _comparable_flow(standing: Standing, place: int, sums: Array) -> float | None:
     """Drain flow at the fleet's reference conditions, flushing excluded [l/min].
 
     By the baseline's model, until it is known by the configured one: the measured flow times what
@@ -112,3 +114,24 @@ def _comparable_flow(standing: Standing, place: int, sums: np.ndarray[Any, Any])
     if isinstance(row, str) or expected <= 0.0:
         return None
     return measured / expected * float(row[:-2] @ theta[:-1] + row[-1])
+
+
+def reference_flows(standing: Standing, place: int) -> dict[str, float]:
+    """Flow of each free path per unit of its coefficient at the fleet's reference conditions."""
+    row, paths = reference_row(standing, place), standing.history.layout.paths
+    if isinstance(row, str):
+        return {}
+    return dict(zip(paths, row[: len(paths)].tolist(), strict=True))
+
+
+def reference_row(standing: Standing, place: int) -> Array | str:
+    """Columns of the statistics at the fleet's reference conditions, or why there are none."""
+    reference = standing.history.spec.settings.reference
+    charge = float(standing.history.records["charge"][place])
+    at = OwnConditions(
+        reference.pressure_bar,
+        reference.temperature_c,
+        reference.speed_rpm,
+        None if np.isnan(charge) else charge,
+    )
+    return regressor_row(standing.history, place, at)

@@ -1,4 +1,4 @@
-"""Motors of one oil circuit: what moves all of them, indicator by indicator.
+"""A motor's drain flow against that of the other motors of its oil circuit.
 
 What a motor's baseline is, is known from its thirtieth good night on. What another motor did is
 taken into account from the night on which it was known, and for the nights before that as far as it
@@ -11,7 +11,7 @@ that one motor begins anew moves no other.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.baseline import BaselineSettings, fit_baseline
-from leakage.peers import NIGHTS_OF_NOW, medians_of_others, recent_median
+from leakage.peers import NIGHTS_OF_NOW, medians_of_others
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.segments import Segment
@@ -69,7 +69,7 @@ class Contribution:
     change
         Log change, each baseline's from where the one before had ended; nan where there is none.
     spoken
-        The same, as others take it: nan where the motor wears.
+        The same, as others take it: before what was entered later.
     held
         What was said last, in nights with a fit while a new baseline is not known yet; else nan.
     known_at, segments
@@ -93,7 +93,7 @@ class Contribution:
         return np.where(self.known, self.spoken, self.held)
 
     def last_said(self, history: History, place: int) -> float:
-        """What it says shortly before a night; nan where it says nothing then, as it wears, say."""
+        """What it says shortly before a night; nan where it says nothing then."""
         recent = slice(max(place - history.spec.settings.alarms.stale_after_nights, 0), place)
         said = self.standing[recent]
         figures = np.flatnonzero(np.isfinite(np.where(self.known, self.change, self.held)[recent]))
@@ -161,60 +161,10 @@ def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...
     return LogChange(np.where(np.isfinite(change), change, np.nan), known_at, parts)
 
 
-def moved_apart(
-    changes: Mapping[str, Array], paths: Collection[str], percent: float
-) -> dict[str, NDArray[np.bool_]]:
-    """Nights on which an indicator had risen above what a motor's paths have in common.
-
-    Oil moves all paths alike, wear lifts some of them above the others: what the lowest did may be
-    the oil, the rest of what another indicator did is the motor's own.
-
-    Parameters
-    ----------
-    changes
-        Log changes by indicator, shape (n,) each.
-    paths
-        Which of them are coefficients of paths.
-    percent
-        Least difference from the lowest path that counts, in points; it must be half of the
-        indicator's own change as well.
-
-    Returns
-    -------
-    dict of str to ndarray of bool
-        By indicator, shape (n,); False with fewer than two paths known. By the median of the last
-        five good nights of each, so that an odd night decides nothing.
-
-    Examples
-    --------
-    >>> moved = {"K_sleeve": np.full(9, 0.4), "K_ring": np.zeros(9), "leakage": np.full(9, 0.15)}
-    >>> found = moved_apart(moved, ("K_sleeve", "K_ring"), 5.0)
-    >>> {name: bool(one.all()) for name, one in found.items()}
-    {'K_sleeve': True, 'K_ring': False, 'leakage': True}
-    """
-    moved = {name: 100.0 * np.expm1(recent_median(one)) for name, one in changes.items()}
-    several = np.sum([np.isfinite(moved[name]) for name in paths], axis=0) > 1
-    lowest: Array = np.fmin.reduce([moved[name] for name in paths], axis=0, initial=np.inf)
-    return {
-        name: several & (one - lowest > np.maximum(percent, np.abs(one) / 2))
-        for name, one in moved.items()
-    }
-
-
-def contribution(history: History, own: LogChange, wears: Mask) -> Contribution:
-    """What a motor says of its oil by an indicator.
-
-    Parameters
-    ----------
-    history
-        The motor's nights.
-    own
-        How far the indicator had moved from each baseline.
-    wears
-        Nights on which it says nothing of the oil, as the motor wears, shape (n,).
-    """
+def contribution(history: History, own: LogChange) -> Contribution:
+    """What a motor's indicator says, each baseline's nights on top of those before."""
     change = own.change.copy()
-    spoken, held = np.where(wears, np.nan, change), np.full(len(change), np.nan)
+    spoken, held = own.change.copy(), np.full(len(change), np.nan)
     found = Contribution(change, spoken, held, own.known_at, own.segments)
     waits = history.fitted & ~found.known
     for part in own.segments[1:]:

@@ -5,23 +5,20 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.attribution import Attribution
+from leakage.hypotheses import Posterior
 from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
+from pipeline.trends.explanation_words import why_words
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.standing import CHANGED, RAISED, Standing
-from pipeline.trends.words import limit_words, moved_words, path_words, size_words, unknown_words
+from pipeline.trends.words import limit_words, moved_words, size_words, unknown_words
 
 Array = NDArray[np.float64]
 
-COMMON_CAUSE = (
-    "the other motors of the oil circuit moved alike: oil, temperature or charge pressure, not "
-    "this motor"
-)
 FALL = "a fall is no wear but another oil, a sensor, the flushing, a filled gap or a new part"
 
 
-def why_state(standing: Standing, name: str, place: int, path: Attribution | None) -> str:
+def why_state(standing: Standing, name: str, place: int, behind: Posterior | None) -> str:
     """Why an indicator with a baseline is not ok in a night; a sensor that drifts comes first."""
     state = standing.states[name][place]
     watched = standing.watched[name]
@@ -39,12 +36,13 @@ def why_state(standing: Standing, name: str, place: int, path: Attribution | Non
         parts += _sizes(standing, name, place)
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
-        parts.append(_circuit(standing, name, place))
-        parts.append(path_words(path))
+    if found.own.severity[inside]:
+        parts.append(why_words(standing.history, place, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
-    if state == "common_cause" and told:
-        parts += [path_words(path), COMMON_CAUSE]
+        if not found.own.severity[inside]:
+            behind = standing.why.at(place, sudden.place)
+            parts.append(why_words(standing.history, place, behind))
     return "; ".join(part for part in parts if part)
 
 
@@ -121,14 +119,6 @@ def _beyond_limit(standing: Standing, name: str, place: int) -> str:
     is_alarm = found.own.limit_severity[place - segment.first] > 1
     limit = limits.alarm if is_alarm else limits.warning
     return limit_words(name, value, float(limit or 0.0), watched.indicator.unit)
-
-
-def _circuit(standing: Standing, name: str, place: int) -> str:
-    """How far the other motors of the oil circuit have moved as well; empty where they have not."""
-    moved = standing.circuit_moved(name, place)
-    if moved is None:
-        return ""
-    return f"the other motors of the oil circuit {100 * moved:+.0f} %, which is taken off"
 
 
 def _latest(values: Array) -> float:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import datetime as dt
 import logging
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,7 +17,6 @@ from typing import Any, TypeVar
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from leakage.slope import benjamini_hochberg
@@ -32,16 +30,16 @@ from pipeline.trends.beginnings import earlier_views
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.decisions import Decision
 from pipeline.trends.eras import Era, eras_of, indicators_of
+from pipeline.trends.explanations import Explanations, OilCircuit, View, Why
 from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.history import History
-from pipeline.trends.indicators import Indicator
+from pipeline.trends.indicators import DEVIATION, Indicator
 from pipeline.trends.night_records import Records
 from pipeline.trends.peers import (
     Contribution,
     Peers,
     contribution,
     log_change,
-    moved_apart,
     peers_of_circuit,
 )
 from pipeline.trends.reading import MotorNights, read_nights
@@ -199,12 +197,12 @@ def _run_circuit(
             if part is not None:
                 parts[motor_id] = part
                 done.filtered[motor_id] = part.history.records
-    peers = {} if alone else circuit_peers(parts)
+    neighbours = {} if alone else neighbours_of(parts)
     for motor_id, span in spans.items():
         part = parts.get(motor_id)
         if part is None:
             continue
-        others, published = peers.get(motor_id, {}), nights[motor_id].published
+        others, published = neighbours.get(motor_id), nights[motor_id].published
         made = done.guarded(motor_id, partial(_stage_motor, task, part, others, span, published))
         if made is not None:
             done.nights[motor_id], new = made
@@ -258,77 +256,74 @@ class Part:
         Its nights, and what people said.
     eras, indicators
         From `eras_of` and `indicators_of`.
-    apart
-        By indicator, nights on which it had risen by more than the motor's paths have in common,
-        shape (n,).
-    contributions
-        By indicator, what it says of the oil.
+    flow
+        What its drain flow says to the other motors of its oil circuit.
+    views
+        How they see it, the earliest view first.
     """
 
     history: History
     decisions: tuple[Decision, ...]
     eras: tuple[Era, ...]
     indicators: Mapping[str, Indicator]
-    apart: Mapping[str, NDArray[np.bool_]]
-    contributions: Mapping[str, Contribution]
+    flow: Contribution
+    views: tuple[View, ...]
 
     @classmethod
     def of(cls, history: History, decisions: tuple[Decision, ...]) -> Part:
         eras = eras_of(history, decisions)
         indicators = indicators_of(history, eras)
-        changes = {
-            name: log_change(history, one, segments(history, decisions, name))
-            for name, one in indicators.items()
-        }
-        paths = [name for name, one in indicators.items() if one.path]
-        apart = moved_apart(
-            {name: one.told for name, one in changes.items()},
-            paths,
-            history.spec.settings.alarms.common_cause_percent,
-        )
-        # One path that wears is enough: the motor's leakage says nothing of the oil then.
-        wears = np.zeros(len(history), dtype=np.bool_)
-        for name in paths:
-            wears |= apart[name]
-        said = {
-            name: contribution(history, one, apart[name] if name in paths else wears)
-            for name, one in changes.items()
-        }
-        return cls(history, decisions, eras, indicators, apart, said)
+        own = segments(history, decisions, DEVIATION)
+        flow = contribution(history, log_change(history, indicators[DEVIATION], own))
+        views = (View(None, Explanations(history, eras)),)
+        return cls(history, decisions, eras, indicators, flow, views)
 
     def seen_before(self, night: dt.date, earlier: Part) -> Part:
         """The same where the other motors of its circuit saw another one before a night."""
         place = int(np.searchsorted(self.history.records["night"], np.datetime64(night)))
-        said = {
-            name: one.seen_before(self.history, place, earlier.contributions[name])
-            for name, one in self.contributions.items()
-        }
-        return replace(self, contributions=said)
+        flow = self.flow.seen_before(self.history, place, earlier.flow)
+        view = View(night, earlier.views[-1].explanations)
+        return replace(self, flow=flow, views=(view, *self.views))
 
 
-def circuit_peers(parts: Mapping[str, Part]) -> dict[str, dict[str, Peers]]:
-    """By motor and indicator, what the other motors of an oil circuit did."""
+@dataclass(frozen=True, slots=True)
+class Neighbours:
+    """The other motors of a motor's oil circuit.
+
+    Attributes
+    ----------
+    peers
+        What their drain flows did.
+    circuit
+        What they say of a common factor.
+    """
+
+    peers: Peers
+    circuit: OilCircuit
+
+
+def neighbours_of(parts: Mapping[str, Part]) -> dict[str, Neighbours]:
+    """By motor of an oil circuit, the others; empty for a motor on its own."""
     histories = {motor_id: part.history for motor_id, part in parts.items()}
-    found: defaultdict[str, dict[str, Peers]] = defaultdict(dict)
-    for name in dict.fromkeys(name for part in parts.values() for name in part.indicators):
-        said = {
-            motor_id: part.contributions[name]
-            for motor_id, part in parts.items()
-            if name in part.contributions
-        }
-        for motor_id, one in peers_of_circuit(histories, said).items():
-            found[motor_id][name] = one
-    return found
+    said = {motor_id: part.flow for motor_id, part in parts.items()}
+    circuit = OilCircuit({motor_id: part.views for motor_id, part in parts.items()})
+    return {
+        motor_id: Neighbours(one, circuit)
+        for motor_id, one in peers_of_circuit(histories, said).items()
+    }
 
 
-def standing_of(part: Part, peers: Mapping[str, Peers]) -> Standing:
+def standing_of(part: Part, neighbours: Neighbours | None) -> Standing:
     """How a motor stands, night by night."""
+    circuit = None if neighbours is None else neighbours.circuit
+    why = Why(part.views[-1].explanations, circuit)
     return Standing(
         part.history,
         part.eras,
-        watch(part.history, part.decisions, part.indicators, peers, part.apart),
-        peers,
-        sudden_changes(part.history, part.decisions, part.indicators, peers),
+        watch(part.history, part.decisions, part.indicators),
+        None if neighbours is None else neighbours.peers,
+        why,
+        sudden_changes(part.history, part.decisions, part.indicators, why),
         sensor_zeros(part.history, part.decisions),
     )
 
@@ -336,7 +331,7 @@ def standing_of(part: Part, peers: Mapping[str, Peers]) -> Standing:
 def _stage_motor(
     task: TrendTask,
     part: Part,
-    peers: Mapping[str, Peers],
+    neighbours: Neighbours | None,
     span: tuple[dt.date, dt.date],
     published: Sequence[Row],
 ) -> tuple[int, list[Row]]:
@@ -344,7 +339,7 @@ def _stage_motor(
     history, motor_id = part.history, part.history.spec.motor_id
     gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
-    standing = standing_of(part, peers)
+    standing = standing_of(part, neighbours)
     alarms = alarm_rows(standing, places, published)
     made = {
         "trends": trend_rows(standing, places),

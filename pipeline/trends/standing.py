@@ -6,16 +6,20 @@ import datetime as dt
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import Baseline
-from leakage.monitoring import ChangeSize, Track, change_size
+from leakage.alarms import OF_SEVERITY, Limits
+from leakage.hypotheses import Posterior
+from leakage.monitoring import ChangeSize, Track, change_size, track
 from pipeline.config.nights import night as night_labelled
 from pipeline.trends.eras import Era
+from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION
+from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.peers import Peers
 from pipeline.trends.running import RunningHours, running_hours
 from pipeline.trends.sudden import Sudden
@@ -27,6 +31,8 @@ Array = NDArray[np.float64]
 RAISED = ("warning", "alarm")
 CHANGED = (*RAISED, "common_cause")
 DAYS_A_YEAR = 365.25
+# Nights for which it stays told that a rise is the oil circuit's.
+LONGEST_MEMORY = 60
 UTC_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 
 
@@ -41,7 +47,9 @@ class Standing:
     watched
         By indicator.
     peers
-        By indicator, what the other motors of its oil circuit did; empty for a motor on its own.
+        What the drain flows of the other motors of its oil circuit did; None without others.
+    why
+        The explanations of its changes.
     sudden
         Sudden changes that no event explains.
     zeros
@@ -51,7 +59,8 @@ class Standing:
     history: History
     eras: tuple[Era, ...]
     watched: Mapping[str, Watched]
-    peers: Mapping[str, Peers]
+    peers: Peers | None
+    why: Why
     sudden: tuple[Sudden, ...]
     zeros: Mapping[str, Zero]
 
@@ -67,26 +76,59 @@ class Standing:
         return years
 
     @cached_property
-    def states(self) -> dict[str, tuple[str, ...]]:
-        """State of each night, by indicator."""
+    def told(self) -> dict[str, tuple[str, ...]]:
+        """State of each night, by indicator, whatever the other motors of the circuit did."""
         found: dict[str, list[str]] = {
             name: [state for part in one.monitoring for state in part.states]
             for name, one in self.watched.items()
         }
-        found[DEVIATION] = self._with_sudden(found[DEVIATION])
+        # A baseline that no longer holds is a warning: under it, wear would not show.
+        flow = found[DEVIATION]
+        for one in self.sudden:
+            for place in range(one.told, one.until):
+                if flow[place] == "ok":
+                    flow[place] = "common_cause" if one.kind == "circuit" else "warning"
         return {name: tuple(states) for name, states in found.items()} | {
             name: zero.state for name, zero in self.zeros.items()
         }
 
-    def _with_sudden(self, states: Sequence[str]) -> list[str]:
-        """A baseline that no longer holds is a warning: under it, wear would not show."""
-        states = list(states)
-        for one in self.sudden:
-            says = "common_cause" if one.kind == "circuit" else "warning"
-            for place in range(one.told, one.until):
-                if states[place] == "ok":
-                    states[place] = says
-        return states
+    @cached_property
+    def states(self) -> dict[str, States]:
+        """State of each night, by indicator."""
+        return {name: States(self, name) for name in self.told}
+
+    def state(self, name: str, place: int) -> str:
+        """State of an indicator; a rise that all motors of the oil circuit have is no own alarm.
+
+        An absolute limit holds whatever the others do, and what a path did is the motor's own.
+        """
+        told = self.told[name][place]
+        if told not in RAISED or self.why.circuit is None or name not in self.watched:
+            return told
+        segment, found, _ = self.watched[name].at(place)
+        if found.own.limit_severity[place - segment.first] or name == FLUSHING:
+            return told
+        return "common_cause" if self._is_of_circuit(name, place, segment.first) else told
+
+    def _is_of_circuit(self, name: str, place: int, first: int) -> bool:
+        """Whether a rise is what all motors of the oil circuit have.
+
+        Once told, until something of the motor's own is told, or nothing for long.
+        """
+        path = self.watched[name].indicator.path
+        for one in range(place, max(first, place - LONGEST_MEMORY) - 1, -1):
+            found = self.explained(one) if self.told[name][one] in RAISED else None
+            if found is None:
+                return False
+            if found.is_of_tank and (found.verdict == "common" or (path and found.excludes(path))):
+                return True
+            if found.is_own:
+                return False
+        return False
+
+    def explained(self, place: int) -> Posterior | None:
+        """Why the flows changed that some raised indicator tells; None where nobody can say."""
+        return self.why.at(place, self.earliest_onset(place))
 
     def sudden_at(self, place: int) -> Sudden | None:
         """The sudden change that stands in a night, the latest of several; None without one."""
@@ -101,32 +143,24 @@ class Standing:
         sd = 0.0 if baseline is None else baseline.highest_sd() / baseline.mean
         return watched.settings.levels.in_effect(sd)
 
-    def own_change(self, name: str, place: int) -> tuple[Array, Baseline | None]:
-        """Series and baseline that tell what a motor did by itself, as of a night.
-
-        Where all of its oil circuit has moved, that is taken off.
-        """
-        watched = self.watched[name]
-        segment, found, baseline = watched.at(place)
-        corrected = None
-        if self.circuit_moved(name, place) is not None and found.corrected is not None:
-            corrected = found.corrected.baseline_at(place - segment.first)
-        if corrected is None:
-            return watched.series, baseline
-        return watched.series / np.exp(self.peers[name].others), corrected
-
-    def circuit_moved(self, name: str, place: int) -> float | None:
-        """How far all of the oil circuit has risen, relative; None where it has not, or is silent.
-
-        What the other motors did before they wore, or fell silent, says nothing of now.
-        """
-        segment, found, _ = self.watched[name].at(place)
-        inside, circuit = place - segment.first, found.circuit
-        if circuit is None or not circuit.severity[inside]:
-            return None
-        known = circuit.deviation[: inside + 1][-self.watched[name].settings.stale_nights :]
-        known = known[np.isfinite(known)]
-        return float(known[-1]) if len(known) else None
+    @cached_property
+    def diverged(self) -> tuple[str, ...]:
+        """State of the drain flow less what the other motors' did, of each night."""
+        watched = self.watched[DEVIATION]
+        settings = replace(watched.settings, limits=Limits())
+        found: list[str] = []
+        for part in watched.segments:
+            here = slice(part.first, part.end)
+            if self.peers is None:
+                found += ["insufficient"] * (part.end - part.first)
+                continue
+            series = watched.series[here] / np.exp(self.peers.others[here])
+            one = track(self.history.numbers[here], series, settings)
+            known = self.peers.known_from(part) <= np.arange(part.first, part.end)
+            state = np.array(OF_SEVERITY, dtype=object)[one.severity]
+            state[~(known & one.has_baseline)] = "insufficient"
+            found += state.tolist()
+        return tuple(found)
 
     def era(self, place: int) -> Era:
         """The era of a night."""
@@ -192,8 +226,7 @@ class Standing:
         begins = [
             onset
             for name in self.watched
-            if self.states[name][place] in CHANGED
-            and (onset := self.onset(name, place)) is not None
+            if self.told[name][place] in CHANGED and (onset := self.onset(name, place)) is not None
         ]
         return max([min([place, *begins]), *self._sudden_places(place)])
 
@@ -212,6 +245,29 @@ class Standing:
         onset = self.onset(name, place)
         began = [] if onset is None else [onset]
         return max([segment.first, *began, *self._sudden_places(place)])
+
+
+@dataclass(frozen=True, slots=True)
+class States(Sequence[str]):
+    """States of an indicator, each made when it is asked for."""
+
+    standing: Standing
+    name: str
+
+    def __len__(self) -> int:
+        return len(self.standing.history)
+
+    @overload
+    def __getitem__(self, place: int) -> str: ...
+
+    @overload
+    def __getitem__(self, place: slice) -> tuple[str, ...]: ...
+
+    def __getitem__(self, place: int | slice) -> str | tuple[str, ...]:
+        places = range(len(self))[place]
+        if isinstance(places, range):
+            return tuple(self.standing.state(self.name, one) for one in places)
+        return self.standing.state(self.name, places)
 
 
 def _with_onset_by_level(own: Track, inside: int, needed: int) -> Track:

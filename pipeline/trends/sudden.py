@@ -1,9 +1,9 @@
 """Sudden changes of a whole motor that no event in its file explains.
 
 Wear grows, and damage takes one path. Where every path changes in one night, by different amounts,
-a motor was exchanged or overhauled; where all change alike, another oil was filled in or a sensor
-tells something else; and leakage that falls in a night does not do so by wear. The baseline then
-says nothing of what there is now, so it is said until somebody dates the event.
+a motor was exchanged or overhauled; where all flows change by one factor, another oil was filled in
+or a sensor tells something else; and leakage that falls in a night does not do so by wear. The
+baseline then says nothing of what there is now, so it is said until somebody dates the event.
 """
 
 from __future__ import annotations
@@ -15,11 +15,12 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.hypotheses import Posterior
 from leakage.jumps import AFTER, LEAST_BEFORE, MOST_BEFORE, Jump, find_jumps, is_undone
 from pipeline.trends.decisions import Decision
+from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, Indicator
-from pipeline.trends.peers import Peers
 from pipeline.trends.segments import Segment, segments
 from pipeline.trends.words import day, name_of
 
@@ -51,7 +52,7 @@ class Sudden:
     told, until
         Places of the nights from which, and before which, it stands.
     kind
-        ``exchange``: every path changed, by different amounts; ``alike``: all by the same factor;
+        ``exchange``: every path changed, by different amounts; ``alike``: all flows by one factor;
         ``fall``: the drain flow fell, and nobody can tell through which path; ``circuit``: what the
         other motors of the oil circuit did, too.
     words
@@ -85,18 +86,15 @@ def sudden_changes(
     history: History,
     decisions: Sequence[Decision],
     indicators: Mapping[str, Indicator],
-    peers: Mapping[str, Peers],
+    why: Why,
 ) -> tuple[Sudden, ...]:
     """All sudden changes of a motor, in order of the nights on which they are told."""
     paths = {name: one for name, one in indicators.items() if one.path}
-    flow, others = indicators[DEVIATION], peers.get(DEVIATION)
     found = [
-        one
-        for part in segments(history, decisions)
-        for one in _of_paths(history, part, paths, peers)
+        one for part in segments(history, decisions) for one in _of_paths(history, part, paths, why)
     ]
     for part in segments(history, decisions, DEVIATION):
-        found += _falls(history, part, flow, others)
+        found += _falls(history, part, indicators[DEVIATION], why)
     told = sorted(found, key=lambda one: (one.told, KINDS.index(one.kind)))
     return tuple(
         one for at, one in enumerate(told) if not any(one.undoes(before) for before in told[:at])
@@ -112,7 +110,7 @@ def _jumps(history: History, part: Segment, series: Array, least: float) -> dict
 
 
 def _of_paths(
-    history: History, part: Segment, paths: Mapping[str, Indicator], peers: Mapping[str, Peers]
+    history: History, part: Segment, paths: Mapping[str, Indicator], why: Why
 ) -> list[Sudden]:
     """Nights in which every path changed, as far as the second of them tells it."""
     jumps = {name: _jumps(history, part, one.watched, LEAST_STEP) for name, one in paths.items()}
@@ -123,8 +121,9 @@ def _of_paths(
             continue
         # Judged once, by what is known in that night: later nights change nothing of it.
         told = sorted(here)[1][0]
-        steps = _steps(part, place, told, paths, peers)
-        kind = _kind(steps, len(paths))
+        steps = _steps(part, place, told, paths)
+        behind = why.at(part.first + told, part.first + place)
+        kind = _kind(steps, len(paths), behind)
         if kind is None:
             continue
         members = [(paths[name].watched, jumps[name][place]) for at, name in here if at <= told]
@@ -135,17 +134,18 @@ def _of_paths(
     return found
 
 
-def _kind(steps: Mapping[str, _Step], n_paths: int) -> Kind | None:
+def _kind(steps: Mapping[str, _Step], n_paths: int, behind: Posterior | None) -> Kind | None:
     """What the steps of a night's paths mean; None where they may as well be damage."""
     if len(steps) < 2 or not all(one.took_part for one in steps.values()):
         return None
-    if not any(one.alone for one in steps.values()):
-        return "circuit"
-    if not all(one.alone for one in steps.values()):
+    if behind is not None and behind.verdict == "common":
+        return "circuit" if behind.is_of_tank else "alike"
+    # What all flows share is no step of a path.
+    shared = behind.factor.log if behind is not None and behind.is_common else 0.0
+    own = [one.size - shared for one in steps.values()]
+    scatter = [one.scatter for one in steps.values()]
+    if any(abs(size) <= TOOK_PART_SD * one for size, one in zip(own, scatter, strict=True)):
         return None
-    own = [one.own for one in steps.values()]
-    if max(own) - min(own) <= ALIKE:
-        return "alike"
     # Where only some paths are known, and all have grown, damage does that, too.
     return None if len(steps) < n_paths and min(own) > 0 else "exchange"
 
@@ -156,32 +156,22 @@ class _Step:
 
     Attributes
     ----------
-    size, own
-        Logarithm of its step, and less that of the other motors of the oil circuit.
+    size
+        Logarithm of its step.
     scatter
         Of the nights before, at least that of `LEAST_SCATTER`.
     """
 
     size: float
-    own: float
     scatter: float
 
     @property
     def took_part(self) -> bool:
         return abs(self.size) > TOOK_PART_SD * self.scatter
 
-    @property
-    def alone(self) -> bool:
-        """Whether it took part beyond what the other motors did."""
-        return abs(self.own) > TOOK_PART_SD * self.scatter
-
 
 def _steps(
-    part: Segment,
-    place: int,
-    told: int,
-    paths: Mapping[str, Indicator],
-    peers: Mapping[str, Peers],
+    part: Segment, place: int, told: int, paths: Mapping[str, Indicator]
 ) -> dict[str, _Step]:
     """By path that was known before and after, what it did."""
     steps = {}
@@ -194,22 +184,11 @@ def _steps(
             continue
         size = float(np.log(np.median(after) / np.median(before)))
         scatter = max(float(np.std(np.log(before), ddof=1)), LEAST_SCATTER)
-        others = _of_others(part, place, told, peers.get(name))
-        steps[name] = _Step(size, size - others, scatter)
+        steps[name] = _Step(size, scatter)
     return steps
 
 
-def _of_others(part: Segment, place: int, told: int, peers: Peers | None) -> float:
-    """Logarithm of the step of the other motors of the oil circuit; 0 where it is not known."""
-    if peers is None or part.first + told < peers.known_from(part):
-        return 0.0
-    series = peers.others[part.first : part.end]
-    before, after = series[:place], series[place : told + 1]
-    before, after = before[np.isfinite(before)][-MOST_BEFORE:], after[np.isfinite(after)]
-    return float(np.median(after) - np.median(before)) if len(before) and len(after) else 0.0
-
-
-def _falls(history: History, part: Segment, flow: Indicator, peers: Peers | None) -> list[Sudden]:
+def _falls(history: History, part: Segment, flow: Indicator, why: Why) -> list[Sudden]:
     """Nights in which the drain flow fell by as much as a warning would have it rise."""
     least = history.spec.settings.alarms.warning_percent / 100.0
     found = []
@@ -219,8 +198,9 @@ def _falls(history: History, part: Segment, flow: Indicator, peers: Peers | None
         # Before there is a baseline's model, there is no deviation to fall.
         known_from = part.first + int(np.argmax(flow.told[part.first : part.end]))
         told = max(part.first + jump.told, known_from)
-        of_others = _of_others(part, place, told - part.first, peers)
-        kind: Kind = "circuit" if of_others <= jump.log_step / 2.0 else "fall"
+        behind = why.at(told, part.first + place)
+        is_of_tank = behind is not None and behind.is_of_tank
+        kind: Kind = "circuit" if is_of_tank else "fall"
         moved = {DEVIATION: jump.log_step}
         words = _words_of_fall(kind, history, part.first + place, jump.log_step)
         until = _until(part, jump.told, [(flow.watched, jump)])
@@ -259,8 +239,8 @@ def _words_of_paths(
         return f"{every} changed {night}, {AS_THE_OTHERS}"
     if kind == "alike":
         return (
-            f"{every} changed alike {night}, as by another oil or a sensor, not by wear; date an "
-            "oil change in the motor's file"
+            f"{every} changed {night}, as by another oil or a sensor, not by wear; date an oil "
+            "change in the motor's file"
         )
     damage = ", or all were damaged at once" if min(steps.values()) > 0 else ""
     return (

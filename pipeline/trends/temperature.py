@@ -39,7 +39,9 @@ def correction_of(
     )
 
 
-def warming(history: History, here: slice, correction: TemperatureCorrection | None) -> Array:
+def warming(
+    history: History, here: slice | NDArray[np.intp], correction: TemperatureCorrection | None
+) -> Array:
     """Loss factors at the temperature of some nights over those at T₀, shape (m,).
 
     1 where no change is certain, and in nights without a fit of their own: filtered figures are

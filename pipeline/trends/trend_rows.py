@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -10,12 +11,13 @@ from numpy.typing import NDArray
 
 from leakage.baseline import Baseline
 from leakage.cusum import cusum_limit
+from leakage.hypotheses import Posterior
 from leakage.slope import Slope, fit_slope
 from leakage.time_to_limit import time_to_limit
-from pipeline.trends.attribution import path_behind, path_named, reference_flows
-from pipeline.trends.first_rows import first_rows
+from pipeline.trends.attribution import path_behind, path_named
+from pipeline.trends.explanation_words import cannot_be_told
+from pipeline.trends.first_rows import first_rows, reference_flows
 from pipeline.trends.indicators import (
-    DEVIATION,
     NO_BASELINE,
     PEER_DEVIATION,
     Indicator,
@@ -39,7 +41,7 @@ def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
             yield shared | _watched_row(standing, name, place)
             yield from (shared | row for row in _derived(standing, name, place))
         yield from (shared | row for row in first_rows(standing, place))
-        if DEVIATION in standing.peers:
+        if standing.peers is not None:
             yield shared | _peer_row(standing, place)
         for zero in standing.zeros.values():
             if np.isfinite(zero.value[: place + 1]).any():
@@ -97,11 +99,29 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     if state != "ok":
         path = path_behind(standing, name, place)
         row["state_reason"] = why_state(standing, name, place, path)
-        row["path"] = path_named(standing, name, place, path)
-        if path is not None:
-            row["path_probability"] = path.probability if row["path"] else None
-            row["path_reason"] = path.reason or None
+        row["path"] = path_named(standing, name, path)
+        row |= _explained(path, row["path"])
     return row | _line(standing, name, place, baseline)
+
+
+def _explained(found: Posterior | None, path: str | None) -> Row:
+    """How probable the paths and a common factor are behind a change."""
+    if found is None:
+        return {}
+    factor = found.factor
+    row: Row = {"common_probability": found.common, "common_origin": found.origin}
+    if path:
+        row["path_probability"] = min(found.paths[name] for name in path.split(" and "))
+    elif found.verdict == "cannot_be_told":
+        row["path_reason"] = cannot_be_told(found)
+    if found.is_common:
+        half = HALF * factor.sd
+        row |= {
+            "common_factor": math.exp(factor.log),
+            "common_factor_lower": math.exp(factor.log - half),
+            "common_factor_upper": math.exp(factor.log + half),
+        }
+    return row
 
 
 def _limit(relative: float, absolute: float | None) -> float:
@@ -160,14 +180,9 @@ def _derived(standing: Standing, name: str, place: int) -> Iterator[Row]:
 
 
 def _peer_row(standing: Standing, place: int) -> Row:
-    peers, watched = standing.peers[DEVIATION], standing.watched[DEVIATION]
-    segment, found, _ = watched.at(place)
-    inside = place - segment.first
+    peers, state = standing.peers, standing.diverged[place]
+    assert peers is not None
     value = _finite(np.expm1(peers.deviation[place]))
-    corrected, state = found.corrected, "insufficient"
-    usable = place >= peers.known_from(segment)
-    if corrected is not None and usable and corrected.has_baseline[inside]:
-        state = ("ok", "warning", "alarm")[int(corrected.severity[inside])]
     alone = int(peers.n_others[place]) == 1 and state in RAISED
     return {
         "indicator": PEER_DEVIATION,

@@ -16,11 +16,9 @@ from pipeline.config import MotorSpec
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.indicators import REFERENCE, Indicator
-from pipeline.trends.peers import Peers
 from pipeline.trends.segments import Segment, segments
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +55,6 @@ def watch(
     history: History,
     decisions: Sequence[Decision],
     indicators: Mapping[str, Indicator],
-    peers: Mapping[str, Peers],
-    apart: Mapping[str, Mask],
 ) -> dict[str, Watched]:
     """Watch every indicator of a motor.
 
@@ -68,11 +64,6 @@ def watch(
         The motor's nights, and what people said of it.
     indicators
         By name.
-    peers
-        By indicator, what the other motors of the oil circuit did; empty for a motor on its own.
-    apart
-        By indicator, nights on which it had risen by more than the motor's paths have in common,
-        shape (n,).
     """
     watched = {}
     for name, indicator in indicators.items():
@@ -83,36 +74,17 @@ def watch(
             indicator,
             series,
             parts,
-            tuple(
-                _monitored(history, part, series, settings, peers.get(name), apart[name])
-                for part in parts
-            ),
+            tuple(_monitored(history, part, series, settings) for part in parts),
             settings,
         )
     return watched
 
 
 def _monitored(
-    history: History,
-    part: Segment,
-    series: Array,
-    settings: MonitorSettings,
-    peers: Peers | None,
-    apart: Mask,
+    history: History, part: Segment, series: Array, settings: MonitorSettings
 ) -> Monitoring:
     here = slice(part.first, part.end)
-    nights = history.numbers[here]
-    if peers is None:
-        return monitor(nights, series[here], settings)
-    return monitor(
-        nights,
-        series[here],
-        settings,
-        peers.others[here],
-        others_known_from=peers.known_from(part) - part.first,
-        # What moved one path alone is the motor's own, whatever the other motors did.
-        by_itself=apart[here],
-    )
+    return monitor(history.numbers[here], series[here], settings)
 
 
 def monitor_settings(spec: MotorSpec, indicator: Indicator, n_indicators: int) -> MonitorSettings:

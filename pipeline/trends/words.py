@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from leakage.attribution import Attribution
 from leakage.monitoring import ChangeSize
 from leakage.temperature_correction import TemperatureCorrection
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
@@ -179,19 +178,3 @@ def unknown_words(indicator: str, since: object) -> str:
     'reference leakage not known since 10 January 2026'
     """
     return f"{name_of(indicator)} not known since {day(since)}"
-
-
-def path_words(found: Attribution | None) -> str:
-    """Which path explains the change, for people; empty where nothing is to be said."""
-    if found is None or found.status in ("no_change", "no_path"):
-        return ""
-    names = [f"the {name.replace('_', ' ')}" for name in found.paths]
-    percent = 100 * (found.probability or 0.0)
-    probable = "over 99" if percent > 99 else f"{percent:.0f}"
-    if found.status == "path":
-        return f"mostly by {names[0]} ({probable} % probable)"
-    if found.status == "several":
-        return f"by {' and '.join(names)}, which have all grown ({probable} % probable)"
-    if found.status == "together":
-        return f"by {' and '.join(names)} together: {found.reason.replace('_', ' ')}"
-    return f"which path cannot be told: {found.reason.replace('_', ' ')}"

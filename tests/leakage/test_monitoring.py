@@ -9,7 +9,6 @@ from leakage.alarms import Levels, Limits
 from leakage.baseline import BaselineSettings
 from leakage.errors import ShapeError
 from leakage.monitoring import MonitorSettings, change_size, monitor, track
-from leakage.peers import peer_deviations
 from tests.leakage.made_nights import autoregression
 
 K = MonitorSettings(baseline=BaselineSettings(relative_floor=0.05))
@@ -67,10 +66,9 @@ def test_no_night_depends_on_later_ones() -> None:
     nights = np.flatnonzero(generator.random(320) > 0.2)
     values = healthy(len(nights), 6, sd=0.02) * (1 + np.maximum(nights - 90, 0) * 0.002)
     values[generator.random(len(nights)) < 0.2] = np.nan
-    others = 0.01 * autoregression(len(nights), 0.5, generator)
-    whole = monitor(nights, values, K, others)
+    whole = monitor(nights, values, K)
     for end in range(1, len(nights), 7):
-        part = monitor(nights[:end], values[:end], K, others[:end])
+        part = monitor(nights[:end], values[:end], K)
         assert part.states == whole.states[:end]
         assert part.own.evidence == pytest.approx(whole.own.evidence[:end], nan_ok=True)
 
@@ -144,93 +142,13 @@ def test_a_slope_that_is_not_told_does_not_become_the_baseline_either() -> None:
     assert found.baselines[-1].reason == "kept at 30 good nights: 60 have a slope"
 
 
-def test_the_whole_oil_circuit_is_a_common_cause() -> None:
-    """The oil of four motors thins by 20 %: no alarm of a motor."""
-    nights = np.arange(300)
-    thin = np.where(nights >= 150, 1.25, 1.0)
-    table = np.column_stack([healthy(300, seed, sd=0.01) for seed in range(20, 24)])
-    table *= thin[:, None]
-    peers = peer_deviations(np.log(table))
-    for motor in range(4):
-        alone = monitor(nights, table[:, motor])
-        assert alone.states[-1] == "warning"
-        found = monitor(nights, table[:, motor], others_log_change=peers.others[:, motor])
-        assert not {"warning", "alarm"} & set(found.states)
-        assert set(found.states[160:]) == {"common_cause"}
-
-
-def test_wear_of_one_motor_is_told_through_a_common_cause() -> None:
-    nights = np.arange(300)
-    table = np.column_stack([healthy(300, seed, sd=0.01) for seed in range(30, 34)])
-    table *= np.where(nights >= 150, 1.25, 1.0)[:, None]
-    table[:, 0] *= np.where(nights >= 200, 1.4, 1.0)
-    peers = peer_deviations(np.log(table))
-    worn = monitor(nights, table[:, 0], others_log_change=peers.others[:, 0])
-    assert worn.states[199] == "common_cause"
-    assert worn.states[210] == "alarm"
-    for motor in (1, 2, 3):
-        found = monitor(nights, table[:, motor], others_log_change=peers.others[:, motor])
-        assert found.states[-1] == "common_cause"
-
-
-def test_of_two_motors_the_one_that_rises_is_told() -> None:
+def test_an_absolute_limit_is_an_alarm_where_the_levels_warn() -> None:
     nights = np.arange(200)
-    table = np.column_stack([healthy(200, 40), healthy(200, 41)])
-    table[:, 0] *= np.where(nights >= 120, 1.2, 1.0)
-    peers = peer_deviations(np.log(table))
-    assert peers.words(150, 0) == "the two motors of the circuit diverge"
-    states = [
-        monitor(nights, table[:, motor], others_log_change=peers.others[:, motor]).states[-1]
-        for motor in (0, 1)
-    ]
-    assert states == ["warning", "ok"]
-
-
-def test_without_peers_in_reach_the_own_values_decide() -> None:
-    nights = np.arange(200)
-    values = healthy(200, 42) * np.where(nights >= 120, 1.2, 1.0)
-    never = np.full(200, np.nan)
-    assert monitor(nights, values, others_log_change=never).states[-1] == "warning"
-    gone = np.where(nights < 100, 0.0, np.nan)
-    found = monitor(nights, values, others_log_change=gone)
-    assert found.states[123] == "warning"
-
-
-def test_others_that_come_back_after_a_silence_take_nothing_back_before_they_can_tell() -> None:
-    """What was told alone meanwhile: levels would else count the others' nights before it."""
-    nights = np.arange(200)
-    silent = (nights >= 110) & (nights < 150)
-    wear = np.select([nights >= 130, nights >= 100], [1.44, 1.2], 1.0)
-    others = np.where(silent, np.nan, 0.0)
-    found = monitor(nights, healthy(200, 42) * wear, others_log_change=others)
-    assert [(one.night, one.after) for one in found.changes] == [
-        (15, "ok"),
-        (102, "warning"),
-        (132, "alarm"),
-    ]
-    # Where it was the oil, the others say so on as many nights as a level needs.
-    oil = np.where(nights >= 130, 1.44, 1.0)
-    others = np.where(silent, np.nan, np.log(oil))
-    found = monitor(nights, healthy(200, 42) * oil, others_log_change=others)
-    assert found.states[148:155] == ["alarm"] * 4 + ["common_cause"] * 3
-
-
-@pytest.mark.parametrize(("size", "state"), [(1.2, "warning"), (1.4, "alarm")])
-def test_what_both_have_told_stays_though_the_others_rise_later(size: float, state: str) -> None:
-    nights = np.arange(200)
-    oil = np.where(nights >= 140, 1.3, 1.0)
-    values = healthy(200, 47) * np.where(nights >= 100, size, 1.0)
-    found = monitor(nights, values, others_log_change=np.log(oil))
-    assert set(found.states[103:]) == {state}
-
-
-def test_an_absolute_limit_holds_whatever_the_others_do() -> None:
-    nights = np.arange(200)
-    rise = np.where(nights >= 120, 1.4, 1.0)
-    settings = MonitorSettings(limits=Limits(alarm=1.8))
-    found = monitor(nights, healthy(200, 43) * rise, settings, np.log(rise))
-    assert found.states[-1] == "alarm"
-    assert monitor(nights, healthy(200, 43) * rise, None, np.log(rise)).states[-1] == "common_cause"
+    values = healthy(200, 43) * np.where(nights >= 120, 1.2, 1.0)
+    at_least = 1.1 * float(np.mean(values[:120]))
+    limited = MonitorSettings(limits=Limits(alarm=at_least))
+    assert monitor(nights, values).states[-1] == "warning"
+    assert monitor(nights, values, limited).states[-1] == "alarm"
 
 
 def test_a_motor_exchanged_under_the_same_name_is_an_alarm_or_a_fall_and_no_error() -> None:
@@ -290,5 +208,3 @@ def test_the_levels_of_a_widely_scattering_indicator_wait_for_more() -> None:
 def test_series_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(ShapeError):
         monitor(np.arange(10), np.ones(9))
-    with pytest.raises(ShapeError):
-        monitor(np.arange(10), np.ones(10), None, np.ones(9))

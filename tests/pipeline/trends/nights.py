@@ -30,7 +30,7 @@ from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History, histories_of
-from pipeline.trends.stage import Part, circuit_peers, standing_of
+from pipeline.trends.stage import Part, neighbours_of, standing_of
 from pipeline.trends.standing import Standing
 from tests.pipeline.simulated import motor_toml, write_configs
 
@@ -39,6 +39,7 @@ Row = dict[str, Any]
 
 FIRST = dt.date(2026, 1, 2)
 DAY = dt.timedelta(days=1)
+OIL = "oil"
 PATHS = ("piston_ring", "balance_piston", "balance_sleeve")
 # Relative scatter of the estimates, as simulated nights of one to three hours have it.
 SCATTER = {"piston_ring": 0.013, "balance_piston": 0.024, "balance_sleeve": 0.016, "C_f": 0.002}
@@ -110,7 +111,8 @@ class Nights:
     n
         Nights.
     wear
-        By path (and C_f), a factor on its coefficient in each night, shape (n,).
+        By path (and C_f), a factor on its coefficient in each night, shape (n,); by `OIL` one on
+        all flows, those of the rollers among them, as thinner oil makes it.
     seed
         Of the estimates' scatter.
     noise
@@ -153,10 +155,25 @@ class Nights:
         factors = [self.wear.get(name, np.ones(self.n)) for name in (*PATHS, "C_f")]
         return np.array(values) * np.array(factors).T
 
+    @property
+    def oil(self) -> Array:
+        """Factor of all flows of each night, shape (n,)."""
+        return self.wear.get(OIL, np.ones(self.n))
+
+    def fitted(self) -> Array:
+        """θ of each night as a fit has it, which takes the rollers' flow as known."""
+        charge = None if self.charge is None else float(self.charge[0])
+        triangle = _design(self.spec, self.spec.file.oil_on(FIRST), charge).triangle
+        paths = triangle[:, : len(PATHS)]
+        as_paths, *_ = np.linalg.lstsq(paths, triangle[:, -1])
+        found = self.truth() * self.oil[:, None]
+        found[:, : len(PATHS)] += (self.oil - 1.0)[:, None] * as_paths
+        return found
+
     def estimates(self) -> Array:
         """θ as the nights' fits have it, shape (n, p + 1)."""
         generator = np.random.default_rng(self.seed)
-        truth = self.truth()
+        truth = self.fitted()
         scatter = np.array([SCATTER[name] for name in (*PATHS, "C_f")]) * self.noise
         drawn = generator.standard_normal(truth.shape)
         drawn[:, 2] = self.trade * drawn[:, 1] + np.sqrt(1.0 - self.trade**2) * drawn[:, 2]
@@ -201,7 +218,7 @@ class Nights:
             "columns": list(design.columns),
             "coefficients": theta.tolist(),
             "coefficient_covariance": upper_triangle(np.diag((error / 20.0) ** 2)),
-            "night_factor": design.statistics(truth),
+            "night_factor": design.statistics(truth, float(self.oil[place])),
             "reference_leakage_l_per_min": leakage,
             "reference_leakage_lower": leakage - half,
             "reference_leakage_upper": leakage + half,
@@ -266,11 +283,11 @@ class _Design:
     triangle: Array
     reference: Array
 
-    def statistics(self, theta: Array) -> list[float]:
-        """Triangular factor of the samples of a night, whose flow is exactly that of θ."""
+    def statistics(self, theta: Array, oil: float = 1.0) -> list[float]:
+        """Triangular factor of the samples of a night, whose flow is exactly that of θ and oil."""
         whole = np.zeros((len(theta) + 2, len(theta) + 2))
         whole[:-1, :-1] = self.triangle
-        whole[:-1, -1] = self.triangle @ np.append(theta, 1.0)
+        whole[:-1, -1] = oil * self.triangle @ np.append(theta, 1.0)
         return upper_triangle(whole)
 
 
@@ -334,8 +351,8 @@ def standings(
     """How motors of one oil circuit (or one alone) stand."""
     said = {name: tuple(d for d in decisions if d.motor_id == name) for name in found}
     parts = {name: Part.of(change(one, said[name]), said[name]) for name, one in found.items()}
-    peers = circuit_peers(parts) if len(parts) > 1 else {}
-    return {name: standing_of(part, peers.get(name, {})) for name, part in parts.items()}
+    neighbours = neighbours_of(parts) if len(parts) > 1 else {}
+    return {name: standing_of(part, neighbours.get(name)) for name, part in parts.items()}
 
 
 def standing(nights: Nights, *decisions: Decision, tonight: int | None = None) -> Standing:

@@ -99,6 +99,6 @@ def test_no_row_of_a_night_hangs_on_a_later_one(seed: int) -> None:
         for name, found in stand(motors, said, blocks, cut).items():
             later, last = at_once[name], len(found.history) - 1
             for indicator, states in found.states.items():
-                assert states == later.states[indicator][: last + 1], (name, indicator, cut)
+                assert states[:] == later.states[indicator][: last + 1], (name, indicator, cut)
             for then, now in zip(all_rows(found, [last]), all_rows(later, [last]), strict=True):
                 assert then == now, (name, cut)

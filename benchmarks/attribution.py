@@ -1,0 +1,254 @@
+"""Common factor or paths: how often the explanation of a change is right, through the physics.
+
+Motors of known truth run 40 nights of a baseline and some nights after a change, each night with
+its own load, and with the wander of the noise library: 0.3 °C and 0.3 % of gain with φ = 0.6,
+0.3 bar. What changes is the viscosity, a sensor or the gaps, never a figure.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.results_file import Part, write_parts
+from benchmarks.simulated_nights import motor, true_coefficients
+from leakage import Motor, OperatingConditions, regressors
+from leakage.hypotheses import Blocks, Growth, Posterior, growth, mean_factor, weigh
+from leakage.oil import Oil
+from leakage.walther import walther_coefficients
+from pipeline.demo import noise
+
+Array = NDArray[np.float64]
+
+MOTORS = 200
+NIGHTS_BEFORE = 40
+BLOCK = 600
+NOISE, NOISE_PHI = 0.013, 0.97
+MOTOR = motor()
+THETA = true_coefficients(MOTOR)
+NAMES = RING, PISTON, SLEEVE = tuple(path.name for path in MOTOR.column_paths)
+FREE = np.array([True, True, True, False])
+ROLLER = "cam_roller"
+SEED = 180
+
+
+@dataclass(frozen=True)
+class Change:
+    """What is otherwise now: factors on viscosity, gain and K, the sensor's error [°C], the oil."""
+
+    viscosity: float = 1.0
+    gain: float = 1.0
+    reads_low_c: float = 0.0
+    paths: Mapping[str, float] = field(default_factory=dict)
+    oil: Oil | None = None
+
+    @property
+    def is_common(self) -> bool:
+        """Whether it scales all flows."""
+        return (self.viscosity, self.gain, self.reads_low_c, self.oil) != (1.0, 1.0, 0.0, None)
+
+
+def vg46() -> Oil:
+    """The oil of the next lower grade, with the density of the one in the motor."""
+    a, b = walther_coefficients(40.0, 46.0, 100.0, 6.8)
+    return replace(MOTOR.oil, name="VG 46", walther_a=a, walther_b=b)
+
+
+CHANGES = {
+    "none": Change(),
+    "oil −5.5 %": Change(viscosity=0.945),
+    "oil −10 %": Change(viscosity=0.9),
+    "oil −20 %": Change(viscosity=0.8),
+    "oil +25 %": Change(viscosity=1.25),
+    "VG 46 for VG 68": Change(oil=vg46()),
+    "meter +3 %": Change(gain=1.03),
+    "meter +6 %": Change(gain=1.06),
+    "temperature −1 °C": Change(reads_low_c=1.0),
+    "temperature −3 °C": Change(reads_low_c=3.0),
+    **{
+        f"{name.replace('_', ' ')} +{percent} %": Change(paths={name: 1.0 + percent / 100})
+        for name in NAMES
+        for percent in (10, 30, 100)
+    },
+    "ring and sleeve +30 %": Change(paths={RING: 1.3, SLEEVE: 1.3}),
+    "piston and sleeve +30 %": Change(paths={PISTON: 1.3, SLEEVE: 1.3}),
+    **{
+        f"{name.replace('_', ' ')} +30 %, oil −20 %": Change(viscosity=0.8, paths={name: 1.3})
+        for name in NAMES
+    },
+}
+
+
+@dataclass(frozen=True)
+class Nights:
+    """Channels of some nights as logged, shape (n, nights) each, and the sensors' wander."""
+
+    pressure_bar: Array
+    temperature_c: Array
+    speed_rpm: Array
+    wander: noise.NightWander
+
+    @classmethod
+    def drawn(cls, nights: int, minutes: int, generator: np.random.Generator) -> Nights:
+        """Load steps of a minute, at 1 Hz."""
+        n = 60 * minutes
+
+        def steps(low: float, high: float, hold: int, lag_s: float) -> Array:
+            levels = generator.uniform(low, high, (n // hold + 2, nights))
+            return noise.lagging(np.repeat(levels, hold, axis=0)[:n], 1.0, lag_s)
+
+        return cls(
+            steps(15.0, 300.0, 60, 3.0),
+            steps(40.0, 60.0, 600, 200.0),
+            steps(3.0, 110.0, 90, 3.0),
+            noise.night_wander(generator, (nights,)),
+        )
+
+    def part(self, nights: slice) -> Nights:
+        """Some of them."""
+        wander = noise.NightWander(
+            self.wander.temperature_c[nights],
+            self.wander.gain[nights],
+            self.wander.pressure_bar[nights],
+        )
+        channels = (self.pressure_bar, self.temperature_c, self.speed_rpm)
+        return Nights(*(one[:, nights] for one in channels), wander)
+
+    def blocks(self, change: Change, generator: np.random.Generator) -> Blocks:
+        """Statistics of their samples under a change."""
+        n, nights = self.pressure_bar.shape
+        wander = self.wander
+        truth = OperatingConditions.from_bar(
+            (self.pressure_bar - wander.pressure_bar).T.ravel(),
+            (self.temperature_c - wander.temperature_c + change.reads_low_c).T.ravel(),
+            self.speed_rpm.T.ravel(),
+        )
+        of: Motor = MOTOR if change.oil is None else replace(MOTOR, oil=change.oil)
+        theta = THETA * [*(change.paths.get(name, 1.0) for name in NAMES), 1.0]
+        flow = regressors(of, truth) @ np.append(theta, 1.0) / change.viscosity
+        errors = noise.autoregression(generator.standard_normal((n, nights)), NOISE_PHI)
+        flow *= change.gain * np.repeat(1.0 + wander.gain, n) * (1.0 + NOISE * errors.T.ravel())
+        logged = (self.pressure_bar, self.temperature_c, self.speed_rpm)
+        seen = OperatingConditions.from_bar(*(one.T.ravel() for one in logged))
+        columns = np.column_stack([regressors(MOTOR, seen), flow])
+        means = self.temperature_c.T.reshape(-1, BLOCK).mean(axis=1)
+        return Blocks(
+            np.linalg.qr(columns.reshape(len(means), BLOCK, -1), mode="r"),
+            np.repeat(np.arange(nights), n // BLOCK),
+            means,
+        )
+
+
+def outcome(found: Posterior, change: Change) -> str:
+    """``right``, ``cannot`` be told, ``wrong``; without all of the truth: ``cannot``."""
+    worn = tuple(change.paths)
+    if set(found.named) - set(worn):
+        return "wrong"
+    if found.verdict == "path":
+        if (change.is_common and not found.is_common) or found.named != worn:
+            return "cannot"
+        return "right" if found.is_common == change.is_common else "wrong"
+    if found.verdict == "common":
+        return "right" if change.is_common and not worn else "wrong"
+    nothing = not worn and not change.is_common
+    return "right" if found.verdict == "no_change" and nothing else "cannot"
+
+
+def grown(before: Blocks, now: Blocks) -> Growth:
+    """As trends compare two periods."""
+    found = growth(NAMES, before, now, THETA, FREE, ROLLER)
+    assert found is not None
+    return found
+
+
+def alone(minutes: int, nights_of_now: int, motors: int = MOTORS) -> dict[str, Counter[str]]:
+    """Outcomes of motors on their own, by change."""
+    found: dict[str, Counter[str]] = {name: Counter() for name in CHANGES}
+    for number in range(motors):
+        generator = np.random.default_rng([SEED, minutes, nights_of_now, number])
+        nights = Nights.drawn(NIGHTS_BEFORE + nights_of_now, minutes, generator)
+        before = nights.part(slice(NIGHTS_BEFORE)).blocks(Change(), generator)
+        later = nights.part(slice(NIGHTS_BEFORE, None))
+        for name, change in CHANGES.items():
+            told = weigh(grown(before, later.blocks(change, generator)))
+            found[name][outcome(told, change)] += 1
+    return found
+
+
+# By change of a tank: what all motors of it have, and what its first motor has besides.
+TANKS = {
+    "oil −10 %": (Change(viscosity=0.9), Change(viscosity=0.9)),
+    "oil −20 %": (Change(viscosity=0.8), Change(viscosity=0.8)),
+    "one meter +6 %": (Change(), Change(gain=1.06)),
+    "one sensor −3 °C": (Change(), Change(reads_low_c=3.0)),
+    "sleeve +30 % of one": (Change(), Change(paths={SLEEVE: 1.3})),
+    "oil −20 %, sleeve +30 % of one": (
+        Change(viscosity=0.8),
+        Change(viscosity=0.8, paths={SLEEVE: 1.3}),
+    ),
+}
+
+
+def tanks(minutes: int, nights_of_now: int, number_of: int = MOTORS) -> dict[str, Counter[str]]:
+    """What the first motor of a tank of three is told: paths, and where the factor comes from."""
+    found: dict[str, Counter[str]] = {name: Counter() for name in TANKS}
+    for number in range(number_of):
+        generator = np.random.default_rng([SEED + 1, minutes, nights_of_now, number])
+        motors = [Nights.drawn(NIGHTS_BEFORE + nights_of_now, minutes, generator) for _ in range(3)]
+        before = [one.part(slice(NIGHTS_BEFORE)).blocks(Change(), generator) for one in motors]
+        for name, (shared, first) in TANKS.items():
+            growths = [
+                grown(past, one.part(slice(NIGHTS_BEFORE, None)).blocks(change, generator))
+                for past, one, change in zip(before, motors, (first, shared, shared), strict=True)
+            ]
+            others = mean_factor([weigh(one).expected for one in growths[1:]])
+            told = weigh(growths[0], others)
+            wrong = set(told.named) - set(first.paths)
+            words = [*told.named, *([told.origin] if told.origin else [])]
+            found[name]["wrong name" if wrong else " and ".join(words) or "cannot"] += 1
+    return found
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Write `benchmarks/results/attribution.md`; the number of motors a cell may be given."""
+    motors = int(arguments[0].lstrip("-")) if arguments else MOTORS
+    cells = ((60, 10), (30, 10), (60, 3), (30, 3))
+    found = {cell: alone(*cell, motors) for cell in cells}
+    rows = [
+        [
+            name,
+            *(
+                "/".join(str(found[cell][name][one]) for one in ("right", "cannot", "wrong"))
+                for cell in cells
+            ),
+        ]
+        for name in CHANGES
+    ]
+    of_tanks = tanks(60, 5, motors)
+    tank_rows = [
+        [name, ", ".join(f"{words} {number}" for words, number in counts.most_common())]
+        for name, counts in of_tanks.items()
+    ]
+    write_parts(
+        "attribution",
+        "Common factor or paths",
+        f"{motors} motors a cell; 0 of {motors} bounds a share by {300 / motors:.1f} % (95 %).",
+        [
+            Part(
+                "Motors on their own",
+                "Right / cannot be told / wrong, by minutes a night and nights since the change.",
+                ("change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells)),
+                rows,
+            ),
+            Part(
+                "Three motors on a tank",
+                "What is told of the first, 60 minutes a night, five nights since the change.",
+                ("change", "told"),
+                tank_rows,
+            ),
+        ],
+    )
