@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
-from benchmarks.simulated_nights import correlated_noise
 from leakage.time_to_limit import TimeToLimit, time_to_limit
+from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]
 Generator = np.random.Generator
@@ -146,7 +146,7 @@ def _cells(course: str, n: int) -> Iterator[str]:
 def _found(course: str, n: int, sd: float, phi: float) -> list[tuple[Life, TimeToLimit]]:
     place = [*COURSES, STEPS].index(course)
     generator = np.random.default_rng([7, place, n, int(1000 * sd), int(10 * phi)])
-    noise = correlated_noise(n, phi, LIVES, generator)
+    noise = autoregression(generator.standard_normal((n, LIVES)), phi)
     found = []
     for scatter in noise.T:
         one = life(course, n, generator)

@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.results_file import Part, write_parts
-from benchmarks.simulated_nights import REFERENCE, correlated_noise, motor, true_coefficients
+from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
 from leakage import OperatingConditions, factors, regressors
 from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
 from leakage.monitoring import Monitoring, MonitorSettings, monitor
 from leakage.night_filter import first_state, follow, night_information
+from pipeline.demo.noise import autoregression, night_wander
 
 Array = NDArray[np.float64]
 Wear = Callable[[int], tuple[float, float, float]]
@@ -88,18 +89,21 @@ def course(minutes: int, nights: int, wear: Wear, generator: np.random.Generator
     theta = true_coefficients(of)
     free = np.array([True, True, True, False])
     reference = regressors(of, REFERENCE)[0]
-    temperature, gain = correlated_noise(nights, 0.6, 2, generator).T * ((0.3,), (0.003,))
-    pressure = 0.3 * generator.standard_normal(nights)
+    wander = night_wander(generator, (nights,))
     state, rows = first_state(theta[:3]), []
     for night in range(nights):
         now = theta * (*wear(night), 1.0)
         seen = _duty(60 * minutes, generator)
         clean = regressors(of, OperatingConditions.from_bar(*seen)) @ np.append(now, 1.0)
         level = 0.015 * np.where(seen[0] < 100.0, 3.0, 1.0)
-        noise = level * correlated_noise(len(clean), 0.95, 1, generator)[:, 0]
-        read = (np.maximum(seen[0] + pressure[night], 0.5), seen[1] + temperature[night], seen[2])
+        noise = level * autoregression(generator.standard_normal(len(clean)), 0.95)
+        read = (
+            np.maximum(seen[0] + wander.pressure_bar[night], 0.5),
+            seen[1] + wander.temperature_c[night],
+            seen[2],
+        )
         columns = regressors(of, OperatingConditions.from_bar(*read))
-        flow = (1.0 + gain[night]) * clean + noise
+        flow = (1.0 + wander.gain[night]) * clean + noise
         blocks = factors(np.column_stack([columns, flow]), np.arange(0, len(flow) + 1, BLOCK))
         told = night_information(blocks, theta, free)
         state = follow(state, told, 1, theta[:3], learns_noise=night < 60)
@@ -125,7 +129,9 @@ def _duty(n: int, generator: np.random.Generator) -> tuple[Array, Array, Array]:
         drawn = generator.uniform(low, high, n // 60 + 2)
         return np.repeat(drawn, 60)[int(generator.integers(60)) :][:n]
 
-    drift = generator.uniform(42.0, 58.0) + 4.0 * correlated_noise(n, 0.999, 1, generator)[:, 0]
+    drift = generator.uniform(42.0, 58.0) + 4.0 * autoregression(
+        generator.standard_normal(n), 0.999
+    )
     return steps(15.0, 300.0), np.clip(drift, 38.0, 62.0), steps(3.0, 110.0)
 
 
