@@ -133,7 +133,8 @@ def time_to_limit(
     Examples
     --------
     >>> nights = np.arange(100)
-    >>> rising = 1.0 + 0.001 * nights + 0.004 * (-1.0) ** nights
+    >>> noise = 0.004 * np.random.default_rng(1).standard_normal(100)
+    >>> rising = 1.0 + 0.001 * nights + noise
     >>> found = time_to_limit(nights, 8.0 * nights, rising, limit=1.15, horizon=14_600.0)
     >>> found.status, found.lower < 8 * 51 < found.upper
     ('finite', True)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, OPERATION, PARAMETERS, Table
-from pipeline.store.atomic_files import put
+from pipeline.store.atomic_files import put, remove
 from pipeline.store.sealed import read_if_whole
 from pipeline.store.tables import month_stamps, night_stamps
 from pipeline.trends.decisions import Decision
@@ -197,7 +197,7 @@ def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMon
     folder = kept_folder(output) / motor_id
     put(folder / f"{month}.parquet", kept.encoded(key), durable=False)
     # As older versions named it.
-    (folder / month).unlink(missing_ok=True)
+    remove(folder / month)
 
 
 @dataclass(slots=True)

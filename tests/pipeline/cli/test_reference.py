@@ -189,11 +189,11 @@ def test_readme_duckdb_query_works() -> None:
     (query,) = blocks(README, "sql")
     with duckdb.connect() as connection:
         rows = connection.execute(query).fetchall()
-    assert {motor for motor, *_ in rows} <= {
-        f"CB{n}-0{i}" for n in (400, 560, 1120) for i in (1, 2)
-    }
-    assert len(rows) >= 5
-    assert all(0 < lower < leakage < upper for _, _, leakage, lower, upper, _ in rows)
+    motors = {f"CB{n}-0{i}" for n in (400, 560, 1120) for i in (1, 2)}
+    assert {motor for motor, *_ in rows} == motors
+    nights = {night for _, night, *_ in rows}
+    assert len(rows) == len(motors) * len(nights)  # each night has data
+    assert all(0 < lower < leakage < upper for _, _, _, leakage, lower, upper, *_ in rows)
 
 
 @pytest.mark.usefixtures("after_a_run")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -99,17 +99,35 @@ class ByHand(NamedTuple):
     validation: slice
 
 
-def by_hand(spec: MotorSpec, operation: Operation, flow: Array, outcome: NightOutcome) -> ByHand:
-    """No sample may be missing."""
+def unchanged(values: Array) -> Array:
+    return values
+
+
+def by_hand(
+    spec: MotorSpec,
+    operation: Operation,
+    flow: Array,
+    outcome: NightOutcome,
+    *,
+    inputs: Callable[[Array], Array] = unchanged,
+    output: Callable[[Array], Array] = unchanged,
+) -> ByHand:
+    """Errors of least squares on the training samples, smoothed as said; none may be missing."""
     at = OperatingConditions.from_bar(
         operation.pressure_bar, operation.temperature_c, operation.speed_rpm
     )
-    theta = np.append(outcome.model["none"], 1.0)
     row = primary(outcome)
     assert row["n_training"] + row["n_validation"] == N - 120  # a block of guard between them
+    training = slice(0, row["n_training"])
+    columns = regressors(spec.motor(NIGHT, "none"), at)
+    free, known = columns[:, :-2], columns[:, -1]  # without flushing C_f is 0
+    scale = np.linalg.norm(free, axis=0)
+    smooth = np.column_stack([inputs(column) for column in free.T]) / scale
+    target = output(flow) - inputs(known)
+    theta = np.linalg.lstsq(smooth[training], target[training])[0] / scale
     return ByHand(
-        flow - regressors(spec.motor(NIGHT, "none"), at) @ theta,
-        slice(0, row["n_training"]),
+        flow - known - free @ theta,
+        training,
         slice(N - row["n_validation"], N),
     )
 
@@ -235,7 +253,8 @@ def test_inputs_are_smoothed_where_the_regressors_are(tmp_path: Path, apply_to: 
         sums = np.array([np.convolve(one, window, "same") for one in blocks])
         return np.asarray((sums / np.convolve(np.ones(120), window, "same")).ravel())
 
-    hand = by_hand(spec, operation, flow, outcome)
+    inputs = averaged if apply_to == "all" else unchanged
+    hand = by_hand(spec, operation, flow, outcome, inputs=inputs, output=averaged)
     rows = hand.training
     raw_error = hand.error
     pressure = operation.pressure_bar
