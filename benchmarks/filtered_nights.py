@@ -129,9 +129,8 @@ def _duty(n: int, generator: np.random.Generator) -> tuple[Array, Array, Array]:
         drawn = generator.uniform(low, high, n // 60 + 2)
         return np.repeat(drawn, 60)[int(generator.integers(60)) :][:n]
 
-    drift = generator.uniform(42.0, 58.0) + 4.0 * autoregression(
-        generator.standard_normal(n), 0.999
-    )
+    slow = autoregression(generator.standard_normal(n), 0.999)
+    drift = generator.uniform(42.0, 58.0) + 4.0 * slow
     return steps(15.0, 300.0), np.clip(drift, 38.0, 62.0), steps(3.0, 110.0)
 
 
