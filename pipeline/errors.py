@@ -62,7 +62,7 @@ class StoreError(MotorLeakageError):
 
 
 class EngineError(MotorLeakageError):
-    """What tasks are to be spread over cannot be used; exit code 4."""
+    """The cluster for the tasks cannot be used; exit code 4."""
 
 
 class LogError(MotorLeakageError):

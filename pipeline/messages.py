@@ -1,6 +1,6 @@
-"""What the program says beside its results: lines for people, or one JSON object a line.
+"""Log and error messages of the program: lines for people, or one JSON object a line.
 
-Workers are processes of their own: what they log goes to the same stderr, in the same form.
+Workers are processes of their own; their messages go to the same stderr, in the same form.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def _attach() -> None:
 
 
 def error_line(code: str, message: str, exit_code: int, *, as_json: bool) -> str:
-    """How a command that ends early says why.
+    """The message of a command that ends early, with its cause.
 
     Examples
     --------

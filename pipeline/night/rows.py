@@ -249,7 +249,7 @@ def agreement_columns(
     judged_on: Callable[[str], Array],
     mode: BlockFit,
 ) -> Row:
-    """How the fit to the training samples agrees with both parts."""
+    """Agreement of the training fit with the training and the validation samples."""
     theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), theta, resolution)
     validation = agreement(judged_on(VALIDATION), theta, resolution)
@@ -279,7 +279,7 @@ def previous_model_columns(
 
 
 def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
-    """What the blocks of a fit say of it."""
+    """Columns of a fit that are computed from its blocks."""
     certificate, fit, slow = mode.fit.certificate, mode.fit, mode.identification.slow
     pressure, temperature, speed = mode.own_means
     rests_on = mode.reference.information

@@ -1,4 +1,4 @@
-"""What a column and a table are, and the columns that many tables share."""
+"""Definitions of columns and tables, and the columns that many tables share."""
 
 from __future__ import annotations
 

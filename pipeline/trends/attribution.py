@@ -1,4 +1,4 @@
-"""Which path an indicator's change comes from, as `trends` and `alarms` name it."""
+"""The path that an indicator's change comes from, as named in `trends` and `alarms`."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from pipeline.trends.standing import CHANGED, Standing
 
 
 def path_behind(standing: Standing, name: str, place: int) -> Posterior | None:
-    """Why the flows changed, of which an indicator tells a rise.
+    """Explanation of the change that an indicator reports as a rise.
 
-    None where it tells none, a fall, or a flow that no path leaks, and where nobody can say.
+    None without a reported rise or after a fall, for the flushing and the sensors' zeros, and if
+    the cause cannot be determined.
     """
     if name == FLUSHING or name in standing.zeros or standing.has_fallen(name, place):
         return None

@@ -62,14 +62,10 @@ def baseline_model(history: History, places: NDArray[np.intp]) -> Array | None:
 
 
 def expected_flow(sums: Array, theta: Array) -> tuple[Array, Array]:
-    """Measured and expected flow of some nights [l/min × samples], flushing taken off both.
+    """Measured and expected flow of some nights [l/min × samples], both without flushing.
 
-    Parameters
-    ----------
-    sums
-        From :func:`column_sums`, shape (m, c).
-    theta
-        Model, shape (p + 1,); the flushing is its last coefficient.
+    The sums are from :func:`column_sums`, shape (m, c). θ has shape (p + 1,); its last coefficient
+    is the flushing.
     """
     measured = sums[:, -1] - theta[-1] * sums[:, -3]
     expected = sums[:, -2].copy()

@@ -119,7 +119,7 @@ class Circuit:
 def decisions_of(
     specs: Iterable[MotorSpec], decisions: Iterable[Decision]
 ) -> dict[str, tuple[Decision, ...]]:
-    """What people said of some motors, by motor."""
+    """Decisions of people on some motors, by motor."""
     found: dict[str, list[Decision]] = {one.motor_id: [] for one in specs}
     for one in decisions:
         if one.motor_id in found:

@@ -1,4 +1,4 @@
-"""What is frozen with a motor's baseline: its own reference conditions, and its model."""
+"""Quantities frozen with a motor's baseline: its own reference conditions and its model."""
 
 from __future__ import annotations
 

@@ -18,9 +18,9 @@ LEAST_TOLD = 0.02
 
 
 def why_words(history: History, place: int, found: Posterior | None, own: str = "") -> str:
-    """Why a motor's flows changed; empty where nothing can be said.
+    """Cause of the change of a motor's flows, in words; empty if nothing can be said.
 
-    Of a loss factor whose own path has grown, only what else has.
+    For a loss factor whose own path has grown, only the other causes.
     """
     if found is None:
         return ""
@@ -61,7 +61,7 @@ def _plain(name: str) -> str:
 
 
 def _factor(history: History, place: int, found: Posterior) -> str:
-    """How far all flows changed, and what looks like it."""
+    """The common change of all flows, in words, and the causes that look like it."""
     log, sd = found.factor.log, found.factor.sd
     factor = math.exp(log)
     words = f"all flows × {factor:.2f} ± {1.96 * sd * factor:.2f}"
@@ -92,7 +92,7 @@ def _as_temperature(history: History, place: int, log: float) -> tuple[float, fl
 
 
 def _hint(found: Posterior, of_sensor: float) -> str:
-    """What the change of the factor with temperature speaks for; empty where it does not."""
+    """The cause that the change of the factor with temperature suggests; empty if none."""
     if found.with_temperature is None or found.with_temperature[1] > WIDEST_BETA:
         return ""
     if found.own_sensor is None and abs(found.factor.log) < LEAST_TOLD:
@@ -108,7 +108,7 @@ def _hint(found: Posterior, of_sensor: float) -> str:
 
 
 def cannot_be_told(found: Posterior) -> str:
-    """What it may be, and what would tell."""
+    """Possible causes of a change, and the data that would decide between them."""
     some = [f"{_plain(name)} ({100 * found.paths[name]:.0f} %)" for name in found.candidates]
     is_path = found.any_path >= PROBABLE
     if not is_path and 1.0 - PROBABLE < found.common < PROBABLE:

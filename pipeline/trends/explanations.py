@@ -1,7 +1,8 @@
-"""Why a motor's flows changed: by a common factor, or by paths; alone and within its oil circuit.
+"""Causes of a change of a motor's flows: a common factor or paths, alone and in its oil circuit.
 
-Of the nights since a change, at most ten, and the first good ones before it, from their statistics.
-What the other motors of an oil circuit share is taken over the same number of nights.
+They are found from the statistics of at most ten nights since the change and of the first good
+nights before it. The common factor of the other motors of an oil circuit is taken over the same
+number of nights.
 """
 
 from __future__ import annotations
@@ -60,9 +61,9 @@ class Explanations:
         return None if found is None else weigh(found, others)
 
     def factor(self, place: int, length: int) -> CommonFactor | None:
-        """What other motors hear in a night of the factor of this motor's flows.
+        """Common factor of this motor's flows in a night, as the other motors use it.
 
-        Since a new baseline began, on top of what it said before; None before its first baseline.
+        After a new baseline it is added to the factor before. None before the first baseline.
         """
         if (place, length) not in self._factors:
             self._factors[place, length] = self._factor(place, length)

@@ -109,7 +109,7 @@ def _configured_scale(layout: Layout) -> Array:
 
 
 def _information(layout: Layout, record: Any) -> NightInformation:
-    """What a night with statistics tells."""
+    """Information in a night with statistics."""
     free = np.array(layout.free)
     factor = whole_matrix(record["factor"], len(layout.columns))
     told = night_information(factor[None], np.array(layout.configured), free)
@@ -169,7 +169,7 @@ class Filtered:
         return counts
 
     def why(self, place: int, size: float, widest: float) -> str:
-        """Why the figure of a night does not count."""
+        """Reason why the figure of a night does not count; empty if there is no figure."""
         if not np.isfinite(self.half[place]):
             return ""
         return (
@@ -181,14 +181,8 @@ class Filtered:
 def filtered(records: Records, contrast: Array, known: Array | float = 0.0) -> Filtered:
     """A combination c'θ + known of each night's filtered coefficients.
 
-    Parameters
-    ----------
-    records
-        Of m nights.
-    contrast
-        c, shape (p + 1,) or (m, p + 1).
-    known
-        Known flow, a number or shape (m,).
+    For m nights, the contrast c has shape (p + 1,) or (m, p + 1); the known flow is a number or has
+    shape (m,).
     """
     contrast = np.broadcast_to(contrast, records["mean"].shape)
     spread = whole_matrix(records["spread"], contrast.shape[1])

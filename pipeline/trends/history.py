@@ -55,7 +55,7 @@ class History:
 
     @cached_property
     def kept(self) -> dict[Any, Any]:
-        """What was computed of the motor's model, so as not to do it night by night."""
+        """Cache of values computed from the motor's model, so that not every night repeats them."""
         return {}
 
     @cached_property
@@ -78,7 +78,7 @@ class History:
 
     @cached_property
     def statuses(self) -> list[str]:
-        """Why a night says nothing at all; empty where it does."""
+        """Reason why a whole night does not count, by night; empty where it does."""
         return self._told(self.fitted, lambda words: words.status)
 
     def place_of(self, number: int) -> int:
@@ -91,7 +91,7 @@ class History:
         return place if place < len(self) else None
 
     def why(self, known: NDArray[np.bool_], coefficient: int | None = None) -> tuple[str, ...]:
-        """Why a coefficient does not count in each night, or (None) the reference leakage.
+        """Reason why a coefficient, or (None) the reference leakage, does not count, by night.
 
         Empty where it is known.
         """

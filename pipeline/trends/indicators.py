@@ -67,27 +67,20 @@ class Indicator:
 
     @property
     def shift(self) -> float:
-        """What is added for watching."""
+        """Constant added to the value for watching."""
         return SHIFTS.get(self.name, 0.0)
 
     @property
     def watched(self) -> Array:
-        """What is watched, shape (n,): positive; nan where gated."""
+        """Watched series, shape (n,): positive; nan where gated."""
         counts = np.array([not reason for reason in self.gated], dtype=np.bool_)
         return np.where(counts, self.value + self.shift, np.nan)
 
 
 def with_filtered(own: Indicator, found: Filtered, widest: float, size: Array) -> Indicator:
-    """An indicator whose nights that say nothing alone take what the filter has of them.
+    """An indicator with the filter's figures in the nights that have none of their own.
 
-    Parameters
-    ----------
-    own
-        What the nights say alone.
-    found
-        What the filter says.
-    widest, size
-        A filtered figure counts up to this half-width, relative to a size, shape (n,).
+    A filtered figure counts up to the half-width `widest`, relative to `size`, shape (n,).
     """
     taken = np.isnan(own.value) & np.isfinite(found.half)
     counts = found.counts(widest * size)

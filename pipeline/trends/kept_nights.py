@@ -45,24 +45,24 @@ HEAD, DIGEST = b"month", b"sha256"
 
 @dataclass(frozen=True, slots=True)
 class KeptMonth:
-    """What is kept of a motor's nights of a month; nights are YYYY-MM-DD.
+    """Kept records of a motor's nights of a month; nights are YYYY-MM-DD.
 
     Attributes
     ----------
     folders
-        When the folder of each table was last changed; while none is, all of this holds.
+        Time of the last change of each table's folder; all of this holds until one changes.
     files
-        What the files of `READ` were, of each night with fits of any motor.
+        Stamps of the files of `READ`, of each night with fits of any motor.
     blocks
-        What the file of `block_statistics` was, of each night without a fit.
+        Stamp of the file of `block_statistics`, of each night without a fit.
     alarms
-        What the file of `alarms` was, of each night with changes of state of any motor.
+        Stamp of the file of `alarms`, of each night with changes of state of any motor.
     states
-        Of the motor's own: indicator and new state, by night.
+        Changes of state of the motor itself: indicator and new state, by night.
     records
-        By night.
+        Records, by night.
     until
-        Nights from this one on are not filtered yet; None: all are.
+        First night that is not filtered yet; None if all are.
     """
 
     folders: tuple[int, ...]
@@ -157,7 +157,7 @@ def _digest(head: bytes, table: pa.Table) -> bytes:
 
 
 def kept_folder(output: Path) -> Path:
-    """Where the files of all motors lie."""
+    """Folder with the kept files of all motors."""
     return output / "history"
 
 
@@ -176,7 +176,7 @@ def key_of(spec: MotorSpec, layout: Layout, decisions: Sequence[Decision]) -> st
 
 
 def read_months(output: Path, motor_id: str, key: str, layout: Layout) -> dict[str, KeptMonth]:
-    """What is kept of a motor by month, as far as it is whole and was made with the same key."""
+    """Kept records of a motor by month, if whole and made with the same key."""
     found = {}
     for path in sorted((kept_folder(output) / motor_id).glob("*.parquet")):
         table = read_if_whole(path, whole_table)
@@ -228,19 +228,19 @@ class TableFolders:
         return self._months
 
     def same(self, month: str, kept: KeptMonth) -> bool:
-        """Whether no file of a month can have changed."""
+        """True if no file of a month can have changed."""
         found = self._months.get(month, ())
         return found == kept.folders and NOT_SETTLED not in found
 
     def files(self, table: Table, month: str) -> dict[str, str]:
-        """What each night's file of a table is."""
+        """Stamp of a table's file, by night."""
         key = (table.name, month)
         if key not in self._nights:
             self._nights[key] = night_stamps(self.output, table, month)
         return self._nights[key]
 
     def files_read(self, month: str) -> dict[str, str]:
-        """What each night's files of `READ` are."""
+        """Stamps of the files of `READ`, by night."""
         key = ("", month)
         if key not in self._nights:
             first, *rest = (self.files(table, month) for table in READ)

@@ -1,7 +1,7 @@
-"""What trends need of a motor's night, as one record of numbers of fixed size.
+"""Records of a motor's nights for the trends: numbers only, of fixed size.
 
-Trends look at all nights of a motor every night; words and what else the tables hold matter for the
-nights that are published only.
+Trends read all nights of a motor every night. Words and the other columns of the tables are needed
+only for the nights that are published.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ GATED = "gated"
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Which coefficients a motor's nights have.
+    """Coefficients of a motor's nights.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Layout:
     configured
         θ as configured.
     free
-        Which of θ are estimated.
+        True for each coefficient of θ that is estimated.
     """
 
     paths: tuple[str, ...]
@@ -182,16 +182,16 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class NightWords:
-    """Why figures of a night do not count; empty where they do.
+    """Reasons why figures of a night do not count; empty where they do.
 
     Attributes
     ----------
     status
-        Of all of them.
+        For all figures.
     reference
-        Of the leakage at the reference conditions.
+        For the leakage at the reference conditions.
     coefficients
-        Of each coefficient of the layout.
+        For each coefficient of the layout.
     """
 
     status: str
@@ -320,7 +320,7 @@ def _fill_operation(records: Records, fits: pl.DataFrame, operation: pl.DataFram
 
 
 def _status_words(fits: pl.DataFrame) -> list[str]:
-    """Why a night has no fit that says anything; empty where it has one."""
+    """Reason why a night has no usable fit, by night; empty where it has one."""
     words = []
     columns = (fits[name].to_list() for name in ("status", "reason", "interval_status"))
     for status, reason, interval in zip(*columns, strict=True):
@@ -394,7 +394,7 @@ def _fill_figures(
 
 
 def _gate(verdict: str, reason: str) -> str:
-    """Why a figure does not count, by its verdict."""
+    """Reason why a figure does not count, from its verdict; empty if it counts."""
     if verdict in TOLD:
         return ""
     return reason or verdict.replace("_", " ") or "no figure"

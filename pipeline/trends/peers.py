@@ -36,15 +36,14 @@ NEVER = np.iinfo(np.int64).max
 
 @dataclass(frozen=True, slots=True)
 class LogChange:
-    """How far an indicator of a motor had moved; shape (n,) each.
+    """Change of a motor's indicator since its first good nights; shape (n,) each.
 
     Attributes
     ----------
     change
-        ln of the indicator over the mean of the first good nights of its segment; nan where there
-        is none.
+        ln of the indicator over the mean of the first good nights of its segment; nan if missing.
     known_at
-        Place of the night on which that mean was known; very large where it never was.
+        Place of the night on which that mean was known; `NEVER` where it never was.
     segments
         Nights by baseline.
     """
@@ -62,18 +61,18 @@ class LogChange:
 
 @dataclass(frozen=True, slots=True)
 class Contribution:
-    """What an indicator of a motor says of the oil of its circuit; shape (n,) each.
+    """Contribution of a motor's indicator to the comparison in its circuit; shape (n,) each.
 
     Attributes
     ----------
     change
-        Log change, each baseline's from where the one before had ended; nan where there is none.
+        Log change; each baseline continues where the one before ended. nan where there is none.
     spoken
-        The same, as others take it: before what was entered later.
+        The same, as the other motors use it: without events entered later.
     held
-        What was said last, in nights with a fit while a new baseline is not known yet; else nan.
+        Last contribution, in nights with a fit before a new baseline is known; else nan.
     known_at, segments
-        As of the log change.
+        As in the log change.
     """
 
     change: Array
@@ -89,11 +88,11 @@ class Contribution:
 
     @property
     def standing(self) -> Array:
-        """What stood in each night, said in it or held; nan where nothing did."""
+        """Contribution of each night, its own or the held one; nan where there is none."""
         return np.where(self.known, self.spoken, self.held)
 
     def last_said(self, history: History, place: int) -> float:
-        """What it says shortly before a night; nan where it says nothing then."""
+        """Contribution shortly before a night; nan if there is none."""
         recent = slice(max(place - history.spec.settings.alarms.stale_after_nights, 0), place)
         said = self.standing[recent]
         figures = np.flatnonzero(np.isfinite(np.where(self.known, self.change, self.held)[recent]))
@@ -120,19 +119,18 @@ class Contribution:
 
 @dataclass(frozen=True, slots=True)
 class Peers:
-    """What the other motors of a motor's circuit did; shape (n,) each, nights of the motor.
+    """Changes of the other motors of a motor's circuit; shape (n,) each, nights of the motor.
 
     Attributes
     ----------
     others
-        Median of what they say; nan where none says anything, or nothing could be compared.
+        Median of their contributions; nan where there is none, or nothing could be compared.
     deviation
-        The motor's own log change less that, where both were known in the night.
+        The motor's own log change less that median, where both were known in the night.
     n_others
-        How many say something.
+        Number of contributions.
     comparable
-        By first place of each segment of the motor, the place from which on there was anything to
-        compare with.
+        Place from which on a comparison was possible, by first place of each segment of the motor.
     """
 
     others: Array
@@ -146,7 +144,7 @@ class Peers:
 
 
 def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...]) -> LogChange:
-    """How far an indicator had moved from the first good nights of each segment."""
+    """Log change of an indicator since the first good nights of each segment."""
     series, needed = indicator.watched, history.spec.settings.trend.provisional_nights
     change = np.full(len(series), np.nan)
     known_at = np.full(len(series), NEVER, dtype=np.int64)
@@ -162,7 +160,7 @@ def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...
 
 
 def contribution(history: History, own: LogChange) -> Contribution:
-    """What a motor's indicator says, each baseline's nights on top of those before."""
+    """Contribution of a motor's indicator; each baseline continues where the one before ended."""
     change = own.change.copy()
     spoken, held = own.change.copy(), np.full(len(change), np.nan)
     found = Contribution(change, spoken, held, own.known_at, own.segments)
@@ -204,10 +202,10 @@ def peers_of_circuit(
 
 @dataclass(slots=True)
 class _Circuit:
-    """What the motors of a circuit say by one indicator: nights of the circuit by motors.
+    """Contributions of the motors of a circuit for one indicator: nights of the circuit by motors.
 
-    All that is compared is computed for all motors at once, so that a large circuit costs no more
-    a motor than a small one.
+    Comparisons are computed for all motors at once, so that the cost per motor does not grow with
+    the circuit.
     """
 
     spoken: Array
@@ -253,7 +251,7 @@ class _Circuit:
         return Peers(others, own_told - others, n_others, comparable)
 
     def _as_known_in(self, night: int) -> _Others:
-        """What the others say of the nights before one, as far as it is known in that one."""
+        """Contributions of the others in the nights before one, as known in that night."""
         if night not in self._then:
             known = self.known_at[:night] <= night
             self._then[night] = medians_of_others(np.where(known, self.spoken[:night], np.nan))

@@ -1,4 +1,4 @@
-"""What trends need of the tables: most nights as a run before has kept them, the others anew."""
+"""Nights of the motors for the trends: most as kept by a run before, the others read anew."""
 
 from __future__ import annotations
 
@@ -163,7 +163,7 @@ class MotorNights:
                 self._look_at(month, kept)
 
     def _look_at(self, month: str, kept: KeptMonth) -> None:
-        """Which nights of a month are not as they were, or are to be made anew."""
+        """Note the nights of a month that have changed or are to be made anew."""
         # What this run may have published is looked at file by file: over a network the time of a
         # folder can be an older one.
         if month >= self.since[:7] or not self.folders.same(month, kept):
@@ -176,7 +176,7 @@ class MotorNights:
         self.until = min(self.until, kept.until or NEVER)
 
     def _blocks(self, month: str, nights: Iterable[str]) -> dict[str, str]:
-        """What the files of `block_statistics` are of some nights."""
+        """Stamps of the files of `block_statistics`, by night, of some nights."""
         files = self.folders.files(BLOCK_STATISTICS, month)
         return {night: files.get(night, "") for night in nights}
 
@@ -221,14 +221,9 @@ class MotorNights:
         return sorted_
 
     def keep(self, motor_id: str, done: Records | None) -> None:
-        """Keep all of it for the next run; one that cannot be kept is made again.
+        """Keep the nights for the next run; those that cannot be kept are read again then.
 
-        Parameters
-        ----------
-        motor_id
-            The motor.
-        done
-            Its records, filtered; None where they were not.
+        `done` are the filtered records; None if they were not filtered.
         """
         states: dict[str, list[tuple[str, str]]] = {}
         for row in self.published:

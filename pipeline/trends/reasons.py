@@ -1,4 +1,4 @@
-"""Why an indicator is in the state it is in, in plain words with figures and intervals."""
+"""Reasons for an indicator's state, in plain words with figures and intervals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FALL = "a fall is no wear but another oil, a sensor, the flushing, a filled gap 
 
 
 def why_state(standing: Standing, name: str, place: int, behind: Posterior | None) -> str:
-    """Why an indicator with a baseline is not ok in a night; a sensor that drifts comes first."""
+    """Reason why an indicator with a baseline is not ok in a night; drifting sensors first."""
     state = standing.states[name][place]
     watched = standing.watched[name]
     segment, found, _ = watched.at(place)
@@ -58,7 +58,7 @@ def good_nights(standing: Standing, name: str, place: int) -> tuple[int, int]:
 
 
 def why_no_baseline(standing: Standing, name: str, place: int) -> str:
-    """What is missing for a baseline."""
+    """Reason why there is no baseline yet, with the good nights so far."""
     segment, _, _ = standing.watched[name].at(place)
     good, needed = good_nights(standing, name, place)
     if good >= needed:
@@ -69,7 +69,7 @@ def why_no_baseline(standing: Standing, name: str, place: int) -> str:
 
 
 def sensors_words(standing: Standing, place: int) -> str:
-    """Which sensor has drifted, and how far; empty where none has."""
+    """Sensors that have drifted, and their drift, in words; empty if none has."""
     return "; ".join(words for zero in standing.zeros.values() if (words := zero.words(place)))
 
 
@@ -88,7 +88,7 @@ def way_of(standing: Standing, name: str, place: int) -> str:
 
 
 def _sizes(standing: Standing, name: str, place: int) -> list[str]:
-    """How far an indicator has risen since when, and every other path in the same state."""
+    """Rise of an indicator and its date, in words, and of every other path in the same state."""
     state = standing.states[name][place]
     others = [
         one
@@ -128,7 +128,7 @@ def _latest(values: Array) -> float:
 
 
 def _moved_with_it(standing: Standing, name: str, place: int) -> list[str]:
-    """How far the reference leakage moved with another indicator, and the flushing if it did."""
+    """Change of the reference leakage with an indicator, and of the flushing if it changed."""
     references = {REFERENCE: (), OWN_REFERENCE: (REFERENCE,)}.get(name, (REFERENCE, OWN_REFERENCE))
     told = [_moved(standing, one, name, place) for one in references]
     # The first that is known now, else the first that ever was.
@@ -140,10 +140,10 @@ def _moved_with_it(standing: Standing, name: str, place: int) -> list[str]:
 
 
 def _moved(standing: Standing, other: str, name: str, place: int) -> tuple[int, str]:
-    """How far another indicator moved with the change that one tells, in words, and how well known.
+    """Rank and words of how another indicator changed since the change of one.
 
-    Only nights since that change count, and only while there are recent ones: 2. What was known
-    before says nothing of now: 1. It was never known: 0.
+    Rank 2: known in nights since that change, the last of them recent. Rank 1: known only before,
+    or not recently. Rank 0: never known.
     """
     watched, history = standing.watched[other], standing.history
     segment, found, _ = watched.at(place)

@@ -46,22 +46,10 @@ def running_hours(history: History) -> RunningHours:
 
 
 def coverage(history: History, place: int, first: int, last: int) -> float | None:
-    """How far a night saw what the nights of a baseline saw, from 0 to 1.
+    """Overlap of a night's operating conditions with those of a baseline, from 0 to 1.
 
-    Parameters
-    ----------
-    history
-        The motor's nights.
-    place
-        The night.
-    first, last
-        Nights of the baseline, both included.
-
-    Returns
-    -------
-    float or None
-        Overlap Σ min(p, q) of the histograms of pressure, temperature and speed, the smallest of
-        the three; None without samples.
+    The smallest overlap Σ min(p, q) of the histograms of pressure, temperature and speed; None
+    without samples. The baseline's nights are those from `first` to `last`, both included.
     """
     overlaps = []
     for name in HISTOGRAMS:

@@ -1,4 +1,4 @@
-"""Where a motor's history begins anew: dated events, resets, and changes of how it is fitted."""
+"""Segments of a motor's history, begun by dated events, resets and changes of the fit's setup."""
 
 from __future__ import annotations
 

@@ -90,16 +90,16 @@ class TrendTask:
 
 @dataclass(frozen=True, slots=True)
 class TrendOutcome:
-    """What came of the trends of some motors.
+    """Outcome of the trends of some motors.
 
     Attributes
     ----------
     nights
-        By motor: how many nights are staged.
+        Number of staged nights, by motor.
     records
-        By motor: what is to be remembered once they are published.
+        Records to be stored once the nights are published, by motor.
     failures
-        By motor: what went wrong.
+        Failures, by motor.
     alarms
         Staged rows of `alarms` that were not published before.
     """
@@ -156,7 +156,7 @@ def run_trends(task: TrendTask) -> TrendOutcome:
 
 @dataclass(slots=True)
 class _Done:
-    """What a task has done so far."""
+    """Results of a task so far."""
 
     failures: dict[str, Loss]
     filtered: dict[str, Records] = field(default_factory=dict)
@@ -237,7 +237,7 @@ def _part(
     until: dt.date,
     seen_from: Mapping[str, dt.date],
 ) -> Part:
-    """What is known of a motor, its nights from one on filtered anew."""
+    """A motor before comparison with the others, its nights from `until` on filtered anew."""
     part = Part.of(with_filter(history, said, until), said)
     for night, then, said_then in earlier_views(history, said, seen_from):
         part = part.seen_before(
@@ -248,18 +248,18 @@ def _part(
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """What is known of a motor before the others are looked at.
+    """A motor before comparison with the others of its oil circuit.
 
     Attributes
     ----------
     history, decisions
-        Its nights, and what people said.
+        Its nights, and the decisions of people on it.
     eras, indicators
         From `eras_of` and `indicators_of`.
     flow
-        What its drain flow says to the other motors of its oil circuit.
+        Contribution of its drain flow to the comparison with the other motors.
     views
-        How they see it, the earliest view first.
+        Views that the other motors have of it, the earliest first.
     """
 
     history: History
@@ -314,7 +314,7 @@ def neighbours_of(parts: Mapping[str, Part]) -> dict[str, Neighbours]:
 
 
 def standing_of(part: Part, neighbours: Neighbours | None) -> Standing:
-    """How a motor stands, night by night."""
+    """Standing of a motor, night by night."""
     circuit = None if neighbours is None else neighbours.circuit
     why = Why(part.views[-1].explanations, circuit)
     return Standing(

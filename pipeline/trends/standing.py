@@ -1,4 +1,4 @@
-"""How a motor stands, night by night: what the rows of all trend tables are made from."""
+"""Standing of a motor, night by night: the source of the rows of all trend tables."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ UTC_EPOCH = dt.datetime(1970, 1, 1, tzinfo=dt.UTC)
 
 @dataclass(frozen=True)
 class Standing:
-    """What is known of a motor's nights.
+    """States, changes and explanations of a motor's nights.
 
     Parameters
     ----------
     history, eras
-        Its nights, and what is frozen with each baseline.
+        Its nights, and the quantities frozen with each baseline.
     watched
-        By indicator.
+        Watched indicators, by name.
     peers
-        What the drain flows of the other motors of its oil circuit did; None without others.
+        Changes of the drain flows of the other motors of its oil circuit; None without others.
     why
         The explanations of its changes.
     sudden
         Sudden changes that no event explains.
     zeros
-        Of its sensors.
+        Zeros of its sensors.
     """
 
     history: History
@@ -111,9 +111,10 @@ class Standing:
         return "common_cause" if self._is_of_circuit(name, place, segment.first) else told
 
     def _is_of_circuit(self, name: str, place: int, first: int) -> bool:
-        """Whether a rise is what all motors of the oil circuit have.
+        """True if a rise is common to all motors of the oil circuit.
 
-        Once told, until something of the motor's own is told, or nothing for long.
+        Once found, this holds until a cause of the motor's own is found, the rise ends, or
+        `LONGEST_MEMORY` nights have passed.
         """
         path = self.watched[name].indicator.path
         for one in range(place, max(first, place - LONGEST_MEMORY) - 1, -1):
@@ -127,7 +128,7 @@ class Standing:
         return False
 
     def explained(self, place: int) -> Posterior | None:
-        """Why the flows changed that some raised indicator tells; None where nobody can say."""
+        """Explanation of the change that raised indicators report; None if undetermined."""
         return self.why.at(place, self.earliest_onset(place))
 
     def sudden_at(self, place: int) -> Sudden | None:
@@ -180,7 +181,7 @@ class Standing:
         return UTC_EPOCH + dt.timedelta(microseconds=night.end_us)
 
     def health(self, place: int) -> str:
-        """What the zeros at halts say of the sensors."""
+        """Health of the sensors, from their zeros at halts."""
         return health(tuple(self.zeros.values()), place)
 
     def onset(self, name: str, place: int) -> int | None:
@@ -190,9 +191,9 @@ class Standing:
         return segment.first + onset if onset >= 0 else None
 
     def rise(self, name: str, place: int) -> ChangeSize | None:
-        """How far an indicator is above its baseline since the rise that it tells; None: none told.
+        """Size of the rise that an indicator reports, relative to its baseline; None without one.
 
-        Below the baseline where what was told has since been undone.
+        Negative if the rise has since been undone.
         """
         watched = self.watched[name]
         segment, found, _ = watched.at(place)
@@ -204,7 +205,7 @@ class Standing:
         return change_size(self.history.numbers[here], watched.series[here], own, inside)
 
     def has_fallen(self, name: str, place: int) -> bool:
-        """Whether an indicator is no longer above its baseline, though a rise stands told."""
+        """True if an indicator still reports a rise but is no longer above its baseline."""
         size = self.rise(name, place)
         return size is not None and size.relative <= 0.0
 

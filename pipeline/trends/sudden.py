@@ -69,7 +69,7 @@ class Sudden:
     steps: Mapping[str, float]
 
     def undoes(self, earlier: Sudden) -> bool:
-        """Whether it leads back to where an earlier one began, which still stood."""
+        """True if this change takes back an earlier one that still stood."""
         both = self.steps.keys() & earlier.steps.keys()
         return (
             earlier.place < self.place < earlier.until
@@ -78,7 +78,7 @@ class Sudden:
         )
 
     def stands(self, place: int) -> bool:
-        """Whether it is told in a night."""
+        """True if this change is reported in a night."""
         return self.told <= place < self.until
 
 
@@ -135,7 +135,7 @@ def _of_paths(
 
 
 def _kind(steps: Mapping[str, _Step], n_paths: int, behind: Posterior | None) -> Kind | None:
-    """What the steps of a night's paths mean; None where they may as well be damage."""
+    """Kind of change that the steps of a night's paths show; None if it may as well be damage."""
     if len(steps) < 2 or not all(one.took_part for one in steps.values()):
         return None
     if behind is not None and behind.verdict == "common":
@@ -152,14 +152,14 @@ def _kind(steps: Mapping[str, _Step], n_paths: int, behind: Posterior | None) ->
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """What a path did in a night.
+    """Step of a path in a night.
 
     Attributes
     ----------
     size
-        Logarithm of its step.
+        Logarithm of the step.
     scatter
-        Of the nights before, at least that of `LEAST_SCATTER`.
+        Scatter of the nights before, at least that of `LEAST_SCATTER`.
     """
 
     size: float

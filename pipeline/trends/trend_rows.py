@@ -49,7 +49,7 @@ def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
 
 
 def _shared(standing: Standing, place: int) -> Row:
-    """What all rows of a night have in common."""
+    """Columns that all rows of a night share."""
     history, era = standing.history, standing.era(place)
     # Before there is a baseline, the nights so far stand in for it.
     last = min(era.known_from, era.segment.end - 1, place)
@@ -105,7 +105,7 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
 
 
 def _explained(found: Posterior | None, path: str | None) -> Row:
-    """How probable the paths and a common factor are behind a change."""
+    """Columns of the probabilities of paths and of a common factor as causes of a change."""
     if found is None:
         return {}
     factor = found.factor

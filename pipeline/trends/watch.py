@@ -56,15 +56,7 @@ def watch(
     decisions: Sequence[Decision],
     indicators: Mapping[str, Indicator],
 ) -> dict[str, Watched]:
-    """Watch every indicator of a motor.
-
-    Parameters
-    ----------
-    history, decisions
-        The motor's nights, and what people said of it.
-    indicators
-        By name.
-    """
+    """Watch every indicator of a motor."""
     watched = {}
     for name, indicator in indicators.items():
         parts = segments(history, decisions, name)
@@ -88,7 +80,7 @@ def _monitored(
 
 
 def monitor_settings(spec: MotorSpec, indicator: Indicator, n_indicators: int) -> MonitorSettings:
-    """How an indicator is watched: the motor's rate of false alarms is shared by all of them."""
+    """Monitoring settings of an indicator; all of a motor's share its rate of false alarms."""
     trend, alarms = spec.settings.trend, spec.settings.alarms
     needed, of = alarms.on_nights
     limits = Limits()

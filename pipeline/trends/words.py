@@ -1,4 +1,4 @@
-"""What a state means, in plain words."""
+"""Meanings of states, in plain words."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def temperature_words(frozen: TemperatureCorrection, now: TemperatureCorrection)
 
 
 def size_words(indicator: str, size: ChangeSize, since: object) -> str:
-    """How far an indicator has risen, since when; or that the rise is undone.
+    """Rise of an indicator and its date, in words; or that the rise is undone.
 
     Examples
     --------
@@ -157,7 +157,7 @@ def limit_words(indicator: str, value: float, limit: float, unit: str) -> str:
 
 
 def moved_words(indicator: str, percent: float) -> str:
-    """How far another indicator moved with it.
+    """Change of another indicator at the same time, in words.
 
     Examples
     --------

@@ -81,7 +81,7 @@ def sensor_zeros(history: History, decisions: Sequence[Decision]) -> dict[str, Z
 
 
 def health(zeros: Sequence[Zero], place: int) -> str:
-    """What the zeros say of the sensors in a night: ok, drifted or unknown."""
+    """Health of the sensors in a night, from their zeros: ok, drifted or unknown."""
     states = {zero.state[place] for zero in zeros}
     return "drifted" if "warning" in states else "ok" if "ok" in states else "unknown"
 
@@ -121,7 +121,7 @@ def _zero(history: History, decisions: Sequence[Decision], name: str) -> Zero:
 
 
 def tolerance(spec: MotorSpec, name: str) -> float:
-    """How far a zero may move: what the config states of its channels, and no less than matters."""
+    """Permitted move of a zero: the config's offset tolerance, at least `LEAST_MOVE`."""
     names = PRESSURES if name == PRESSURE_ZERO else ("leakage_flow",)
     declared = [spec.file.channels[one] for one in names if one in spec.file.channels]
     stated = float(np.hypot.reduce([one.offset_tolerance for one in declared]))
