@@ -21,22 +21,22 @@ OF_SEVERITY: tuple[State, State, State] = ("ok", "warning", "alarm")
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """When a deviation from the baseline is a warning or an alarm, whatever its history.
+    """Levels at which a deviation from the baseline is a warning or an alarm.
 
     Parameters
     ----------
     warning, alarm
         Relative rise over the baseline, [-].
     deadband
-        A level that is on goes off below itself less this, [-].
+        Distance below a level at which it goes off again, [-].
     on_nights, of_nights
-        On when tonight and all in all so many of the last so many good nights lie above.
+        A level goes on when tonight and at least `on_nights` of the last `of_nights` good nights
+        lie above it.
     off_nights
-        Off after so many good nights in a row below.
+        A level goes off after this many good nights in a row below it.
     least_sd
-        A level counts from so many standard deviations of the nights only, the upper 95 % bound
-        of what the baseline lets them be, so that widely scattering nights do not reach it by
-        chance.
+        Least height of a level, in standard deviations of the nights (the upper 95 % bound that
+        the baseline gives), so that widely scattered nights do not reach it by chance.
 
     Raises
     ------
@@ -108,18 +108,18 @@ class StateChange:
 
 
 def above_level(values: Array, level: float, deadband: float, rule: Levels) -> NDArray[np.bool_]:
-    """Whether a level is on, night by night.
+    """True where a level is on, night by night.
 
     Parameters
     ----------
     values
-        Shape (n,); nights that are not finite hold what was.
+        Shape (n,); nights that are not finite keep the previous state.
     level
         In the unit of the values.
     deadband
-        Goes off below `level` less this.
+        The level goes off below `level` less this.
     rule
-        How many nights it takes.
+        Number of nights that it takes.
 
     Returns
     -------
@@ -229,7 +229,7 @@ def state_changes(nights: Nights, states: list[State]) -> tuple[StateChange, ...
 
 
 def _count(condition: NDArray[np.bool_], nights: int) -> NDArray[np.int64]:
-    """How many of the last so many entries are true; fewer at the start, where there are fewer."""
+    """Number of true entries among the last `nights` up to each; fewer are counted at the start."""
     total = np.concatenate([[0], np.cumsum(condition)])
     places = np.arange(1, len(total))
     result: NDArray[np.int64] = total[1:] - total[np.maximum(places - nights, 0)]
@@ -237,7 +237,7 @@ def _count(condition: NDArray[np.bool_], nights: int) -> NDArray[np.int64]:
 
 
 def _held(is_on: NDArray[np.bool_], good: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """What the last good night said; false before the first."""
+    """State of the last good night up to each night; False before the first."""
     place = np.searchsorted(good, np.arange(len(is_on)), side="right") - 1
     result = np.zeros(len(is_on), dtype=np.bool_)
     seen = place >= 0

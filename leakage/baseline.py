@@ -1,19 +1,19 @@
-r"""What an indicator was when the motor was as it is known: a robust baseline, frozen.
+r"""Robust, frozen baseline of an indicator: its mean and scatter in the motor's known condition.
 
 The first good nights give a mean and a standard deviation. Nights are winsorised at four robust
 standard deviations about their median, as the cumulative sum later winsorises them, so that odd
 nights weigh in both alike. φ comes from the nights without their straight line: without it, wear
 within the baseline would be whitened away.
 
-A floor stands below the standard deviation: changes smaller than what sensors and oil do by
-themselves are no wear, however little the nights scatter. What the floor adds is taken for scatter
-without memory, which leaves
+The standard deviation has a floor: changes smaller than those of sensors and oil by themselves are
+not wear, however little the nights scatter. The variance that the floor adds is taken as
+uncorrelated scatter, which leaves
 
 .. math:: r = \frac{\sigma^2}{\sigma_f^2} \frac{\varphi}{1 - \varphi}, \qquad
    \varphi_f = \frac{r}{1 + r}
 
 as the correlation of nights with standard deviation :math:`\sigma_f` whose sums over many nights
-spread as those of both together.
+have the same spread as those of both parts together.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ SLOPED_P = 0.01
 
 @dataclass(frozen=True, slots=True)
 class BaselineSettings:
-    """How a baseline is made.
+    """Settings of a baseline.
 
     Parameters
     ----------
     nights
-        Good nights of a baseline, after which it is frozen.
+        Number of good nights after which a baseline is frozen.
     provisional_nights
-        Good nights from which on a provisional one serves.
+        Number of good nights from which a provisional baseline is used.
     relative_floor
         Least standard deviation, relative to the mean: 5 % of K, 1 % of a leakage.
     absolute_floor
@@ -295,7 +295,7 @@ def _line(nights: Nights, values: Array) -> tuple[float, Array]:
 
 
 def _is_sloped(nights: Nights, values: Array, floored_sd: float) -> bool:
-    """Whether a slope is certain, and more than the nights scatter by themselves."""
+    """True if a slope is certain and exceeds the scatter of the nights."""
     line = fit_slope(nights, values)
     if line.slope is None:
         return False

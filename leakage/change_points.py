@@ -1,4 +1,4 @@
-r"""What a whole series looks like in hindsight: a trend, steps, or both.
+r"""Retrospective model of a whole series: a trend, steps, or both.
 
 Change points come from the optimal partition of `ruptures` [1]_ with a linear kernel and the
 penalty :math:`3 \sigma^2 \ln n\, (1+\varphi)/(1-\varphi)`. Partitions know steps only, so wear that
@@ -8,7 +8,7 @@ and judged by
 
 .. math:: BIC = -2 \ln L + p \ln n ,
 
-where a night on which something begins costs a parameter as a size does. Change points are
+where the night of an onset counts as a parameter, as its size does. Change points are
 annotations and proposals to start a new baseline; no alarm comes from them.
 
 References

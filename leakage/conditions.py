@@ -14,7 +14,7 @@ PASCALS_PER_BAR = 1e5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OperatingConditions:
-    """What a motor's leakage depends on, sample by sample.
+    """Operating conditions that a motor's leakage depends on, sample by sample.
 
     Parameters
     ----------

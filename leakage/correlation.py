@@ -1,4 +1,4 @@
-"""How long prediction errors remember: their autocorrelation across gaps that it never bridges."""
+"""Autocorrelation of prediction errors in series with gaps; no pair spans a gap."""
 
 from __future__ import annotations
 

@@ -173,28 +173,28 @@ class Posterior:
 
     @property
     def is_own(self) -> bool:
-        """Whether a path, whichever, or a sensor of the motor is behind the change."""
+        """True if any path or a sensor of the motor itself explains the change."""
         return self.any_path >= PROBABLE or self.origin == "own_sensor"
 
     @property
     def is_of_tank(self) -> bool:
-        """Whether the other motors of the circuit have the same factor."""
+        """True if the other motors of the circuit have the same factor."""
         return self.tank is not None and self.tank >= PROBABLE
 
     @property
     def origin(self) -> Literal["tank", "own_sensor"] | None:
-        """Where a common factor comes from, as far as the other motors of the circuit tell it."""
+        """Origin of a common factor, as far as the other motors of the circuit show it."""
         if self.is_of_tank:
             return "tank"
         return "own_sensor" if (self.own_sensor or 0.0) >= PROBABLE else None
 
     def excludes(self, name: str) -> bool:
-        """Whether a path has probably not grown."""
+        """True if a path has probably not grown."""
         return name in self.paths and self.paths[name] <= 1.0 - PROBABLE
 
     @property
     def is_common(self) -> bool:
-        """Whether a common factor is told, alone or beside paths."""
+        """True if a common factor is probable, alone or beside paths."""
         return self.common >= PROBABLE
 
     @property
@@ -365,7 +365,7 @@ def _relative(
 
 @dataclass(frozen=True, slots=True)
 class _Hypothesis:
-    """What changed: these flows, and all of them by a factor of this kind."""
+    """One explanation of a change: the flows that have grown, and the kind of common factor."""
 
     weight: float
     grown: tuple[int, ...] = ()

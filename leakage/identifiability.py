@@ -1,8 +1,8 @@
-"""What the samples of a window can tell of each coefficient, and what they cannot, in words.
+"""Identifiability of each coefficient from the samples of a window, with reasons in words.
 
 The thesis's parameters enter through a few products only, and whether these can be told apart
 depends on the pressures, temperatures and speeds that the motor saw. A figure without a verdict
-would be a false one: a coefficient that is not identified never gets an interval.
+would mislead: a coefficient that is not identified never gets an interval.
 """
 
 from __future__ import annotations
@@ -68,14 +68,14 @@ class Excitation:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """What an interval rests on.
+    """Information that an interval rests on.
 
     Attributes
     ----------
     degrees_of_freedom
         Bell and McCaffrey's.
     largest_block_share
-        Share of what the samples say of a combination that rests on one single block.
+        Largest share of a single block in the information on a combination.
     """
 
     degrees_of_freedom: float
@@ -203,7 +203,7 @@ def _judge(
 def _unseen(
     place: int, path: LeakagePath, fit: Fit, everything: ClusterRobust, excitation: Excitation
 ) -> Judgement | None:
-    """Why a coefficient is not identified, or None where it is."""
+    """Reason why a coefficient is not identified; None if it is."""
     size = _size(path, float(fit.coefficients[place]))
     interval = everything.interval(_unit(place, len(fit.coefficients)))
     among = int(everything.active[:place].sum())
@@ -231,7 +231,7 @@ def _too_little(
     interval: Interval,
     least_freedom: float = LEAST_FREEDOM,
 ) -> Judgement | None:
-    """Why a combination's interval is not credible, or None where it is."""
+    """Reason why a combination's interval is not credible; None if it is."""
     if distribution.largest_block_share(contrast) > LARGEST_BLOCK_SHARE:
         return Judgement("not_excited", ONE_STRETCH, None)
     freedom = interval.degrees_of_freedom
@@ -245,10 +245,10 @@ def _too_little(
 
 
 def _size(path: LeakagePath, estimate: float) -> float:
-    """What a half-width is measured by: the configured coefficient.
+    """Reference size for a half-width: the configured coefficient.
 
-    Dividing by tonight's own estimate would select the nights that happen to come out high.
-    A flushing may be configured as 0, and then only the estimate is left.
+    Dividing by tonight's own estimate would favour nights whose estimate happens to be high.
+    A flushing may be configured as 0; then the estimate is used.
     """
     return path.configured_coefficient or abs(estimate)
 
@@ -260,7 +260,7 @@ def _unit(place: int, length: int) -> Array:
 
 
 def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -> str:
-    """Which operation would show the path."""
+    """Operation that would make the path identifiable."""
     low, high = excitation.pressure_bar
     if isinstance(path, AnnularGap) and path.deformation_pressure_pa is not None:
         visible = VISIBLE_BELOW * path.deformation_pressure_pa / 1e5
@@ -315,7 +315,7 @@ class LeakageJudgement:
 
     @property
     def is_told(self) -> bool:
-        """Whether the value means something."""
+        """True if the value is meaningful."""
         return self.verdict in TOLD
 
 
@@ -397,12 +397,12 @@ def _not_told(
 
 
 def is_outside(excitation: Excitation, conditions: OperatingConditions) -> bool:
-    """Whether a condition lies outside of what the samples saw."""
+    """True if a condition lies outside the ranges of the samples."""
     return bool(_beyond(excitation, conditions)[1])
 
 
 def _beyond(excitation: Excitation, conditions: OperatingConditions) -> tuple[bool, str]:
-    """Whether a condition can be reached from what the samples saw; and what lies outside of it."""
+    """True if a condition is within reach of the samples' ranges; and what lies outside them."""
     within, words = True, []
     for name, values, (low, high), unit in (
         ("pressure", conditions.pressure_difference_pa / 1e5, excitation.pressure_bar, "bar"),

@@ -127,7 +127,7 @@ def find_jumps(
 
 
 def is_undone(jump: Jump, recent: Array) -> bool:
-    """Whether good nights lie nearer to the level before a jump than to that after it.
+    """True if good nights lie nearer to the level before a jump than to the level after it.
 
     Examples
     --------

@@ -65,7 +65,7 @@ class Segments:
         return int(self.lengths.sum())
 
     def pair_counts(self, longest_lag: int) -> Array:
-        """How many pairs within one segment lie 0 to `longest_lag` samples apart.
+        """Number of pairs within one segment at each lag from 0 to `longest_lag` samples.
 
         Examples
         --------
@@ -85,7 +85,7 @@ class Segments:
         return Segments(self.begins[kept] + margin, self.lengths[kept] - 2 * margin)
 
     def mask(self, n: int) -> Mask:
-        """Which of n samples lie in a segment, shape (n,)."""
+        """Mask over n samples, True in a segment, shape (n,)."""
         steps = np.zeros(n + 1, dtype=np.int64)
         np.add.at(steps, self.begins, 1)
         np.add.at(steps, self.begins + self.lengths, -1)

@@ -84,7 +84,7 @@ RANK_TOLERANCE = 1e-8
 
 @dataclass(frozen=True, slots=True)
 class Misfit:
-    """What blocks of one fit say of the columns that its model does not need; adds up over nights.
+    """Misfit statistics of one fit, for the columns its model does not need; additive over nights.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Misfit:
 
     @classmethod
     def of(cls, numbers: Array) -> Misfit:
-        """What :meth:`numbers` made a row of."""
+        """Misfit from a row made by :meth:`numbers`."""
         (n, flow), score, *upper = np.split(numbers, (2, 8, 29, 50))
         wholes = []
         for triangle in upper:
@@ -156,7 +156,7 @@ def misfit(
     fixed: NDArray[np.bool_],
     means: Array,
 ) -> Misfit | None:
-    """What the blocks of a fit say of the columns that its model does not need.
+    """Misfit statistics of a fit, from its blocks, for the columns that its model does not need.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def misfit(
         Factors of its stored blocks in time order, not whitened, shape (b, c, c); columns: paths,
         one, known, measured.
     short
-        What the blocks were merged from.
+        Short blocks from which the blocks were merged.
     coefficients
         θ of the fit, shape (c − 2,).
     fixed

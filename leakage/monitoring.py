@@ -41,23 +41,23 @@ LEAST_OF_LINE = 5
 
 @dataclass(frozen=True, slots=True)
 class MonitorSettings:
-    """How one indicator is watched.
+    """Settings for monitoring one indicator.
 
     Parameters
     ----------
     false_alarms_per_year
-        Rate that this one indicator may have when its motor is healthy: the motor's rate over the
-        number of its indicators.
+        Allowed rate of this one indicator on a healthy motor: the motor's rate over the number of
+        its indicators.
     cusum_leads_to
-        What a change that is certain, but below the levels, is called.
+        State for a change that is certain but below the levels.
     baseline
-        How the baseline is made.
+        Settings of the baseline.
     levels
-        Relative to it.
+        Levels relative to the baseline.
     limits
-        Absolute ones.
+        Absolute limits.
     stale_nights
-        After so many nights without a value that can be trusted the state is ``stale``.
+        Number of nights without a trusted value after which the state is ``stale``.
     """
 
     false_alarms_per_year: float = 0.02
@@ -134,12 +134,12 @@ class Monitoring:
 
 @dataclass(frozen=True, slots=True)
 class ChangeSize:
-    """How large a change is now.
+    """Present size of a change.
 
     Attributes
     ----------
     since_night
-        Number of the night on which it began, as far as the sum can tell.
+        Number of the night on which the change began, as estimated from the cumulative sum.
     relative, lower, upper
         Rise over the baseline, and its interval, [-].
     n
@@ -243,29 +243,30 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
 def change_size(
     nights: Nights, values: Array, followed: Track, place: int, coverage: float = 0.95
 ) -> ChangeSize | None:
-    """How large the change is that stands told on a night, with an interval.
+    """Size of the change that is reported on a night, with an interval.
 
     Parameters
     ----------
     nights, values
         As for :func:`track`.
     followed
-        What it returned for them.
+        Result of :func:`track` for them.
     place
-        Of the night in the series.
+        Place of the night in the series.
     coverage
-        Of the interval, which covers the scatter of the nights and the error of the baseline.
+        Coverage of the interval, which accounts for the scatter of the nights and the error of
+        the baseline.
 
     Returns
     -------
     ChangeSize or None
-        From up to ten good nights since the change began. None where the sum tells no change on
-        that night.
+        From up to ten good nights since the change began. None if the cumulative sum reports no
+        change on that night.
 
     Notes
     -----
-    A mean over ten nights lags behind a wear that goes on. So it is the end of the straight line
-    through them; with fewer than five nights their mean.
+    A mean over ten nights lags behind wear that continues. The size is therefore the end of the
+    straight line through them; with fewer than five nights it is their mean.
     """
     began, baseline = int(followed.onset[place]), followed.baseline_at(place)
     if began < 0 or baseline is None:
@@ -382,7 +383,7 @@ def _serve(
 
 
 def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
-    """Why the provisional baseline is to stay; empty where the whole takes its place."""
+    """Reason to keep the provisional baseline; empty if the whole one replaces it."""
     if told:
         return f"kept at {first.n} good nights: a change was told before there were {whole.n}"
     if whole.sloped and (not first.sloped or whole.mean > first.mean):

@@ -34,7 +34,7 @@ class PeerDeviations:
     n_others: NDArray[np.int64]
 
     def words(self, night: int, motor: int) -> str:
-        """What the deviation of a motor in a night means, for people.
+        """Meaning of a motor's deviation in a night, in words.
 
         Examples
         --------

@@ -119,7 +119,7 @@ class LagTest:
 
     @property
     def outside(self) -> Mask:
-        """Which correlations lie outside of the band, shape (k,)."""
+        """Mask of the correlations outside the band, shape (k,)."""
         result: Mask = np.abs(self.values) > self.bounds
         return result
 
@@ -140,7 +140,7 @@ class LagTest:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ResidualAnalysis:
-    """What the errors of a model on some samples tell.
+    """Results of the residual tests of a model on some samples.
 
     Attributes
     ----------
@@ -153,8 +153,8 @@ class ResidualAnalysis:
     independence
         Cross-correlation with each input, by its name.
     n_effective
-        Independent samples that would carry as much, by the sum of the errors' correlations; None
-        where they remember longer than can be told.
+        Equivalent number of independent samples, by the sum of the errors' correlations; None if
+        the correlation time is too long to be estimated.
     """
 
     n: int

@@ -32,17 +32,17 @@ COVERAGE = 0.95
 
 @dataclass(frozen=True, slots=True)
 class HaltZero:
-    """What a sensor said in one halt.
+    """Zero reading of a sensor in one halt.
 
     Attributes
     ----------
     status
-        ``ok``; ``too_short``; ``not_settled``: it still moved from one half of the halt to the
-        other, by more than its errors and its resolution.
+        ``ok``; ``too_short``; ``not_settled``: the reading still moved from one half of the halt
+        to the other by more than its errors and its resolution.
     zero
         Mean [unit]; nan unless ``ok``.
     standard_error
-        Of the mean, with what the resolution hides [unit]; nan unless ``ok``.
+        Standard error of the mean, including the resolution [unit]; nan unless ``ok``.
     """
 
     status: HaltStatus
@@ -52,7 +52,7 @@ class HaltZero:
 
 @dataclass(frozen=True, slots=True)
 class ZeroDrift:
-    """How far a sensor's zero has moved.
+    """Drift of a sensor's zero.
 
     Attributes
     ----------
@@ -60,9 +60,9 @@ class ZeroDrift:
         ``drifts`` where the move is certain and beyond the tolerance, ``steady`` where it is not,
         ``insufficient`` with fewer than ten halts.
     zero, lower, upper
-        Zero now, and its 95 % interval [unit].
+        Present zero, and its 95 % interval [unit].
     change, change_lower, change_upper
-        Zero now less zero at first, and its 95 % interval [unit].
+        Present zero less initial zero, and its 95 % interval [unit].
     n_halts
         Halts that count.
     """
@@ -114,12 +114,12 @@ def halt_zero(samples: Array, resolution: float) -> HaltZero:
 
 @dataclass(frozen=True, slots=True)
 class ZeroCourse:
-    """What was known of a sensor's zero after each halt; shape (n,) each, nan below ten halts.
+    """Drift of a sensor's zero as known after each halt; shape (n,) each, nan below ten halts.
 
     Attributes
     ----------
     drifts
-        Whether the move is certain and beyond the tolerance.
+        True where the move is certain and beyond the tolerance.
     zero, lower, upper, change, change_lower, change_upper
         As in :class:`ZeroDrift`.
     n_halts
@@ -139,24 +139,24 @@ class ZeroCourse:
 def zero_course(
     nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
 ) -> ZeroCourse:
-    """How far a sensor's zero had moved since its first halts, halt by halt.
+    """Drift of a sensor's zero since its first halts, halt by halt.
 
     Parameters
     ----------
     nights
-        Night of each halt, not decreasing, shape (n,); since the sensor was last put right.
+        Night of each halt since the sensor was last corrected, not decreasing, shape (n,).
     zeros, errors
-        Of each halt, from :func:`halt_zero` [unit], shape (n,); those that are not finite do not
-        count, and keep what was known before.
+        Zero and standard error of each halt, from :func:`halt_zero` [unit], shape (n,); those
+        that are not finite do not count, and keep the result before.
     tolerance
-        Stated tolerance of the sensor's zero [unit]: a smaller move is no drift however certain.
+        Stated tolerance of the sensor's zero [unit]: a smaller move is no drift, however certain.
 
     Returns
     -------
     ZeroCourse
-        From the means of the first and of the last halts, up to thirty each and never the same
-        ones, by Welch's t; the scatter between halts counts, and is at least that of the errors.
-        What is known after a halt depends on that halt and those before it alone.
+        From the means of the first and of the last halts, up to thirty each and without overlap,
+        by Welch's t; the scatter between halts counts, and is at least that of the errors. The
+        result after a halt depends only on that halt and those before it.
 
     Raises
     ------
@@ -217,7 +217,7 @@ def zero_course(
 def zero_drift(
     nights: NDArray[np.int64], zeros: Array, errors: Array, tolerance: float
 ) -> ZeroDrift:
-    """Whether a sensor's zero has moved since its first halts.
+    """Drift of a sensor's zero since its first halts, as known after the last.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def zero_drift(
     Returns
     -------
     ZeroDrift
-        What is known after the last halt.
+        Result after the last halt.
 
     Raises
     ------

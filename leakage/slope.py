@@ -1,7 +1,7 @@
-r"""How fast an indicator changes: Theil–Sen's slope, and the interval of generalised least squares.
+r"""Rate of change of an indicator: Theil–Sen slope, interval by generalised least squares.
 
-Theil–Sen's slope [1]_ is the figure that people are shown, as single odd nights do not move it.
-Its own interval takes nights for independent and falls to 68 % coverage where they are not, so the
+Theil–Sen's slope [1]_ is the figure shown to users, as single odd nights do not move it. Its own
+interval assumes independent nights and falls to 68 % coverage where they are correlated, so the
 interval and p come from generalised least squares with first-order autoregressive errors in the
 transform of Prais and Winsten: φ from the residuals of ordinary least squares, corrected for its
 bias, φ^Δt across missing nights, and n − 3 degrees of freedom.

@@ -79,7 +79,7 @@ class ShortBlocks:
 
 @dataclass(frozen=True, slots=True)
 class SlowErrors:
-    """How the errors of a window remember from block to block.
+    """Correlation of the errors of a window from block to block.
 
     Attributes
     ----------
@@ -88,9 +88,9 @@ class SlowErrors:
     variance_ratio
         λ: variance of the slow error over that of a short block's mean without it.
     within
-        κ: variance that errors within a block act with, over their own.
+        κ: effective variance of the errors within a block, over their own.
     evidence
-        −2 Δ log REML of λ = 0 against the best.
+        −2 Δ log REML of λ = 0 against the best fit.
     """
 
     memory: float
@@ -100,7 +100,7 @@ class SlowErrors:
 
     @property
     def are_slow(self) -> bool:
-        """Whether the errors remember beyond a block, so that the means have to be whitened."""
+        """True if the errors are correlated beyond a block, so that the means must be whitened."""
         return self.memory > 0.0 and self.evidence >= EVIDENCE
 
     def memory_s(self, block_s: float) -> float:

@@ -48,7 +48,7 @@ class TemperatureCorrection:
 
     @property
     def is_certain(self) -> bool:
-        """Whether no change lies outside the interval."""
+        """True if the interval excludes zero change."""
         return abs(self.per_kelvin) > self.half_width
 
     def factor(self, temperature_c: Array | float) -> Array:

@@ -47,16 +47,16 @@ SECULAR_ROUNDS = 10
 
 @dataclass(frozen=True, slots=True)
 class Tolerances:
-    """When a search ends; names as in MATLAB.
+    """Stopping tolerances of a search; names as in MATLAB.
 
     Attributes
     ----------
     step, function
         Relative step, and relative change of the criterion.
     gradient
-        Largest gradient, each component times the distance to its bound.
+        Largest component of the gradient, each scaled by the distance to its bound.
     evaluations
-        Evaluations of the residuals that a start may take.
+        Greatest number of evaluations of the residuals per start.
     """
 
     step: float
@@ -67,16 +67,16 @@ class Tolerances:
 
 @dataclass(frozen=True, slots=True)
 class Ends:
-    """Where the searches ended.
+    """End points of the searches.
 
     Attributes
     ----------
     x
         Variables, shape (w, k).
     status
-        Why each ended, shape (w,): one of this module's constants.
+        Reason for the end of each, shape (w,): one of this module's constants.
     evaluations
-        Evaluations that each took, shape (w,).
+        Number of evaluations of each, shape (w,).
     """
 
     x: Array
@@ -363,7 +363,7 @@ def _step_in_box(
 
 
 def _to_bound(x: Array, step: Array, lower: Array, upper: Array) -> tuple[Array, Mask]:
-    """How many times a step fits before it meets a bound, and which bounds it then meets."""
+    """Multiple of a step at which it meets a bound, and the bounds that it then meets."""
     times = np.maximum((lower - x) / step, (upper - x) / step)
     times = np.where(step == 0.0, np.inf, times)
     room = times.min(axis=1)
@@ -420,7 +420,7 @@ def _to_edge(start: Array, direction: Array, radius: Array) -> Array:
 
 
 def _lowest(a: Array, b: Array, least: Array, most: Array) -> Array:
-    """Where a t² + b t is lowest between two limits."""
+    """Point between two limits at which a t² + b t is lowest."""
     inner = np.clip(-b / (2 * a), least, most)
     ends = np.stack([least, most, np.where((a > 0) & np.isfinite(inner), inner, least)])
     values = a * ends**2 + b * ends

@@ -1,7 +1,7 @@
-"""How good a fitted model is: fit percent, prediction error and information criteria (2.5.5–2.5.9).
+"""Quality of a fitted model: fit percent, prediction error, information criteria (2.5.5–2.5.9).
 
-All of it comes from the triangular factor of the judged samples, so last night's model is judged on
-tonight's samples at the price of one product.
+All figures come from the triangular factor of the samples, so judging last night's model on
+tonight's samples costs one product.
 
 References
 ----------
@@ -30,14 +30,15 @@ ROUNDING = 1e-14
 
 @dataclass(frozen=True, slots=True)
 class Agreement:
-    """How a model agrees with some samples.
+    """Agreement of a model with some samples.
 
     Attributes
     ----------
     n
         Number of samples.
     fit_percent
-        100 (1 − ‖y − ŷ‖/‖y − ȳ‖) [%], (23); None where the flow has no shape to fit.
+        100 (1 − ‖y − ŷ‖/‖y − ȳ‖) [%], (23); None if the flow varies no more than its
+        resolution.
     rmse_l_per_min
         Root mean squared prediction error [l/min]; None without samples.
     mean_error_l_per_min
@@ -83,7 +84,7 @@ def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) 
 
 
 def is_poor(fit_percent: float | None) -> bool:
-    """Whether a fit is poor: below that of a constant flow; a fit that there is not is none.
+    """True if a fit is worse than that of a constant flow; False if there is no fit.
 
     Examples
     --------

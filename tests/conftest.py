@@ -53,7 +53,7 @@ def demo_folder(shared_folder: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
-    """What a run over the demo fleet, motor after motor, has written; only to be read."""
+    """Output of a run over the demo fleet, motor after motor; read-only."""
 
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet

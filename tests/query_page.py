@@ -34,7 +34,7 @@ class Question:
 
 
 def preparation() -> dict[str, str]:
-    """What has to be run before any query, by engine."""
+    """Statements to run before any query, by engine."""
     return _queries(_parts()[0][1])
 
 

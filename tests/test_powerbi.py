@@ -1,4 +1,4 @@
-"""What `docs/powerbi.md` relies on. Power BI itself cannot be run here, and is not."""
+"""Tables and columns that `docs/powerbi.md` relies on; Power BI itself cannot be run here."""
 
 from __future__ import annotations
 

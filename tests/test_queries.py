@@ -416,7 +416,7 @@ def test_12_pressures(ask: Any) -> None:
 def test_plain_reading_of_old_and_new_files_sees_all_columns(
     history: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What `union_by_name` and `diagonal` are for: the first file has fewer columns."""
+    """Purpose of `union_by_name` and `diagonal`: the first file has fewer columns."""
     monkeypatch.chdir(history)
     first, *_, last = sorted(Path("out/tables/fits").rglob("*.parquet"))
     assert len(pl.read_parquet_schema(first)) < len(pl.read_parquet_schema(last))

@@ -1,4 +1,4 @@
-"""How far apart the tables of two runs over the same nights are."""
+"""Differences between the tables of two runs over the same nights."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ ABSOLUTE = frozenset({"certificate_gap", "dual_residual"})
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """What differs between two runs.
+    """Differences between two runs.
 
     Attributes
     ----------
     largest
         Largest relative difference by table.
     where
-        In which column, and row, that is.
+        Column and row of that difference.
     others
-        Cells by table that hold no floating-point number and are not the same.
+        Number by table of differing cells that hold no floating-point number.
     rows
-        Rows by table that only one of the two has.
+        Number by table of rows that only one of the two runs has.
     n_read, n_failed
-        Log files that the other run read, and that it could not.
+        Numbers of log files that the other run read, and that it could not read.
     """
 
     largest: Mapping[str, float]

@@ -1,4 +1,4 @@
-"""What all dialects have: the keys of a motor's config that state them, and a writer."""
+"""Common part of all dialects: their keys in a motor's config, and a writer."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Dialect(ABC):
         """Write a log as one file or several whose names begin with `stem`; returns them."""
 
     def holds(self, log: Recorded) -> bool:
-        """Whether all that was recorded can be written."""
+        """True if the dialect can write all that was recorded."""
         stamps = (log.time_us, *log.own_time_us.values())
         return not any((time_us % self.step_us).any() for time_us in stamps)
 
@@ -75,7 +75,7 @@ class Dialect(ABC):
         return self.units.get(QUANTITIES[channel], canonical_unit(channel))
 
     def called(self, channel: str) -> str:
-        """What a channel is called in the log."""
+        """Name of a channel in the log."""
         return self.names.get(channel, channel)
 
     def source(self, channel: str) -> dict[str, Any]:

@@ -21,7 +21,7 @@ Nights = Mapping[str, Mapping[dt.date, Recorded]]
 
 
 def first_nights(demo: Path) -> Nights:
-    """What was recorded in all nights of a demo, simulated again: no reader has a part in it.
+    """Records of all nights of a demo, simulated again without any reader.
 
     Parameters
     ----------

@@ -30,20 +30,20 @@ Schema = tuple[str, str, bytes]
 
 
 class Encoding(Protocol):
-    """How readings of one time become messages.
+    """Encoding of the readings of one time as messages.
 
     Attributes
     ----------
     name
-        Of the encoding, as MCAP has it.
+        Name of the encoding in MCAP.
     schema
-        Name, encoding and text; None: there is none.
+        Name, encoding and text; None if there is no schema.
     stamp
         Field of the stamp.
     together
-        All channels are in one message; else each has a topic of its own.
+        True if all channels are in one message; else each has its own topic.
     says_blank
-        A message may say that it has no reading.
+        True if a message may state that it has no reading.
     """
 
     @property

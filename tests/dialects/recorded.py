@@ -1,4 +1,4 @@
-"""What was recorded of a motor in a night, before it takes a dialect."""
+"""Records of a motor in a night, before they are written in a dialect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long errors remember: against the definition, and series of known memory."""
+"""Autocorrelation of errors: against the definition, and on series of known correlation."""
 
 from __future__ import annotations
 

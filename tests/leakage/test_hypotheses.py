@@ -36,7 +36,7 @@ FREE = np.array([True, True, True, False])
 
 @dataclass(frozen=True)
 class Change:
-    """What is otherwise now: viscosity, gain, the sensor's temperature [°C], K of paths."""
+    """Simulated change: viscosity, gain, the sensor's temperature [°C], K of paths."""
 
     viscosity: float = 1.0
     gain: float = 1.0

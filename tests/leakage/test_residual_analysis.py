@@ -357,7 +357,7 @@ def rate(draw: Callable[[Generator], tuple[ResidualAnalysis, str]], times: int) 
 
 
 def acceptable(times: int, level: float) -> tuple[float, float]:
-    """Where 99.9 % of counts lie, at one failure in a hundred; the upper end at `level`."""
+    """Range of 99.9 % of counts at a failure rate of 1 %, the upper end at a rate of `level`."""
     return binom.ppf(0.0005, times, 0.01), binom.ppf(0.9995, times, level)
 
 

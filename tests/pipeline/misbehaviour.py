@@ -39,7 +39,7 @@ def raise_error() -> None:
 
 
 def panic() -> None:
-    """What Polars raises where it is at fault; it is no Exception."""
+    """Raise the error of an internal fault of Polars; it does not derive from Exception."""
     from polars.exceptions import PanicException
 
     raise PanicException("not foreseen")
@@ -172,7 +172,7 @@ def die_once(marker: str) -> str:
 
 
 def workers_of(parent: int) -> int:
-    """How many workers a process has, at work or idle."""
+    """Number of workers of a process, at work or idle."""
     mine = f"PPid:\t{parent}\n"
     found = 0
     for status in Path("/proc").glob("[0-9]*/status"):

@@ -1,4 +1,4 @@
-"""What loggers make of a signal, each kind from its definition: for what has to tell them apart."""
+"""Signals as loggers record them, each kind by its definition, for tests that tell them apart."""
 
 from __future__ import annotations
 

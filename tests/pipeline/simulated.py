@@ -93,7 +93,7 @@ def with_channel(spec: MotorSpec, name: str, **keys: Any) -> MotorSpec:
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """What a motor was asked to do, on whole seconds from 22:00 of the evening on."""
+    """Operation asked of a motor, on whole seconds from 22:00 of the evening on."""
 
     time_us: NDArray[np.int64]
     pressure_bar: Array

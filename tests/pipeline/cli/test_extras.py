@@ -1,4 +1,4 @@
-"""What is not installed by default is missed only where it is used, and is then named."""
+"""Optional packages are needed only where they are used, and are named if they are missing."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def pinned() -> dict[str, str]:
 
 
 def stated() -> list[str]:
-    """What `pyproject.toml` asks for, extras and development included."""
+    """Requirements in `pyproject.toml`, including extras and development."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     extras = project["project"]["optional-dependencies"].values()
     groups = [*extras, project["project"]["dependencies"], project["dependency-groups"]["dev"]]

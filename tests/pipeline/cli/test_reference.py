@@ -1,4 +1,4 @@
-"""What is written for people agrees with the code: generated pages, examples, queries, codes."""
+"""Documentation agrees with the code: generated pages, examples, queries, codes."""
 
 from __future__ import annotations
 

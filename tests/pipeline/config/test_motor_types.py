@@ -40,7 +40,7 @@ X_CLEARANCE_BAR, X_PLATE_BAR = 150.0, 700.0
 
 
 def points_of(deformation_bar: float, gap_um: float) -> str:
-    """What a simulation would give: [bar, µm, l/min] at constant viscosity."""
+    """Points as a simulation would give them: [bar, µm, l/min] at constant viscosity."""
     return ", ".join(
         f"[{bar}, {gap_um}, {gap_um**3 * bar * np.exp(-3.0 * bar / deformation_bar):.15g}]"
         for bar in (10.0, 40.0, 90.0, 160.0, 250.0, 320.0)

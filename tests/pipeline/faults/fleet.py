@@ -149,7 +149,7 @@ def _rows(path: Path, content: bytes, table: Table) -> pl.DataFrame:
 
 
 def same(one: pl.DataFrame | None, two: pl.DataFrame | None) -> bool:
-    """Whether two files hold the same rows; one without rows is as good as none."""
+    """True if two files hold the same rows; a file without rows equals a missing one."""
     if one is None or two is None:
         return all(rows is None or not rows.height for rows in (one, two))
     return one.equals(two, null_equal=True)
@@ -211,6 +211,6 @@ LASTING = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json"}
 
 
 def temporary(output: Path) -> list[Path]:
-    """What should not outlive a run."""
+    """Files that should not outlive a run."""
     strangers = {path.name for path in output.iterdir()} - LASTING
     return [*map(Path, sorted(strangers)), *output.rglob(".writing-*"), *output.rglob("*.damaged")]

@@ -21,16 +21,15 @@ from tests.pipeline.faults.fleet import (
 
 @dataclass(slots=True)
 class Tally:
-    """What came of the points that were tried.
+    """Results of the points that were tried.
 
     Attributes
     ----------
     survived
-        Points by the call that failed: files were whole, old or new, and the next run repaired
-        all.
+        Points by the call that failed, after which files were whole, old or new, and the next run
+        repaired everything.
     ends
-        Points by how the run ended: with an error, killed, with a motor that failed, or as if
-        nothing had been.
+        Points by the end of the run: an error, killed, a failed motor, or no effect.
     """
 
     survived: Counter[str] = field(default_factory=Counter)
@@ -43,7 +42,7 @@ class Tally:
 
 
 def count_points(fleet: TinyFleet, output: Path, kind: Kind) -> int:
-    """How many calls of a run can fail in a way: it passes with none of them failing."""
+    """Number of calls of a run that can fail in a way; the run passes if none of them fails."""
     fleet.copy(output)
     with remembered_fits(), on(Disk(kind, 0)) as disk:
         fleet.run(output)
@@ -74,7 +73,7 @@ def try_points(
 
 
 def _run_on(disk: Disk, fleet: TinyFleet, output: Path) -> tuple[str, list[str]]:
-    """How a run on a disk ended, and which motors failed."""
+    """End of a run on a disk, and the motors that failed."""
     try:
         with on(disk):
             result = fleet.run(output)

@@ -51,7 +51,7 @@ def flip(path: Path, whole: bytes, bit: int) -> None:
 
 
 def is_told(output: Path, path: Path) -> bool:
-    """Whether a fault names the file; of a manifest also, whether it names one that it lists."""
+    """True if a fault names the file or, for a manifest, a file that it lists."""
     name = path.relative_to(output).as_posix().removeprefix("tables/")
     return any(fault.path in (name, path.name) for fault in verify_tables(output))
 

@@ -167,7 +167,7 @@ def contents(folder: Path) -> dict[str, str]:
 
 
 def test_every_call_of_the_door_can_be_failed() -> None:
-    """What it calls of `os` is either made to fail, or changes nothing on the disk."""
+    """Every call of `os` that it makes can be made to fail, or changes nothing on the disk."""
     harmless = {
         "close", "fstat", "lstat", "scandir", "posix_fadvise", "sync",
         "O_APPEND", "O_CLOEXEC", "O_CREAT", "O_EXCL", "O_RDONLY", "O_RDWR", "O_TRUNC", "O_WRONLY",

@@ -23,7 +23,7 @@ NAMESPACE = ["unshare", "--map-root-user", "--mount"]
 
 @cache
 def way() -> str:
-    """How a disk can be made full here."""
+    """Method of filling a disk that is available here."""
     try:
         tried = subprocess.run(
             [*NAMESPACE, "mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", "/mnt"],
@@ -35,7 +35,7 @@ def way() -> str:
 
 
 def ends_of(fleet: TinyFleet, work: Path, way: str, step_kib: int, most: int) -> list[str]:
-    """How runs ended with more and more room."""
+    """Ends of runs with increasing room on the disk."""
     command = [sys.executable, "-m", "tests.pipeline.faults.full_disk"]
     arguments = [str(fleet.folder), str(work), way, str(step_kib), str(most)]
     done = subprocess.run(

@@ -66,7 +66,7 @@ def output(tiny_fleet: TinyFleet, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def said(output: Path, tiny_fleet: TinyFleet) -> tuple[Decision, ...]:
-    """What people said, in the journal and in the table of the run after."""
+    """Decisions made by people, in the journal and in the table of the next run."""
     moment = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
     for number in range(3):
         note = f"heard nothing, {number}"
@@ -99,7 +99,7 @@ def without_logs(tiny_fleet: TinyFleet, tmp_path: Path) -> Callable[..., TinyFle
 
 @pytest.fixture
 def _nothing_due(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a run proves is not said by the day on which the test is run."""
+    """Proofs of a run do not depend on the day on which the test is run."""
     monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
 
 
@@ -616,7 +616,7 @@ def test_the_command_may_be_killed_anywhere(
 
 
 def check_tables_but_decisions(output: Path, fleet: TinyFleet) -> None:
-    """What people said is in the table besides."""
+    """Check the tables other than decisions, which also hold what people said."""
     shutil.copy(
         fleet.after / "tables" / "decisions" / "decisions.parquet",
         output / "tables" / "decisions" / "decisions.parquet",

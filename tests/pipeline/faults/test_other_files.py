@@ -29,14 +29,14 @@ MOMENT = dt.datetime(2026, 3, 4, 5, tzinfo=dt.UTC)
 
 
 def points(kind: Kind, act: Callable[[], object]) -> int:
-    """How many calls of an act can fail."""
+    """Number of calls of an act that can fail."""
     with on(Disk(kind, 0)) as disk:
         act()
     return disk.seen
 
 
 def fails(kind: Kind, point: int, act: Callable[[], object]) -> bool:
-    """Whether an act tells that it has failed, or dies, when one of its calls does."""
+    """True if an act reports its failure, or dies, when one of its calls fails."""
     with on(Disk(kind, point)) as disk:
         try:
             act()

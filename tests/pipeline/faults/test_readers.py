@@ -108,7 +108,7 @@ class Reader(threading.Thread):
 def test_the_footer_of_one_state_with_the_pages_of_another_is_refused(
     tiny_fleet: TinyFleet, tmp_path: Path, read: Callable[[str], Rows]
 ) -> None:
-    """What an engine sees that has opened a file before and after it was replaced."""
+    """File as seen by an engine that opens it both before and after it is replaced."""
     n_torn = 0
     for path in sorted((tiny_fleet.before / "tables").rglob("*.parquet")):
         states = [path, tiny_fleet.after / path.relative_to(tiny_fleet.before)]

@@ -71,7 +71,7 @@ def source_of(*fields: str, topic: str = TOPIC, **options: Any) -> Source:
 
 
 def read(folder: Path, data: bytes, source: Source) -> RawLog:
-    """What is read of a file."""
+    """Log as read from a file with these bytes."""
     path = folder / "log.mcap"
     path.write_bytes(data)
     return read_log(path, *source)
@@ -118,7 +118,7 @@ def officially(path: Path, field: str, topic: str = TOPIC) -> list[Value]:
 
 
 def followed(message: Any, field: str) -> Value:
-    """What a path leads to in a decoded message."""
+    """Value at a path in a decoded message."""
     for step in field_path(field):
         if isinstance(step, int):
             if step >= len(message):

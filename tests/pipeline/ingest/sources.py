@@ -1,4 +1,4 @@
-"""What a reader is told of a log besides its path, as a motor's config states it."""
+"""Arguments of a reader besides the log's path, as a motor's config states them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is written in any dialect of any format is read back, sample by sample."""
+"""Round trip, sample by sample, of logs in any dialect of any format."""
 
 from __future__ import annotations
 

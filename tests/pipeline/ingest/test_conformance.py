@@ -39,7 +39,7 @@ def written(form: Format, folder: Path, rows: Sequence[Row], names: Sequence[str
 
 
 def samples(log: RawLog, channel: str) -> list[tuple[int, float]]:
-    """What is not missing of a channel."""
+    """Samples of a channel that are not missing."""
     raw = log.channels[channel]
     pairs = zip(raw.time_us[~raw.missing], raw.value[~raw.missing], strict=True)
     return [(int(time), float(value)) for time, value in pairs]

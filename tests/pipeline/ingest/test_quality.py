@@ -1,4 +1,4 @@
-"""What a log says of its own samples, the same in every format and layout."""
+"""Quality of samples as a log states it, the same in every format and layout."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def wide_csv_with_bad_cells(folder: Path) -> tuple[Path, Source]:
 
 
 def csv_with_a_token_for_a_value(folder: Path) -> tuple[Path, Source]:
-    """What stands for no value in one column is an answer in the other."""
+    """A token that stands for no value in one column is a valid answer in the other."""
     path, source = wide_csv(folder)
     path.write_text(path.read_text().replace("Z,,Bad", "Z,Bad,Bad").replace("Z,,24", "Z,---,24"))
     return path, source
@@ -329,7 +329,7 @@ def test_channels_may_share_a_column_and_differ_in_what_is_good(tmp_path: Path) 
 
 
 def test_a_night_of_texts_that_are_all_called_bad_is_no_wrong_column(tmp_path: Path) -> None:
-    """What a historian writes while its source is down; without a quality it is an error."""
+    """Texts as a historian writes them while its source is down; an error without a quality."""
     path = tmp_path / "log.csv"
     path.write_text(csv_lines("n,quality", lambda _: "I/O Timeout,Bad"))
     source = Source.of("csv", {"speed": SPEED})

@@ -1,4 +1,4 @@
-"""What is said of time stamps that cannot be read: the cell, and how one would be written."""
+"""Messages on unreadable time stamps: the cell, and how a stamp would be written."""
 
 from __future__ import annotations
 

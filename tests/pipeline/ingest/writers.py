@@ -40,7 +40,7 @@ Cell = float | str | None
 
 @dataclass(frozen=True)
 class Row:
-    """What was logged at one time."""
+    """Cells logged at one time."""
 
     time_us: int
     cells: Mapping[str, Cell]

@@ -76,7 +76,7 @@ def line(axes: Axes, label: str) -> Line2D:
 
 
 def at(drawn: Line2D, x: float) -> float:
-    """What is drawn at one of a line's own points."""
+    """Value drawn at one of a line's own points."""
     xs, ys = np.asarray(drawn.get_xdata()), np.asarray(drawn.get_ydata())
     (place,) = np.flatnonzero(np.isclose(xs, x, rtol=1e-12))
     return float(ys[place])

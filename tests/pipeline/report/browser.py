@@ -24,7 +24,7 @@ OPTIONS = (
 
 
 def installed() -> bool:
-    """Whether there is a browser, and the driver that belongs to it."""
+    """True if there is a browser with its driver."""
     return bool(shutil.which("chromium") and shutil.which("chromedriver"))
 
 

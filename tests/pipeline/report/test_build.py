@@ -49,7 +49,7 @@ def times(folder: Path) -> dict[str, int]:
 
 
 class Links(HTMLParser):
-    """What a page loads and leads to."""
+    """Resources and links of a page."""
 
     def __init__(self, page: Path) -> None:
         super().__init__()

@@ -1,4 +1,4 @@
-"""What goes into pages comes out of them as it was, and nothing else comes with it."""
+"""Round trip of data through pages: it comes out unchanged, and nothing is added."""
 
 from __future__ import annotations
 

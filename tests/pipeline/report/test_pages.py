@@ -58,7 +58,7 @@ def visit(browser: Chrome, page: Path, fragment: str = "") -> None:
 
 
 def complaints(browser: Chrome) -> list[str]:
-    """What the console said, and where a text was taken for code."""
+    """Messages of the console, and a mark if a text was run as code."""
     said = [entry["message"] for entry in browser.get_log("browser")]
     return [*said, *(["harmed"] if browser.execute_script("return window.harmed") else [])]
 
@@ -69,7 +69,7 @@ def wait(browser: Chrome, script: str) -> Any:
 
 
 def drawn(browser: Chrome) -> dict[str, str]:
-    """What becomes of each figure: a chart, or a reason why there is none."""
+    """Result of each figure: a chart, or a reason why there is none."""
     wait(browser, "return document.body.dataset.night")
     browser.execute_script("motorLeakage.drawAll()")
     return wait(

@@ -108,7 +108,7 @@ def output_of(fleet_file: Path) -> Path:
 
 
 def query(output: Path, sql: str) -> list[Any]:
-    """What DuckDB says; ``@name`` stands for all files of a table."""
+    """Rows of a DuckDB query; ``@name`` stands for all files of a table."""
     found = duckdb.sql(re.sub(r"@(\w+)", rf"'{output}/tables/\1/**/*.parquet'", sql))
     assert found is not None
     return found.fetchall()
@@ -681,7 +681,7 @@ def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
 def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(
     own_fleet: OwnFleet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where the damage is seen when the night is made, and leaves no time on the file."""
+    """Damage that is found only when the night is made, as the file keeps its time stamp."""
     monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
     fleet = load_fleet(own_fleet("CB400-01", "CB400-02", fitted=True))
     night = FIRST

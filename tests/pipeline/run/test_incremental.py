@@ -1,7 +1,7 @@
-"""What a run does again, and what it leaves: read from the logs, fitted, judged, or trends alone.
+"""Nights that a run does again, and those it leaves: reading, fits, verdicts, or trends alone.
 
-Each test states by design.md section 4 which nights a change touches. What was read is seen by
-overwriting all logs with zeros of the same size and time first: whoever looks into one fails.
+Each test states by design.md section 4 which nights a change touches. Reading is detected by first
+overwriting all logs with zeros, with the same size and time: a run that opens one fails.
 """
 
 from __future__ import annotations

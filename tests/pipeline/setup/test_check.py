@@ -219,7 +219,7 @@ def test_counts_and_channels_that_say_nothing_of_the_load_have_no_usual_size(
 
 
 def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: OwnFleet) -> None:
-    """What stands on change, in a log whose other channels are periodic."""
+    """Channel that is sent on change, in a log whose other channels are periodic."""
     fleet = own_fleet("CB400-02")
     log = max((fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir())
     table = pl.read_parquet(log)

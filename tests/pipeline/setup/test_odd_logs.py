@@ -62,7 +62,7 @@ def write(
 
 
 def said(called: Called) -> str:
-    """What a command said on both streams: words alone."""
+    """Output of a command on both streams, checked to be plain words."""
     code, out, err = called
     assert code in (0, 1, 2)
     for word in ("Traceback", "Warning", "internal", "None"):

@@ -1,4 +1,4 @@
-"""What a channel's samples look like, on signals logged in each way by its definition."""
+"""Apparent sampling of a channel, on signals logged in each way by its definition."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def generator(seed: int) -> np.random.Generator:
 
 
 def signal(name: str, seed: int) -> Signal:
-    """What a sensor sees, its own noise of half a step included."""
+    """Signal as a sensor sees it, including its own noise of half a step."""
     rng = generator(seed)
     made = {
         "pressure": lambda: moving_load(rng, HOURS, (20.0, 250.0), 15.0),

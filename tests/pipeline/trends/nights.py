@@ -348,7 +348,7 @@ def standings(
     decisions: Sequence[Decision] = (),
     change: Callable[[History, tuple[Decision, ...]], History] = lambda one, _: one,
 ) -> dict[str, Standing]:
-    """How motors of one oil circuit (or one alone) stand."""
+    """Standings of the motors of one oil circuit, or of one motor alone."""
     said = {name: tuple(d for d in decisions if d.motor_id == name) for name in found}
     parts = {name: Part.of(change(one, said[name]), said[name]) for name, one in found.items()}
     neighbours = neighbours_of(parts) if len(parts) > 1 else {}
@@ -356,7 +356,7 @@ def standings(
 
 
 def standing(nights: Nights, *decisions: Decision, tonight: int | None = None) -> Standing:
-    """How a motor on its own stands."""
+    """Standing of a motor on its own."""
     name = nights.spec.motor_id
     return standings(histories(nights, tonight=tonight), decisions)[name]
 

@@ -1,4 +1,4 @@
-"""Why a motor's flows changed, as indicators, rows and words tell it."""
+"""Attribution of a change in a motor's flows, in indicators, rows and words."""
 
 from __future__ import annotations
 

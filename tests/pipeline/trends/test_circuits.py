@@ -94,7 +94,7 @@ def test_wear_of_one_motor_is_its_own() -> None:
 
 
 def test_wear_beside_thin_oil_blames_the_worn_path_alone() -> None:
-    """What the ring and the pistons of the worn motor do is the oil's, as in the other motors."""
+    """Changes of the worn motor's ring and pistons are the oil's, as in the other motors."""
     found = tank(both(THIN, SLEEVE), THIN, THIN, THIN)
     worn = found["M1"]
     assert raised(worn) == {

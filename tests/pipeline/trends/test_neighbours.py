@@ -1,4 +1,4 @@
-"""What is said of one motor leaves alone what the others of its oil circuit were told."""
+"""Decisions on one motor do not change what was reported of the others of its oil circuit."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ class Circuit:
         return [row for rows in of_motor for row in rows]
 
     def of_others(self) -> Told:
-        """What all motors but the first were told."""
+        """Rows reported of all motors but the first."""
         return {key: rows for key, rows in self.told.items() if key[0] != "M1"}
 
     def severities_of_others(self) -> dict[tuple[str, str], list[int]]:
@@ -145,18 +145,18 @@ class Circuit:
 
 @dataclass(frozen=True)
 class Story:
-    """What happens to motors on one tank, and what is said of the first.
+    """Events on motors of one tank, and an entry for the first.
 
     Attributes
     ----------
     oil
-        Night in which the oil changes, and by how much every path of every motor leaks more.
+        Night in which the oil changes, and the resulting rise of every path of every motor.
     exchanged
-        The same of the first motor alone.
+        The same for the first motor alone.
     wear
-        By motor: path, whether it is sudden, first night, size.
+        By motor: path, True if sudden, first night, size.
     said, of
-        What is said of the first motor after the last night that was told, and of which night.
+        Entry for the first motor after the last reported night, and the night it concerns.
     """
 
     oil: tuple[int, float]

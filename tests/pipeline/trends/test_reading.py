@@ -1,4 +1,4 @@
-"""What is kept of a motor's nights: it saves reading and fitting, and changes no byte."""
+"""Stored nights of a motor save reading and fitting, and change no byte."""
 
 from __future__ import annotations
 
@@ -253,7 +253,7 @@ Reads = list[tuple[str, list[dt.date]]]
 
 @pytest.fixture
 def reads(monkeypatch: pytest.MonkeyPatch) -> Reads:
-    """Which nights of which tables trends read."""
+    """Nights that trends read, by table."""
     found: Reads = []
 
     def watched(output: Path, table: Table, *more: Any, nights: Collection[dt.date]) -> Any:

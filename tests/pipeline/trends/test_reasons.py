@@ -1,4 +1,4 @@
-"""Why a state is what it is, in words with figures."""
+"""Reasons for a state, in words with figures."""
 
 from __future__ import annotations
 

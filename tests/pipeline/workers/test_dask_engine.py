@@ -92,7 +92,7 @@ def test_never_more_tasks_in_flight_than_stated(
 
 
 def tasks_of(run: str, dask_scheduler: Any) -> int:
-    """How many tasks of a run the scheduler has that are not done; runs there."""
+    """Number of unfinished tasks of a run on the scheduler; runs there."""
     tasks = [task for key, task in dask_scheduler.tasks.items() if str(key).startswith(run)]
     return sum(task.state not in ("memory", "erred", "released", "forgotten") for task in tasks)
 

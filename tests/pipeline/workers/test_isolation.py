@@ -1,4 +1,4 @@
-"""What a task does to its worker costs itself alone: processes that raise, hang, eat and die."""
+"""Isolation of tasks: one that raises, hangs, exhausts memory or dies is lost alone."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def not_lost(_: object, loss: Loss) -> Any:
 
 
 def results(tasks: Sequence[str], how: Execution) -> tuple[set[str], dict[str, Loss]]:
-    """What was done, and the losses by task."""
+    """Tasks that were done, and the losses by task."""
     losses: dict[str, Loss] = {}
 
     def lost(task: str, loss: Loss) -> None:

@@ -1,4 +1,4 @@
-"""What only text can do to a log."""
+"""Log features and faults specific to text."""
 
 from __future__ import annotations
 

@@ -14,14 +14,14 @@ from tests.pipeline.ingest.fuzzing.seeds import Seed
 
 @dataclass(frozen=True, slots=True)
 class Extent:
-    """How much damage is done to a seed, besides cuts at every 64th byte.
+    """Amount of damage done to a seed, besides cuts at every 64th byte.
 
     Attributes
     ----------
     flipped
-        Bytes of which a bit is flipped; None: all.
+        Number of bytes of which a bit is flipped; None: all.
     made_up
-        Mutations by Hypothesis.
+        Number of mutations by Hypothesis.
     """
 
     flipped: int | None
@@ -34,18 +34,18 @@ FULL = Extent(flipped=None, made_up=1000)
 
 @dataclass(slots=True)
 class Counts:
-    """What came of mutations.
+    """Results of mutations.
 
     Attributes
     ----------
     outcomes, codes
         Number of mutations by outcome, and of coded errors by code.
     faults
-        Seed, mutation and verdict of what may not be, in words.
+        Seed, mutation and verdict of each fault, in words.
     longest_s
         Processor time of the slowest read.
     peak_bytes
-        Most memory that a process has taken for them.
+        Peak memory of a process that read them.
     """
 
     outcomes: Counter[Outcome] = field(default_factory=Counter)

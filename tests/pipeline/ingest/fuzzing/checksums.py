@@ -1,4 +1,4 @@
-"""Which bytes of a file have a checksum over them, told without the readers.
+"""Bytes of a file that a checksum covers, found without the readers.
 
 Parquet: `PageHeader` in ``parquet.thrift`` of apache/parquet-format, in Thrift's compact protocol.
 MCAP: the records of https://mcap.dev/spec.
@@ -88,7 +88,7 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
 
 
 def has_blank_checksum(data: bytes) -> bool:
-    """Whether a chunk or the summary of an MCAP says that it has no checksum."""
+    """True if a chunk or the summary of an MCAP states that it has no checksum."""
     return any(
         not checksum
         for opcode, content in _records(data)

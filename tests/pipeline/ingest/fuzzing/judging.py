@@ -1,4 +1,4 @@
-"""What came of a damaged log: one of four ends that are allowed, or a fault."""
+"""Verdict on the read of a damaged log: one of four allowed outcomes, or a fault."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ class Outcome(StrEnum):
 
     @property
     def is_fault(self) -> bool:
-        """Whether it may not be."""
+        """True if the outcome is not allowed."""
         return self not in (self.REFUSED, self.RIGHT, self.PART, self.UNDETECTABLE)
 
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What came of one mutation; `detail` has the code, or what is wrong."""
+    """Verdict on one mutation; `detail` has the code, or what is wrong."""
 
     outcome: Outcome
     detail: str = ""
@@ -111,7 +111,7 @@ def judged(
 
 
 def _coded(act: Callable[..., Any], *arguments: Any) -> Any:
-    """What is returned, or the error, which has to have a code and to be a legible line."""
+    """Result of an act, or its error, which must have a code and a legible one-line message."""
     try:
         return act(*arguments)
     except LogError as error:
@@ -152,7 +152,7 @@ def _bits(values: NDArray[np.float64]) -> NDArray[np.uint64]:
 
 
 def _is_part(one: RawChannel, other: RawChannel) -> bool:
-    """Whether all samples of one are samples of the other."""
+    """True if all samples of one are samples of the other."""
     return _samples(one) <= _samples(other)
 
 

@@ -52,7 +52,7 @@ class Mutation:
         return data
 
     def touches_only(self, ranges: Sequence[tuple[int, int]]) -> bool:
-        """Whether all bytes that are changed lie within some ranges of the valid file."""
+        """True if all changed bytes lie within some ranges of the valid file."""
         return all(
             any(
                 start <= edit.at and edit.at + max(edit.removed, 1) <= stop

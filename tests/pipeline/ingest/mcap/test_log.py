@@ -1,4 +1,4 @@
-"""What only MCAP can do to a log, against the official reader and the specification."""
+"""Log features and faults specific to MCAP, against the official reader and the specification."""
 
 from __future__ import annotations
 

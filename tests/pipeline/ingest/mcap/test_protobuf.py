@@ -106,9 +106,9 @@ def protobuf(payloads: Sequence[bytes], descriptors: Any, **options: Any) -> byt
 
 
 def by_its_json(message: Any, path: str) -> Value:
-    """What a path leads to by the runtime's own mapping to JSON; None where that has nothing.
+    """Value at a path by the runtime's own mapping to JSON; None if that has nothing there.
 
-    In it wrappers are what they wrap, keys are text, and what can be unset and is, is left out.
+    In this mapping wrappers become their content, keys are text, and unset fields are omitted.
     """
     node: Any = MessageToDict(
         message,
@@ -400,7 +400,7 @@ def test_what_is_not_set_is_missing_where_that_can_be_told(
 
 
 def test_a_default_that_proto2_names_is_no_reading(tmp_path: Path) -> None:
-    """What is not in the message was not measured, whatever stands for it."""
+    """A field absent from the message was not measured, whatever its default."""
     members = [_field("oil", Field.TYPE_DOUBLE, role="default")]
     descriptors = set_of("proto2", declared("Hydraulics", members, "proto2"))
     made = class_of(descriptors)

@@ -245,7 +245,7 @@ class Member:
 
     @property
     def in_idl(self) -> str:
-        """How ROS 2's adapter writes the field in IDL."""
+        """Declaration of the field in IDL, as ROS 2's adapter writes it."""
         base = IDL_NAMES.get(self.base, f"motor_msgs::msg::{self.base}")
         if self.count is not None:
             return f"{self.typedef[1]} {self.name};"

@@ -1,4 +1,4 @@
-"""What stands before the damage of an MCAP file, where the source allows to read it."""
+"""Salvage of what precedes the damage in an MCAP file, if the source allows it."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def count_of(log: RawLog) -> int:
 
 
 def chunk_starts(data: bytes) -> list[int]:
-    """Where the chunks of a file begin."""
+    """Offsets of the chunks of a file."""
     at, starts = 8, []
     while at + 9 < len(data) - 8:
         opcode, length = struct.unpack_from("<BQ", data, at)

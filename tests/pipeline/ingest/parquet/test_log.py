@@ -1,4 +1,4 @@
-"""What only Parquet can do to a log."""
+"""Log features and faults specific to Parquet."""
 
 from __future__ import annotations
 
