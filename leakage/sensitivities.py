@@ -112,7 +112,7 @@ class Figures:
     coefficients
         θ, shape (p + 1,).
     leakages_l_per_min
-        Leakage at each of the asked-for conditions, shape (m,).
+        Leakage at each of the asked-for conditions, the stated ones first, shape (m,).
     """
 
     coefficients: Array
@@ -156,6 +156,7 @@ def error_budget(
     flow_l_per_min: Array,
     tolerances: Tolerances,
     at: Sequence[OperatingConditions] = (),
+    as_read: Sequence[OperatingConditions] = (),
 ) -> ErrorBudget:
     """Carry each stated tolerance through a fit of a thinned sample.
 
@@ -167,8 +168,9 @@ def error_budget(
         Thinned training samples, n of them; a few thousand are enough.
     tolerances
         What is stated.
-    at
-        Conditions at which the leakage is asked for, one sample each.
+    at, as_read
+        Conditions at which the leakage is asked for, one sample each: stated ones, and ones that
+        the same sensors have read, so that a sensor that is off moves them, too.
 
     Returns
     -------
@@ -183,10 +185,11 @@ def error_budget(
         If a disturbed temperature leaves the range of Walther's equation.
     """
     window = Window(motor, conditions, flow_l_per_min)
-    undisturbed, off_bounds = _figures(window, at, None)
+    undisturbed, off_bounds = _figures(window, (*at, *as_read), None)
     effects = []
     for source in _sources(motor, tolerances):
-        disturbed, _ = _figures(source.disturbed(window), at, off_bounds)
+        moved = [source.disturbed(Window(motor, one, np.zeros(1))).conditions for one in as_read]
+        disturbed, _ = _figures(source.disturbed(window), (*at, *moved), off_bounds)
         effects.append(
             Effect(
                 source,

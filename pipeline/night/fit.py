@@ -146,6 +146,7 @@ def _budget(
     )
     flow = statistics.samples.leakage_l_per_min[chosen]
     try:
-        return error_budget(motor, thinned, flow, tolerances(spec, night), at)
+        reference, own = at
+        return error_budget(motor, thinned, flow, tolerances(spec, night), [reference], [own])
     except LeakageError:
         return ErrorBudget(())

@@ -171,10 +171,16 @@ def _largest_of_paths(coefficients: Array) -> Array:
     return scale
 
 
+def _largest(values: Array) -> Array:
+    """Largest of all figures for each."""
+    return np.full(values.size, np.abs(values).max(initial=0.0))
+
+
 LISTS = {
     "night_factor": _column_norms,
     "coefficient_covariance": _deviations,
     "coefficients": _largest_of_paths,
+    "model_misfit_statistics": _largest,
 }
 """Triangles of matrices: an element that nearly cancels is as exact as what it is made of."""
 

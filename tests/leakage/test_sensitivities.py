@@ -100,6 +100,26 @@ def test_sources_add_by_squares() -> None:
     assert total == pytest.approx(np.sqrt(squares))
 
 
+def test_leakage_where_the_sensors_read_the_motor_to_run_is_what_the_meter_reads() -> None:
+    """A motor at one pressure: sensors that are off move the point with the samples."""
+    motor = placeholder_motor("CB560")
+    turn = np.arange(600.0)
+    conditions = OperatingConditions.from_bar(
+        180.0 + 0.05 * np.sin(turn), np.full(600, 50.0), 40.0 + 10.0 * np.cos(turn / 7.0)
+    )
+    flow = np.asarray(leakage_l_per_min(motor, conditions))
+    own = OperatingConditions.from_bar(180.0, 50.0, 40.0)
+    tolerances = Tolerances(
+        pressure_bar=ChannelTolerance(offset=4.0), temperature_c=ChannelTolerance(offset=1.0)
+    )
+    budget = error_budget(motor, conditions, flow, tolerances, [own], [own])
+    leakage = float(leakage_l_per_min(motor, own)[0])
+    for effect in budget.effects:
+        stated, read = np.abs(effect.leakages_l_per_min) / leakage
+        assert stated > 0.02
+        assert read < 0.005
+
+
 def test_nothing_stated_is_no_budget() -> None:
     motor = placeholder_motor("CB560")
     conditions = made_conditions(100)

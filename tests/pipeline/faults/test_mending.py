@@ -113,7 +113,8 @@ def flip(path: Path, place: int) -> None:
 
 
 def rot(path: Path) -> None:
-    flip(path, path.stat().st_size // 3)
+    """Flip a bit of the content; of a table, in its first pages."""
+    flip(path, min(path.stat().st_size // 3, 200))
 
 
 def rot_of_footer(path: Path) -> None:
