@@ -73,7 +73,8 @@ def reads_the_same(path: Path, whole: bytes) -> bool:
         return False
     found, before = whole_table(path.read_bytes()), whole_table(whole)
     assert before is not None
-    return found is not None and found.equals(before, check_metadata=True)
+    # The digest in the metadata is that of the rows; they may hold nan, which equals nothing.
+    return found is not None and found.schema.equals(before.schema, check_metadata=True)
 
 
 def alone(path: Path, output: Path, folder: Path) -> Path:
