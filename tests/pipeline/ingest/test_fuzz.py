@@ -100,6 +100,7 @@ def with_word(seed: Seed, word: str) -> Mutation:
     return Mutation((Edit(len(seed.data), 0, f"!{word}".encode()),))
 
 
+@pytest.mark.full
 def test_no_fault_goes_unnoticed_and_the_next_mutation_is_read_all_the_same() -> None:
     seed = seed_named("csv")
     words = ["", "crash", "raise", "run out", "err", ""]

@@ -122,6 +122,7 @@ def test_workers_and_the_time_of_making_change_no_byte(
     assert made == before
 
 
+@pytest.mark.full
 def test_a_night_that_takes_its_worker_along_keeps_its_files_and_is_made_next_time(
     output: Path, report: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -40,6 +40,7 @@ def run(fleet_file: Path, output: Path, execution: Any, progress: Any = None) ->
     return run_fleet(RunRequest(fleet), progress or (lambda _: None))
 
 
+@pytest.mark.full
 def test_a_cluster_that_loses_a_worker_writes_the_same_bytes(
     two_workers: Processes, demo_folder: Path, fitted_output: Path, tmp_path: Path
 ) -> None:

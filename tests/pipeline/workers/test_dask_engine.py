@@ -97,6 +97,7 @@ def tasks_of(run: str, dask_scheduler: Any) -> int:
     return sum(task.state not in ("memory", "erred", "released", "forgotten") for task in tasks)
 
 
+@pytest.mark.full
 def test_a_task_that_kills_every_worker_fails_alone(two_workers: Processes) -> None:
     found = run(two_workers.execution(), kill_workers_at_three, list(range(8)))
     # The scheduler of the tests gives a task up at the second death; Dask's own at the fourth.
