@@ -112,7 +112,7 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
     elif motor.leakage_night is not None:
         leakage, deviation = f"not known since {motor.leakage_night}", "not known"
     if motor.deviation_percent is not None:
-        deviation = f"{motor.deviation_percent:+.1f} %"
+        deviation = f"{motor.deviation_percent:+z.1f} %"
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
