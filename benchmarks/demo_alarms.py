@@ -47,8 +47,8 @@ def compare(demo: Path, output: Path) -> None:
         "demo_alarms",
         "The demo fleet's alarms against its truth",
         "Six motors, 75 nights; the logs' simulation left the truth beside them, which the program "
-        "never reads. A provisional baseline takes 30 good nights, so the first night that can be "
-        "told anything is the 31st.",
+        "never reads. A provisional baseline takes 15 good nights, so the first night that can be "
+        "told anything is the 16th.",
         [
             Part(
                 "Motor by motor",
