@@ -134,6 +134,8 @@ def _relative(table: Table, pairs: pl.DataFrame, name: str) -> Array:
 def _scale(table: Table, pairs: pl.DataFrame, name: str, a: Array, b: Array) -> Array | None:
     if table is FITS and name in ABSOLUTE:
         return np.ones(a.size)
+    if table is FITS and name == "within_block_inflation":
+        return 10.0 * np.abs(a)  # rests on directions that a motor at one pressure hardly excites
     if table is FITS and "mean_error" in name:
         return _array(pairs["mean_flow_l_per_min"])
     if table is SENSITIVITIES and name == "effect":
@@ -171,16 +173,19 @@ def _largest_of_paths(coefficients: Array) -> Array:
     return scale
 
 
-def _largest(values: Array) -> Array:
-    """Largest of all figures for each."""
-    return np.full(values.size, np.abs(values).max(initial=0.0))
+def _largest_of_part(statistics: Array) -> Array:
+    """Largest of its part for each: samples, flow, score of γ (k), three triangles over γ."""
+    k = next(k for k in range(statistics.size) if 2 + k + 3 * k * (k + 1) // 2 == statistics.size)
+    sizes = (1, 1, k, *[k * (k + 1) // 2] * 3)
+    parts = np.split(np.abs(statistics), np.cumsum(sizes)[:-1])
+    return np.concatenate([np.full(part.size, part.max(initial=0.0)) for part in parts])
 
 
 LISTS = {
     "night_factor": _column_norms,
     "coefficient_covariance": _deviations,
     "coefficients": _largest_of_paths,
-    "model_misfit_statistics": _largest,
+    "model_misfit_statistics": _largest_of_part,
 }
 """Triangles of matrices: an element that nearly cancels is as exact as what it is made of."""
 
