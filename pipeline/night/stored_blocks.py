@@ -113,12 +113,6 @@ class StoredBlocks:
     def n_samples(self) -> int:
         return int(self.rows["n"].sum())
 
-    @property
-    def length_s(self) -> float:
-        """Median length of a block [s]."""
-        lengths = (self.rows["block_end"] - self.rows["block_start"]).dt.total_microseconds()
-        return float(np.median(lengths.to_numpy())) / 1e6
-
     def span(self, channel: str) -> tuple[float, float]:
         """Lowest and highest reading of a channel."""
         low = self.rows[f"minimum_{channel}"].to_numpy().min()

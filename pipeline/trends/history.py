@@ -109,32 +109,16 @@ class History:
         return told
 
 
-def histories_of(
-    specs: Sequence[MotorSpec],
-    fits: pl.DataFrame,
-    parameters: pl.DataFrame,
-    operation: pl.DataFrame,
-    until: dt.date | None = None,
-) -> dict[str, History]:
-    """Histories of some motors from rows of `fits`, `parameters` and `operation`.
-
-    As of `every_night`, up to each motor's last row where no night is given.
-    """
-    found = {}
-    for motor_id, one in rows_by_night(specs, fits, parameters, operation).items():
-        history = every_night(one, until or one.nights[-1])
-        if history is not None:
-            found[motor_id] = history
-    return found
-
-
 def rows_by_night(
     specs: Sequence[MotorSpec],
     fits: pl.DataFrame,
     parameters: pl.DataFrame,
     operation: pl.DataFrame,
 ) -> dict[str, History]:
-    """The same without the nights that have no row."""
+    """Histories of some motors from rows of `fits`, `parameters` and `operation`, by motor.
+
+    They have no nights without a row.
+    """
     by_motor = [
         {str(key[0]): part for key, part in rows.partition_by("motor_id", as_dict=True).items()}
         for rows in (fits.filter("is_primary").sort("night"), parameters, operation)

@@ -29,7 +29,7 @@ from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision
-from pipeline.trends.history import History, histories_of
+from pipeline.trends.history import History, every_night, rows_by_night
 from pipeline.trends.stage import Part, neighbours_of, standing_of
 from pipeline.trends.standing import Standing
 from tests.pipeline.simulated import motor_toml, write_configs
@@ -327,20 +327,20 @@ def history(nights: Nights, until: int | None = None, tonight: int | None = None
 def histories(
     *motors: Nights, until: int | None = None, tonight: int | None = None
 ) -> dict[str, History]:
-    """Several motors' nights."""
+    """Several motors' nights, each up to its last row where no night is given."""
     frames = [one.frames() for one in motors]
     whole = {name: pl.concat([one[name] for one in frames]) for name in frames[0]}
     if until is not None:
         whole = {
             name: rows.filter(pl.col("night") <= night_of(until)) for name, rows in whole.items()
         }
-    return histories_of(
-        [one.spec for one in motors],
-        whole["fits"],
-        whole["parameters"],
-        whole["operation"],
-        None if tonight is None else night_of(tonight),
-    )
+    specs = [one.spec for one in motors]
+    by_motor = rows_by_night(specs, whole["fits"], whole["parameters"], whole["operation"])
+    last = None if tonight is None else night_of(tonight)
+    filled = {
+        motor_id: every_night(one, last or one.nights[-1]) for motor_id, one in by_motor.items()
+    }
+    return {motor_id: one for motor_id, one in filled.items() if one is not None}
 
 
 def standings(
