@@ -10,7 +10,8 @@ DEMO   := demo
 # Only variables that are set are passed on; the config decides the rest.
 OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
-.PHONY: help install fit-fleet report check demo-logs lint format test test-full bench bench-guard docs clean
+.PHONY: help install fit-fleet report check demo-logs lint format test test-full bench bench-guard docs docs-site \
+        pictures wheelhouse clean
 
 help:            ## list of targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -47,7 +48,7 @@ demo-logs: $(DEMO)/truth.json ## simulated logs of the six motors of configs/fle
 $(DEMO)/truth.json: | $(READY)
 	$(BIN)/motor-leakage demo .
 
-lint: $(READY)   ## style, types, law of imports, and up-to-date generated docs
+lint: docs-site  ## style, types, law of imports, and up-to-date docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -72,6 +73,16 @@ bench-guard: $(READY) ## compare speed with the last committed results
 
 docs: $(READY)   ## regenerate the config and table reference
 	$(BIN)/python -m pipeline.cli.reference docs
+
+docs-site: $(READY) ## the documentation as pages that can be browsed and searched, in site/
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+pictures: report ## make the pictures of the README and the docs anew, from the demo
+	$(BIN)/python -m tests.pictures out/report docs/pictures
+
+wheelhouse: $(READY) ## all packages for an installation without a network, in wheelhouse/
+	$(BIN)/python -m pip download --quiet --require-hashes -r requirements.txt -d wheelhouse
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w wheelhouse .
 
 clean:           ## remove the virtual environment and the demo's logs; tables stay
 	rm -rf $(VENV) $(DEMO)

@@ -1,0 +1,35 @@
+"""Pictures of the README, made anew from the demo's report: `make pictures`."""
+
+from __future__ import annotations
+
+import io
+import sys
+from pathlib import Path
+
+from PIL import Image
+from selenium.webdriver.remote.webdriver import WebDriver
+
+from tests.pipeline.report.browser import opened
+
+PAGES = {"fleet.png": "index.html", "motor.png": "motors/CB400-02.html"}
+SIZE = (1280, 860)
+COLOURS = 128  # more than the pages have, so that a picture stays below 200 kB
+
+
+def main(report: Path, folder: Path) -> None:
+    """Write a picture of the first screen of each page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with opened() as browser:
+        browser.set_window_size(*SIZE)
+        for name, page in PAGES.items():
+            browser.get((report / page).resolve().as_uri())
+            _first_screen(browser).save(folder / name, optimize=True)
+
+
+def _first_screen(browser: WebDriver) -> Image.Image:
+    screen = Image.open(io.BytesIO(browser.get_screenshot_as_png())).convert("RGB")
+    return screen.quantize(COLOURS)
+
+
+if __name__ == "__main__":
+    main(*map(Path, sys.argv[1:3]))
