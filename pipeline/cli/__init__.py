@@ -27,6 +27,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
 # In the order in which the help lists them.

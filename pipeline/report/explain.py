@@ -6,7 +6,7 @@ All figures come from the published tables.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from pipeline.schema import (
     QUALITY,
     RESIDUAL_VERDICTS,
     SENSITIVITIES,
+    TRENDS,
     Table,
 )
 from pipeline.store.tables import night_file, read_table
@@ -29,6 +30,8 @@ Row = dict[str, Any]
 # A rule that refused less than this is not worth a line.
 WORTH_TELLING = 0.005
 LARGEST_EFFECTS = 3
+# States of an indicator that are told, the worst first.
+RAISED = ("alarm", "warning", "common_cause")
 PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
 # Fits of a night by the column of `fits`, in words.
 FITS_OF_A_NIGHT = {
@@ -39,7 +42,7 @@ FITS_OF_A_NIGHT = {
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
-    """Explain a motor's night in words, line by line.
+    """Explain a motor's night in words, line by line: the answer first, then what it rests on.
 
     Raises
     ------
@@ -54,19 +57,32 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
             "unknown_night", f"no row of motor {motor_id} in the night of {night}; run fit-fleet"
         )
     primary = next(row for row in fits if row["is_primary"])
+    data = [
+        *_files(_rows(output, INPUT_FILES, motor_id, night), primary["reason"]),
+        *_refusals(_rows(output, QUALITY, motor_id, night)),
+    ]
     lines = [_headline(motor_id, night, primary)]
-    lines += _files(_rows(output, INPUT_FILES, motor_id, night), primary["reason"])
-    lines += _refusals(_rows(output, QUALITY, motor_id, night))
-    if primary["status"] == "ok":
-        parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
-        sensitivities = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
-        lines += [*_fit(primary), *_model(primary), *_leakage(primary), *_verdicts(parameters)]
-        lines += _budget(primary, sensitivities)
-        lines += explain_residuals(
-            primary, _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
-        )
-        lines += _modes(fits)
-    return lines
+    if primary["status"] != "ok":
+        return lines + _paragraph("Data", data)
+    parameters = _of(primary, _rows(output, PARAMETERS, motor_id, night))
+    effects = _of(primary, _rows(output, SENSITIVITIES, motor_id, night))
+    tests = _of(primary, _rows(output, RESIDUAL_VERDICTS, motor_id, night))
+    return [
+        *lines,
+        *_leakage(primary),
+        *_paragraph("State", _states(_rows(output, TRENDS, motor_id, night))),
+        *_paragraph("Paths", _verdicts(parameters)),
+        *_paragraph("Systematic errors", _budget(primary, effects)),
+        *_paragraph("Fit", (*_fit(primary), *_model(primary), *_modes(fits))),
+        *_paragraph("Errors of the fit", explain_residuals(primary, tests)),
+        *_paragraph("Data", (*_kept(primary), *data)),
+    ]
+
+
+def _paragraph(title: str, lines: Iterable[str]) -> list[str]:
+    """A title and its lines; nothing where there are none."""
+    found = [f"  {line}" for line in lines]
+    return ["", title, *found] if found else []
 
 
 def _rows(output: Path, table: Table, motor_id: str, night: dt.date) -> list[Row]:
@@ -98,23 +114,37 @@ def _files(rows: list[Row], told: str | None) -> Iterator[str]:
 
 
 def _refusals(rows: list[Row]) -> Iterator[str]:
+    """A line for each channel, the rule that refused most first."""
     told = [
         row
         for row in rows
         if row["reason"] not in ("any", "incomplete")
         and row["n_refused"] > WORTH_TELLING * max(row["n_samples"], 1)
     ]
+    of_channel: dict[str, list[str]] = {}
     for row in sorted(told, key=lambda row: -row["n_refused"] / row["n_samples"]):
         share = 100 * row["n_refused"] / row["n_samples"]
-        what = row["reason"].replace("_", " ")
-        yield f"refused: {row['channel']}, {what}: {share:.1f} % of {row['n_samples']} samples"
+        words = f"{row['reason'].replace('_', ' ')} {share:.1f} %"
+        of_channel.setdefault(row["channel"], []).append(words)
+    for channel, parts in of_channel.items():
+        yield f"refused samples of {channel}: {', '.join(parts)}"
 
 
-def _fit(fit: Row) -> Iterator[str]:
+def _states(rows: list[Row]) -> Iterator[str]:
+    """Indicators that are raised, the worst first; each by its own reason."""
+    raised = [row for row in rows if row["state"] in RAISED and row["state_reason"]]
+    for row in sorted(raised, key=lambda row: RAISED.index(row["state"])):
+        yield f"{row['state'].replace('_', ' ')}: {row['state_reason']}"
+
+
+def _kept(fit: Row) -> Iterator[str]:
     yield (
         f"kept {100 * fit['kept_share']:.0f} % of the running motor's samples; "
         f"{fit['n_training']} train, {fit['n_validation']} validate"
     )
+
+
+def _fit(fit: Row) -> Iterator[str]:
     parts = [
         fit_words(name, fit[column])
         for column, name in FITS_OF_A_NIGHT.items()
@@ -224,7 +254,7 @@ def _budget(fit: Row, rows: list[Row]) -> Iterator[str]:
         f"{row['source']} of {_tolerance(row)} {100 * row['effect'] / leakage:+.1f} %"
         for row in largest
     )
-    yield f"largest systematic errors of the {name.replace('_', ' ')}: {told}"
+    yield f"largest of the {name.replace('_', ' ')}: {told}"
 
 
 def _tolerance(row: Row) -> str:

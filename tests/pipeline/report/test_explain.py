@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+from itertools import pairwise
 from pathlib import Path
 
 import polars as pl
@@ -32,11 +33,20 @@ def test_a_good_night_is_told_from_its_log_to_its_verdicts(fitted_output: Path) 
         "l/min (root mean square)",
         "training errors: not white (25 of 25 lags outside the 99 % band)",
         "training errors: independent of ",
-        "largest systematic errors of the reference leakage: oil_temperature offset of 1 °C -",
+        "Systematic errors\n  largest of the reference leakage: oil_temperature offset of 1 °C -",
         "leakage_flow offset of 0.02 l/min +",
     ):
         assert words in told
     assert "_per_" not in told
+
+
+def test_the_answer_stands_first_and_each_part_under_its_title(fitted_output: Path) -> None:
+    told = explain(fitted_output, "CB560-01", FIRST)
+    titles = [line for before, line in pairwise(told) if not before]
+    assert titles == ["Paths", "Systematic errors", "Fit", "Errors of the fit", "Data"]
+    assert told[1].startswith("reference leakage")
+    under = {line for line in told if line.startswith("  ")}
+    assert len(told) == 3 + 2 * len(titles) + len(under)
 
 
 def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path) -> None:
@@ -49,7 +59,7 @@ def test_one_pressure_all_night_is_told_with_what_would_help(fitted_output: Path
 def test_a_poor_fit_is_called_one(output: Path) -> None:
     poor = pl.lit(-1295.0).alias("validation_fit_percent")
     change_table(output, "fits", lambda rows: rows.with_columns(poor), f"{FIRST}")
-    (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("fit: ")]
+    (told,) = [line for line in explain(output, "CB560-01", FIRST) if line.startswith("  fit: ")]
     assert "validation -1295.0 % (poor: worse than a constant flow)" in told
     assert told.count("poor") == 1
 
@@ -61,7 +71,7 @@ def test_a_broken_log_is_named(own_fleet: OwnFleet) -> None:
     run_fleet(RunRequest(fleet))
     told = explain(fleet.output, "CB400-02", FIRST)
     assert told[0].startswith("CB400-02, night of 2026-01-02: failed (log_not_parquet)")
-    assert told[1] == f"log CB400-02/{log.name}: failed"
+    assert told[1:] == ["", "Data", f"  log CB400-02/{log.name}: failed"]
     assert "\n".join(told).count("does not begin as Parquet does") == 1
 
 
