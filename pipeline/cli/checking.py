@@ -18,8 +18,22 @@ from pipeline.cli.arguments import (
     load,
     say,
 )
+from pipeline.cli.tables import print_table
 from pipeline.errors import UsageError
 from pipeline.messages import error_line
+
+# A rule that refused less than this is not worth its name in a table.
+WORTH_TELLING = 0.0005
+CHANNEL_COLUMNS = (
+    "channel",
+    "rate",
+    "median",
+    "missing",
+    "refused",
+    "refused by",
+    "configured as",
+    "looks",
+)
 
 if TYPE_CHECKING:
     from pipeline.setup.channel_check import ChannelCheck
@@ -128,16 +142,21 @@ def _say_faults(faults: Iterable[TableFault], event: str, mark: str, *, as_json:
 def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
     for one in checks:
         span = f", {one.first} to {one.last}" if one.first else ""
+        faults = f"{len(one.faults)} fault{'s' * (len(one.faults) != 1)}"
         typer.echo(
             f"{one.motor_id}: {one.motor_type}, {one.log_format}, {one.n_files} files, "
-            f"{one.n_nights} nights{span}, {len(one.faults)} faults"
+            f"{one.n_nights} nights{span}, {faults}"
         )
+        if one.channels:
+            print_table(CHANNEL_COLUMNS, map(_channel_cells, one.channels))
         for channel in one.channels:
-            typer.echo(f"  {_channel_line(channel)}")
+            for remark in channel.remarks:
+                typer.echo(f"LOOK: {channel.channel}: {remark}")
         for note in one.notes:
-            typer.echo(f"  {note}")
+            typer.echo(note)
         for fault in one.faults:
             typer.echo(f"{one.motor_id}: {fault}", err=True)
+        typer.echo()
     placeholders = sorted({name for one in checks for name in one.placeholders})
     if placeholders:
         typer.echo(
@@ -146,22 +165,20 @@ def _print_checks(checks: tuple[MotorCheck, ...]) -> None:
         )
 
 
-def _channel_line(channel: ChannelCheck) -> str:
-    """A channel in a line: rate, typical value, what is missing or refused, what it looks like."""
+def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
+    """Cells of `CHANNEL_COLUMNS`."""
     from pipeline.units import canonical_unit
 
-    parts = [f"{channel.channel}:"]
-    parts.append(f"{channel.rate_hz:.3g} Hz," if channel.rate_hz else "no rate,")
     unit = canonical_unit(channel.channel).replace("degC", "°C")
-    if channel.median is None:
-        parts.append("no value is kept,")
-    else:
-        parts.append(f"median {channel.median:.4g} {unit},")
-    parts.append(f"{100 * channel.share_missing:.3g} % missing,")
-    parts.append(f"{100 * channel.share_refused:.3g} % refused")
-    rules = ", ".join(f"{name} {100 * share:.3g} %" for name, share in channel.refused_by.items())
-    parts.append(f"({rules})" if rules else "")
-    line = " ".join(part for part in parts if part)
-    looks = f", looks {channel.looks}" if channel.looks else ""
-    line += f"; configured as {channel.configured}{looks}"
-    return line + "".join(f"; LOOK: {remark}" for remark in channel.remarks)
+    largest = sorted(channel.refused_by.items(), key=lambda one: -one[1])
+    rules = (f"{name} {100 * share:.2g} %" for name, share in largest if share > WORTH_TELLING)
+    return (
+        channel.channel,
+        f"{channel.rate_hz:.3g} Hz" if channel.rate_hz else "none",
+        "none is kept" if channel.median is None else f"{channel.median:.4g} {unit}",
+        f"{100 * channel.share_missing:.2g} %",
+        f"{100 * channel.share_refused:.2g} %",
+        ", ".join(rules),
+        channel.configured,
+        channel.looks,
+    )

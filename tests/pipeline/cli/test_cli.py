@@ -374,22 +374,24 @@ def test_stdout_stays_empty_of_all_but_json_when_the_config_is_broken(
 # Check
 
 
-def test_check_prints_a_line_for_each_motor(call: Call, fleet: Path) -> None:
+def test_check_prints_a_table_for_each_motor(call: Call, fleet: Path) -> None:
     code, out, err = call("check", fleet)
     assert (code, err) == (0, "")
-    lines = out.splitlines()
-    motors = [line for line in lines if not line.startswith(" ")]
-    assert [line.split(":")[0] for line in motors[:2]] == [CSV, PARQUET]
-    assert "3 nights, 2026-01-02 to 2026-01-04, 0 faults" in motors[0]
-    assert "placeholders" in motors[2]
-    assert "5 Hz" in lines[1]
+    *motors, last = out.split("\n\n")
+    assert [text.split(":")[0] for text in motors] == [CSV, PARQUET]
+    title, columns, *channels = motors[0].splitlines()
+    assert "3 nights, 2026-01-02 to 2026-01-04, 0 faults" in title
+    assert columns.startswith("channel\trate\tmedian\t")
+    assert {line.count("\t") for line in channels} == {columns.count("\t")}
+    assert channels[0].split("\t")[:2] == ["pressure_difference", "5 Hz"]
+    assert last.startswith("placeholders")
 
 
 def test_check_is_1_when_a_log_is_broken(call: Call, fleet: Path) -> None:
     broken = break_log(fleet, PARQUET)
     code, out, err = call("check", fleet)
     assert code == 1
-    assert any(line.startswith(PARQUET) and "1 faults" in line for line in out.splitlines())
+    assert any(line.startswith(PARQUET) and "1 fault" in line for line in out.splitlines())
     assert err.startswith(f"{PARQUET}: log_")
     assert broken.name in err
 
