@@ -68,14 +68,9 @@ class StoredBlocks:
         wanted = {name: schema[name] for name in BLOCK_COLUMNS}
         return cls(pl.DataFrame(rows, schema=wanted), factors)
 
-    def part(self, part: str) -> StoredBlocks:
-        """Blocks of the training or the validation samples."""
-        chosen = self.rows["part"] == part
-        return StoredBlocks(self.rows.filter(chosen), self.factors[chosen.to_numpy()])
-
     def factor_of(self, part: str) -> Array:
-        """Factor of all blocks of a part, shape (c, c)."""
-        return merge(self.part(part).factors)
+        """Factor of all blocks of the training or the validation samples, shape (c, c)."""
+        return merge(self.factors[(self.rows["part"] == part).to_numpy()])
 
     def short_blocks(self, block_s: float) -> ShortBlocks:
         """Short blocks that these were merged from; themselves where they were not.
@@ -121,8 +116,7 @@ class StoredBlocks:
     def block_means(self) -> Array:
         """Mean temperature [°C], pressure [bar] and speed [rpm] of each block, shape (b, 3)."""
         names = ("mean_temperature_c", "mean_pressure_bar", "mean_speed_rpm")
-        means: Array = self.rows.select(names).to_numpy()
-        return means
+        return np.column_stack([self.rows[name].to_numpy() for name in names])
 
     def means(self) -> tuple[float, float, float]:
         """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the samples."""
