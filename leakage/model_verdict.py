@@ -193,26 +193,27 @@ def misfit(
     added[:-1] &= np.abs(plain).max(axis=(0, 1))[: len(added) - 1] > 0.0
     held = np.append(np.zeros(IN_FRONT), np.where(fixed, coefficients, 0.0))
     # Memory of the errors beside the misfit: to the fit alone, a misfit looks like a slow error.
-    slow = slow_errors(plain, short, ~(needed | added), held)
+    unweighted = merge(plain)
+    slow = slow_errors(plain, short, ~(needed | added), held, unweighted)
     white = whitened(plain, short, slow)
-    whole = merge(white)
+    whole = merge(white) if slow.are_slow else unweighted
     values = _least_squares(whole, needed | added, held)
     error = whole @ np.concatenate([-values, (-1.0, 1.0)])
     variance = float(error @ error) / float(n.sum())
     widening = WIDENING if slow.are_slow else 1.0
-    distribution = cluster_robust(white, values, needed | added, widening)
+    distribution = cluster_robust(white, values, needed | added, widening, whole)
     if distribution is None or not variance > (ROUNDING * flow / float(n.sum())) ** 2:
         return None
     columns = np.append(np.arange(IN_FRONT), len(added) - 1)
     covariance = np.zeros((len(added),) * 2)
     covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
     beside = np.where(added[columns], _beside(whole, columns, needed), 0.0)
-    unweighted = np.where(added[columns], _beside(merge(plain), columns, needed), 0.0)
+    gram_root = np.where(added[columns], _beside(unweighted, columns, needed), 0.0)
     information = beside.T @ beside / variance
     return Misfit(
         n=float(n.sum()),
         flow_l_per_min=flow,
-        gram=unweighted.T @ unweighted,
+        gram=gram_root.T @ gram_root,
         information=information,
         score=beside.T @ (error + whole[:, columns] @ values[columns]) / variance,
         meat=information @ covariance[np.ix_(columns, columns)] @ information,

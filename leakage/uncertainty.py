@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 LEVERAGE_FLOOR = 1e-8
 # Relative size below which a singular value is rounding.
 RANK_TOLERANCE = 1e-11
+# Determinant below which a draw of the bootstrap may not tell all coefficients.
+LEAST_DETERMINANT = 1e-6
 # Share of a contrast's square that may lie outside of what the samples span.
 ROW_SPACE_TOLERANCE = 1e-9
 
@@ -169,7 +171,11 @@ class ClusterRobust:
 
 
 def cluster_robust(
-    factors: Array, coefficients: Array, active: NDArray[np.bool_], inflation: float = 1.0
+    factors: Array,
+    coefficients: Array,
+    active: NDArray[np.bool_],
+    inflation: float = 1.0,
+    whole: Array | None = None,
 ) -> ClusterRobust | None:
     """Distribution of the estimates from the blocks of the training samples.
 
@@ -184,6 +190,8 @@ def cluster_robust(
     inflation
         Factor on all standard errors; that of robust weights, which are estimates themselves
         (:func:`leakage.robust.weight_inflation`).
+    whole
+        The merged factor of the blocks, where it is known.
 
     Returns
     -------
@@ -199,13 +207,13 @@ def cluster_robust(
     scaled = columns / scale
     error = -(filled @ np.concatenate([coefficients, (1.0, -1.0)]))
     # The whole's singular values come from its merged factor: a sum of Grams loses half the digits.
-    whole = merge(np.ascontiguousarray(filled))[:, :-2][:, active] / scale
-    _, values, rotation = np.linalg.svd(whole, full_matrices=False)
+    whole = merge(np.ascontiguousarray(filled)) if whole is None else whole
+    _, values, rotation = np.linalg.svd(whole[:, :-2][:, active] / scale, full_matrices=False)
     kept = values > RANK_TOLERANCE * values[0]
     basis = rotation[kept]
     to_basis = basis / values[kept, None]
     orthonormal = scaled @ to_basis.T
-    leverage = np.einsum("bij,bik->bjk", orthonormal, orthonormal)
+    leverage = orthonormal.transpose(0, 2, 1) @ orthonormal
     eigenvalues, vectors = np.linalg.eigh(np.eye(len(basis)) - leverage)
     clipped = np.sqrt(np.maximum(eigenvalues, LEVERAGE_FLOOR))
     inverse_root = (vectors / clipped[:, None, :]) @ vectors.transpose(0, 2, 1)
@@ -274,7 +282,7 @@ def block_bootstrap(
     to_basis = distribution._to_basis / distribution._scale
     orthonormal = filled[:, :, :-2][:, :, active] @ to_basis.T
     error = -(filled @ np.concatenate([coefficients, (1.0, -1.0)]))
-    gram = np.einsum("bij,bik->bjk", orthonormal, orthonormal)
+    gram = orthonormal.transpose(0, 2, 1) @ orthonormal
     score = np.einsum("bij,bi->bj", orthonormal, error)
     drawn = generator.multinomial(
         len(filled), np.full(len(filled), 1 / len(filled)), size=resamples
@@ -282,11 +290,12 @@ def block_bootstrap(
     weights = drawn.astype(np.float64)
     normal = (weights @ gram.reshape(len(filled), -1)).reshape(resamples, *gram.shape[1:])
     right = weights @ score
-    size, vectors = np.linalg.eigh(normal)
-    # Draws that miss what alone tells of a combination leave it as it is.
-    known = size > RANK_TOLERANCE * size[:, -1:]
-    along = np.einsum("rji,rj->ri", vectors, right) * known / np.where(known, size, 1.0)
-    shifted = coefficients[active] + np.einsum("rij,rj->ri", vectors, along) @ to_basis
+    # In the basis the normal matrix of all blocks is 1; draws may miss what alone tells of one.
+    whole = np.linalg.det(normal) > LEAST_DETERMINANT
+    step = np.empty_like(right)
+    step[whole] = np.linalg.solve(normal[whole], right[whole, :, None])[:, :, 0]
+    step[~whole] = (np.linalg.pinv(normal[~whole], hermitian=True) @ right[~whole, :, None])[:, :, 0]
+    shifted = coefficients[active] + step @ to_basis
     tail = 50 * (1 - level)
     lower, upper = nothing, nothing.copy()
     lower[active], upper[active] = np.percentile(shifted, [tail, 100 - tail], axis=0)

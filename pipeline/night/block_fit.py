@@ -151,9 +151,11 @@ def fit_stored_blocks(
     lower, upper = Parametrisation.of(motor).coefficient_bounds()
     training = certify(blocks.factor_of(TRAINING), lower, upper)
     short = blocks.short_blocks(spec.settings.windows.block_s)
-    slow = slow_errors(blocks.factors, short, lower == upper, lower)
+    unweighted = merge(blocks.factors)
+    slow = slow_errors(blocks.factors, short, lower == upper, lower, unweighted)
     factors = whitened(blocks.factors, short, slow)
-    fitted = fit(merge(factors), motor, settings, generator(mode))
+    whole = merge(factors) if slow.are_slow else unweighted
+    fitted = fit(whole, motor, settings, generator(mode))
     excitation = Excitation(
         blocks.span("pressure_bar"), blocks.span("temperature_c"), blocks.span("speed_rpm")
     )
