@@ -51,8 +51,7 @@ class StoredBlocks:
     @classmethod
     def of(cls, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
         """Blocks of rows; None where one is of a model with other columns."""
-        names = "\0".join(columns)
-        if not (rows["columns"].list.join("\0") == names).all():
+        if rows["columns"].to_list() != [list(columns)] * rows.height:
             return None
         size = len(columns)
         factors = np.zeros((rows.height, size, size))
@@ -80,7 +79,7 @@ class StoredBlocks:
         block_s
             Length of a short block [s].
         """
-        start_us = self.rows["block_start"].dt.timestamp("us").to_numpy()
+        start_us = self.rows["block_start"].to_physical().to_numpy()
         number = np.round((start_us - start_us[:1]) / (1e6 * block_s)).astype(np.int64)
         whole = short_blocks(self.factors, number)
         inside = self.rows["short_means"].to_list()
