@@ -294,7 +294,9 @@ def block_bootstrap(
     whole = np.linalg.det(normal) > LEAST_DETERMINANT
     step = np.empty_like(right)
     step[whole] = np.linalg.solve(normal[whole], right[whole, :, None])[:, :, 0]
-    step[~whole] = (np.linalg.pinv(normal[~whole], hermitian=True) @ right[~whole, :, None])[:, :, 0]
+    step[~whole] = (np.linalg.pinv(normal[~whole], hermitian=True) @ right[~whole, :, None])[
+        :, :, 0
+    ]
     shifted = coefficients[active] + step @ to_basis
     tail = 50 * (1 - level)
     lower, upper = nothing, nothing.copy()
