@@ -83,9 +83,7 @@ class StoredNights:
         return self._nights[table.name].get(label)
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
-        columns = NEEDED.get(table.name) or tuple(
-            name for name in table.schema if name != "run_id"
-        )
+        columns = NEEDED.get(table.name) or tuple(name for name in table.schema if name != "run_id")
         try:
             rows = read_rows(self._output, table, [self._spec.motor_id], columns, month)
         except StoreError as error:
