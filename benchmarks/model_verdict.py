@@ -28,7 +28,7 @@ from leakage.model_verdict import (
     LEAKAGE_FACTOR,
     Misfit,
     misfit,
-    model_error,
+    model_errors,
     model_verdict,
     structured_misfit,
 )
@@ -213,11 +213,11 @@ def _fitted(blocks: Array, means: Array, sensors: Array, truth: Array) -> Night:
     assert told is not None
     assert distribution is not None
     row = regressors(MODEL, REFERENCE)[0]
-    contrasts = [np.append(row[:-2], 0.0), *np.eye(4)[:3]]
+    contrasts = np.vstack([np.append(row[:-2], 0.0), np.eye(4)[:3]])
     intervals = [distribution.interval(one) for one in contrasts]
     statistical = np.array([np.nan if one is None else one.half_width for one in intervals])
     tau = structured_misfit([told]).l_per_min
-    reach = np.array([model_error(blocks, FIXED, one, tau) for one in contrasts])
+    reach = model_errors(blocks, FIXED, contrasts, tau)
     model = reach * np.array([LEAKAGE_FACTOR, *[COEFFICIENT_FACTOR] * 3])
     estimate = np.append(contrasts[0] @ theta + row[-1], theta[:3])
     total = np.sqrt(statistical**2 + sensors**2 + model**2)

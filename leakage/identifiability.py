@@ -67,30 +67,6 @@ class Excitation:
 
 
 @dataclass(frozen=True, slots=True)
-class Information:
-    """Information that an interval rests on.
-
-    Attributes
-    ----------
-    degrees_of_freedom
-        Bell and McCaffrey's.
-    largest_block_share
-        Largest share of a single block in the information on a combination.
-    """
-
-    degrees_of_freedom: float
-    largest_block_share: float
-
-    @classmethod
-    def of(cls, distribution: ClusterRobust | None, contrast: Array) -> Information | None:
-        """Information on a combination of coefficients; None where there is none."""
-        interval = None if distribution is None else distribution.interval(contrast)
-        if distribution is None or interval is None:
-            return None
-        return cls(interval.degrees_of_freedom, distribution.largest_block_share(contrast))
-
-
-@dataclass(frozen=True, slots=True)
 class Judgement:
     """The verdict on a coefficient or a figure.
 
@@ -103,13 +79,13 @@ class Judgement:
     interval
         Its 95 % interval; None unless identified.
     information
-        What an interval of it rests on; None where the samples do not span it.
+        The interval that was judged, whatever the verdict; None where the samples do not span it.
     """
 
     verdict: Verdict
     reason: str
     interval: Interval | None
-    information: Information | None = None
+    information: Interval | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,13 +142,7 @@ def identify(
     distribution = cluster_robust(factors, fit.coefficients, free, inflation * widening)
     paths = Parametrisation.of(fit.motor).paths
     judged = tuple(
-        replace(
-            _judge(place, path, fit, distribution, excitation),
-            information=Information.of(distribution, _unit(place, len(paths)))
-            if free[place]
-            else None,
-        )
-        for place, path in enumerate(paths)
+        _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)
     )
     return Identification(judged, slow, len(factors), distribution)
 
@@ -190,32 +160,35 @@ def _judge(
         return Judgement("fixed", "held at its configured value", None)
     if distribution is None:
         return Judgement("too_little_data", ONE_BLOCK, None)
-    unseen = _unseen(place, path, fit, distribution, excitation)
+    interval = distribution.interval(_unit(place, len(certificate.fixed)))
+    unseen = _unseen(place, path, fit, distribution, interval, excitation)
     if unseen is not None:
-        return unseen
+        return replace(unseen, information=interval)
     if certificate.at_lower[place] or certificate.at_upper[place]:
         side = "lower" if certificate.at_lower[place] else "upper"
-        return Judgement("at_bound", f"the minimum lies on the {side} bound", None)
-    interval = distribution.interval(_unit(place, len(certificate.fixed)))
-    return Judgement("identified", "", interval)
+        return Judgement("at_bound", f"the minimum lies on the {side} bound", None, interval)
+    return Judgement("identified", "", interval, interval)
 
 
 def _unseen(
-    place: int, path: LeakagePath, fit: Fit, everything: ClusterRobust, excitation: Excitation
+    place: int,
+    path: LeakagePath,
+    fit: Fit,
+    everything: ClusterRobust,
+    interval: Interval | None,
+    excitation: Excitation,
 ) -> Judgement | None:
     """Reason why a coefficient is not identified; None if it is."""
     size = _size(path, float(fit.coefficients[place]))
-    interval = everything.interval(_unit(place, len(fit.coefficients)))
     among = int(everything.active[:place].sum())
     root_vif = float(np.sqrt(everything.variance_inflation()[among]))
-    unit = _unit(place, len(fit.coefficients))
     if (
         interval is not None
         and interval.half_width <= WIDEST_COEFFICIENT * size
         and interval.half_width < abs(float(fit.coefficients[place]))
         and root_vif <= LARGEST_ROOT_VIF
     ):
-        return _too_little(everything, unit, interval)
+        return _too_little(interval)
     span = excitation.pressure_bar[1] - excitation.pressure_bar[0]
     alone = 0.0 if interval is None else interval.half_width / root_vif
     if alone > WIDEST_COEFFICIENT * size or span < LEAST_PRESSURE_SPAN_BAR:
@@ -225,14 +198,9 @@ def _unseen(
     return Judgement("only_in_combination", reason, None)
 
 
-def _too_little(
-    distribution: ClusterRobust,
-    contrast: Array,
-    interval: Interval,
-    least_freedom: float = LEAST_FREEDOM,
-) -> Judgement | None:
+def _too_little(interval: Interval, least_freedom: float = LEAST_FREEDOM) -> Judgement | None:
     """Reason why a combination's interval is not credible; None if it is."""
-    if distribution.largest_block_share(contrast) > LARGEST_BLOCK_SHARE:
+    if interval.largest_block_share > LARGEST_BLOCK_SHARE:
         return Judgement("not_excited", ONE_STRETCH, None)
     freedom = interval.degrees_of_freedom
     if freedom < least_freedom:
@@ -304,14 +272,14 @@ class LeakageJudgement:
     reason
         In words; empty where identified.
     information
-        What its interval rests on; None where there is none.
+        The interval that was judged, whatever the verdict; None where the samples do not span it.
     """
 
     leakage_l_per_min: float
     interval: Interval | None
     verdict: str
     reason: str
-    information: Information | None = None
+    information: Interval | None = None
 
     @property
     def is_told(self) -> bool:
@@ -343,35 +311,35 @@ def judge_leakage(
         Within the samples' range ``identified`` where the whole half-width is at most 10 %,
         ``uncertain`` up to 25 %; ``extrapolated`` at most 20 bar or 10 K beyond it, up to 12 %.
     """
-    contrast = np.append(regressors(fit.motor, conditions)[0, :-2], 0.0)
-    judged = _judged_leakage(fit, identification, excitation, conditions, systematic_l_per_min)
-    return replace(judged, information=Information.of(identification.distribution, contrast))
-
-
-def _judged_leakage(
-    fit: Fit,
-    identification: Identification,
-    excitation: Excitation,
-    conditions: OperatingConditions,
-    systematic_l_per_min: float,
-) -> LeakageJudgement:
-    """Verdict on a leakage: its range first, then what it rests on, then its width."""
     row = regressors(fit.motor, conditions)[0]
     contrast = np.append(row[:-2], 0.0)
     leakage = float(contrast @ fit.coefficients + row[-1])
-    if fit.certificate.fixed[:-1].all():
-        return LeakageJudgement(leakage, None, "fixed", "nothing of the leakage is estimated")
     distribution = identification.distribution
+    interval = None if distribution is None else distribution.interval(contrast)
+    if fit.certificate.fixed[:-1].all():
+        reason = "nothing of the leakage is estimated"
+        return LeakageJudgement(leakage, None, "fixed", reason, interval)
     if distribution is None:
         return LeakageJudgement(leakage, None, "too_little_data", ONE_BLOCK)
-    interval = distribution.interval(contrast)
-    beyond, outside = _beyond(excitation, conditions)
-    if not beyond:
+    within_reach, outside = _beyond(excitation, conditions)
+    judged = _judged_leakage(leakage, interval, within_reach, outside, systematic_l_per_min)
+    return replace(judged, information=interval)
+
+
+def _judged_leakage(
+    leakage: float,
+    interval: Interval | None,
+    within_reach: bool,
+    outside: str,
+    systematic_l_per_min: float,
+) -> LeakageJudgement:
+    """Verdict on a leakage: its range first, then what it rests on, then its width."""
+    if not within_reach:
         return LeakageJudgement(leakage, interval, "outside_fitted_range", outside)
     if interval is None:
         reason = "the samples do not span these conditions"
         return _not_told(leakage, None, "not_identified", reason, outside)
-    few = _too_little(distribution, contrast, interval, LEAST_FREEDOM_LEAKAGE)
+    few = _too_little(interval, LEAST_FREEDOM_LEAKAGE)
     if few is not None:
         verdict = "too_little_data" if few.verdict == "too_little_data" else "not_identified"
         return _not_told(leakage, interval, verdict, few.reason, outside)

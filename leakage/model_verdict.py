@@ -193,26 +193,27 @@ def misfit(
     added[:-1] &= np.abs(plain).max(axis=(0, 1))[: len(added) - 1] > 0.0
     held = np.append(np.zeros(IN_FRONT), np.where(fixed, coefficients, 0.0))
     # Memory of the errors beside the misfit: to the fit alone, a misfit looks like a slow error.
-    slow = slow_errors(plain, short, ~(needed | added), held)
+    unweighted = merge(plain)
+    slow = slow_errors(plain, short, ~(needed | added), held, unweighted)
     white = whitened(plain, short, slow)
-    whole = merge(white)
+    whole = merge(white) if slow.are_slow else unweighted
     values = _least_squares(whole, needed | added, held)
     error = whole @ np.concatenate([-values, (-1.0, 1.0)])
     variance = float(error @ error) / float(n.sum())
     widening = WIDENING if slow.are_slow else 1.0
-    distribution = cluster_robust(white, values, needed | added, widening)
+    distribution = cluster_robust(white, values, needed | added, widening, whole)
     if distribution is None or not variance > (ROUNDING * flow / float(n.sum())) ** 2:
         return None
     columns = np.append(np.arange(IN_FRONT), len(added) - 1)
     covariance = np.zeros((len(added),) * 2)
     covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
     beside = np.where(added[columns], _beside(whole, columns, needed), 0.0)
-    unweighted = np.where(added[columns], _beside(merge(plain), columns, needed), 0.0)
+    gram_root = np.where(added[columns], _beside(unweighted, columns, needed), 0.0)
     information = beside.T @ beside / variance
     return Misfit(
         n=float(n.sum()),
         flow_l_per_min=flow,
-        gram=unweighted.T @ unweighted,
+        gram=gram_root.T @ gram_root,
         information=information,
         score=beside.T @ (error + whole[:, columns] @ values[columns]) / variance,
         meat=information @ covariance[np.ix_(columns, columns)] @ information,
@@ -316,7 +317,9 @@ def _inverse(gram: Array) -> Array:
     scale = np.sqrt(np.diag(gram))
     scale = np.where(scale > 0.0, scale, 1.0)
     size = np.outer(scale, scale)
-    inverse: Array = np.linalg.pinv(gram / size, RANK_TOLERANCE, hermitian=True) / size
+    values, vectors = np.linalg.eigh(gram / size)
+    seen = np.abs(values) > RANK_TOLERANCE * np.abs(values).max(initial=0.0)
+    inverse: Array = (vectors[:, seen] / values[seen]) @ vectors[:, seen].T / size
     return inverse
 
 
@@ -345,10 +348,10 @@ def verdict_in_words(misfit: StructuredMisfit) -> str:
     return "; ".join([size, *(f"{kind}: {CAUSES[kind]}" for kind in misfit.kinds)])
 
 
-def model_error(
-    factors: Array, fixed: NDArray[np.bool_], contrast: Array, misfit_l_per_min: float
-) -> float:
-    """R(c): what a structured misfit can do to a combination of coefficients.
+def model_errors(
+    factors: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
+) -> Array:
+    """R(c): what a structured misfit can do to combinations of coefficients.
 
     Parameters
     ----------
@@ -356,21 +359,22 @@ def model_error(
         Factors of the fit's blocks, not whitened, shape (b, c, c).
     fixed
         Coefficients that are not estimated, shape (c − 2,).
-    contrast
-        Weights of all coefficients, shape (c − 2,).
+    contrasts
+        Weights of all coefficients, shape (m, c − 2).
     misfit_l_per_min
         τ [l/min].
 
     Returns
     -------
-    float
-        In the unit of the combination.
+    ndarray
+        In the units of the combinations, shape (m,).
     """
     whole = merge(factors)
     free = np.flatnonzero(~fixed & (np.abs(whole).max(axis=0)[:-2] > 0.0))
     scale = np.linalg.norm(whole[:, free], axis=0)
     _, size, rotation = np.linalg.svd(whole[:, free] / scale, full_matrices=False)
     seen = size > RANK_TOLERANCE * size[0]
-    weights = rotation[seen] @ (contrast[free] / scale) / size[seen]
+    weights = (contrasts[:, free] / scale) @ rotation[seen].T / size[seen]
     n = float(np.sum(whole[:, -3] ** 2))
-    return misfit_l_per_min * math.sqrt(n * float(weights @ weights))
+    errors: Array = misfit_l_per_min * np.sqrt(n * np.sum(weights**2, axis=1))
+    return errors

@@ -120,7 +120,11 @@ def short_blocks(factors: Array, number: NDArray[np.int64]) -> ShortBlocks:
 
 
 def slow_errors(
-    factors: Array, short: ShortBlocks, fixed: NDArray[np.bool_], values: Array
+    factors: Array,
+    short: ShortBlocks,
+    fixed: NDArray[np.bool_],
+    values: Array,
+    whole: Array | None = None,
 ) -> SlowErrors:
     """Memory and size of slow errors.
 
@@ -132,13 +136,15 @@ def slow_errors(
         What they are made of.
     fixed, values
         Coefficients that are held, and the values they are held at; shape (p + 1,).
+    whole
+        The merged factor of the blocks, where it is known.
 
     Returns
     -------
     SlowErrors
         Without memory where nothing can be told of it.
     """
-    design = _design(merge(factors), fixed, values)
+    design = _design(merge(factors) if whole is None else whole, fixed, values)
     if design is None or len(short.n) < LEAST_BLOCKS:
         return NOT_SLOW
     rank = design.shape[1] - 1
@@ -152,7 +158,7 @@ def slow_errors(
     largest = LARGEST_SLOW * seen * float(np.median(short.n)) / (variance * within)
     memories, ratios = memories[ratios <= largest], ratios[ratios <= largest]
     rows, log_variance = _innovations(means, short, memories, ratios)
-    information = gram.sum(axis=0) + np.einsum("kgi,kgj->gij", rows, rows)
+    information = gram.sum(axis=0) + _grams(rows.transpose(1, 0, 2))
     x, score = information[:, :rank, :rank], information[:, :rank, rank]
     explained = np.einsum("gi,gi->g", score, np.linalg.solve(x, score[:, :, None])[:, :, 0])
     squares = (information[:, rank, rank] - explained) / (variance * within)
@@ -202,7 +208,7 @@ def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
         return same
     scale = np.sqrt(np.einsum("bij,bij->j", factors, factors))
     scale[scale == 0.0] = 1.0
-    gram = np.einsum("bij,bik->bjk", factors / scale, factors / scale)
+    gram = _grams(factors / scale)
     np.add.at(gram, short.stored, _squares(rows / scale, np.ones(len(rows))))
     np.subtract.at(gram, short.stored, _squares(short.means / scale, short.n))
     values, vectors = np.linalg.eigh(gram)
@@ -212,7 +218,12 @@ def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
 
 
 def _squares(rows: Array, weights: Array) -> Array:
-    result: Array = np.einsum("k,ki,kj->kij", weights, rows, rows)
+    result: Array = weights[:, None, None] * rows[:, :, None] * rows[:, None]
+    return result
+
+
+def _grams(factors: Array) -> Array:
+    result: Array = factors.transpose(0, 2, 1) @ factors
     return result
 
 
@@ -242,7 +253,7 @@ def _design(whole: Array, fixed: NDArray[np.bool_], values: Array) -> Array | No
 
 def _within(factors: Array, means: Array, short: ShortBlocks) -> Array:
     """Grams about the means of the short blocks, by stored block."""
-    gram: Array = np.einsum("bij,bik->bjk", factors, factors)
+    gram = _grams(factors)
     np.subtract.at(gram, short.stored, _squares(means, short.n))
     return gram
 
@@ -274,21 +285,21 @@ def _innovations(
     means: Array, short: ShortBlocks, memory: Array, ratio: Array
 ) -> tuple[Array, Array]:
     """Whitened means, shape (k, g, c), and the logarithm of the determinant of their covariance."""
-    noise = 1.0 / np.maximum(short.n, 0.5)
+    noise = (1.0 / np.maximum(short.n, 0.5)).tolist()
     size = ratio / float(np.median(short.n))
-    steps = np.diff(short.number, prepend=short.number[:1])
-    fading: dict[int, Array] = {step: memory**step for step in set(steps.tolist())}
+    steps = np.diff(short.number, prepend=short.number[:1]).tolist()
+    fading = {step: (memory**step, memory ** (2 * step)) for step in set(steps)}
     rows = np.empty((len(means), len(memory), means.shape[1]))
-    logarithm = np.zeros(len(memory))
-    state, spread = np.zeros(rows.shape[1:]), np.zeros(len(memory))
-    for place, step in enumerate(steps.tolist()):
-        faded = fading[step]
+    variance = np.empty(rows.shape[:2])
+    state, spread = np.zeros(rows.shape[1:]), size
+    for place, step in enumerate(steps):
+        faded, squared = fading[step]
+        spread = squared * (spread - size) + size
+        variance[place] = spread + noise[place]
+        gain = spread / variance[place]
+        spread = gain * noise[place]
         state *= faded[:, None]
-        spread = faded**2 * spread + (1.0 - faded**2) * size if place else size
-        variance = spread + noise[place]
-        new = means[place] - state
-        np.divide(new, np.sqrt(variance)[:, None], out=rows[place])
-        state += (spread / variance)[:, None] * new
-        spread = spread * noise[place] / variance
-        logarithm += np.log(variance)
-    return rows, logarithm
+        np.subtract(means[place], state, out=rows[place])
+        state += gain[:, None] * rows[place]
+    rows /= np.sqrt(variance)[:, :, None]
+    return rows, np.log(variance).sum(axis=0)

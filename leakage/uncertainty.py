@@ -46,6 +46,8 @@ Array = NDArray[np.float64]
 LEVERAGE_FLOOR = 1e-8
 # Relative size below which a singular value is rounding.
 RANK_TOLERANCE = 1e-11
+# Determinant below which a draw of the bootstrap may not tell all coefficients.
+LEAST_DETERMINANT = 1e-6
 # Share of a contrast's square that may lie outside of what the samples span.
 ROW_SPACE_TOLERANCE = 1e-9
 
@@ -62,11 +64,14 @@ class Interval:
         Cluster-robust standard error, in the estimate's unit.
     degrees_of_freedom
         Of Student's t, at least 1.
+    largest_block_share
+        Share of what the samples say of it that rests on one single block, at least 1/b.
     """
 
     half_width: float
     standard_error: float
     degrees_of_freedom: float
+    largest_block_share: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,31 +118,14 @@ class ClusterRobust:
         if weights is None:
             return None
         if not weights.any():
-            return Interval(0.0, 0.0, float(max(self.n_blocks - 1, 1)))
+            return Interval(0.0, 0.0, float(max(self.n_blocks - 1, 1)), 0.0)
         standard_error = float(np.sqrt(np.sum((self._scores @ weights) ** 2)))
-        freedom = self._degrees_of_freedom(weights)
+        seen = self._leverage @ weights
+        freedom = self._degrees_of_freedom(weights, seen)
         quantile = float(stdtrit(freedom, 0.5 + level / 2))
-        return Interval(quantile * standard_error, standard_error, freedom)
-
-    def largest_block_share(self, contrast: Array) -> float:
-        """Share of what the samples say of a combination that rests on one single block.
-
-        Parameters
-        ----------
-        contrast
-            As for :meth:`interval`.
-
-        Returns
-        -------
-        float
-            Between 1/b and 1; 1 where the combination does not lie in what the samples span.
-        """
-        weights = self._weights(contrast)
-        if weights is None:
-            return 1.0
-        shares = np.einsum("i,bij,j->b", weights, self._leverage, weights)
-        total = float(shares.sum())
-        return float(shares.max()) / total if total > 0 else 0.0
+        shares = seen @ weights
+        share = float(shares.max() / shares.sum())
+        return Interval(quantile * standard_error, standard_error, freedom, share)
 
     def covariance(self) -> Array:
         """Covariance of the active coefficients, shape (k, k), in their units."""
@@ -172,10 +160,10 @@ class ClusterRobust:
         weights: Array = self._to_basis @ scaled
         return weights
 
-    def _degrees_of_freedom(self, weights: Array) -> float:
+    def _degrees_of_freedom(self, weights: Array, seen: Array) -> float:
         """Bell and McCaffrey's, under independent errors of equal variance; at least 1."""
         reach = self._inverse_root @ weights
-        adjusted = np.einsum("bij,bj->bi", self._inverse_root, self._leverage @ weights)
+        adjusted = np.einsum("bij,bj->bi", self._inverse_root, seen)
         omega = np.diag(np.einsum("bi,bi->b", adjusted, reach)) - adjusted @ adjusted.T
         spread = float(np.sum(omega * omega))
         trace = float(np.trace(omega))
@@ -183,7 +171,11 @@ class ClusterRobust:
 
 
 def cluster_robust(
-    factors: Array, coefficients: Array, active: NDArray[np.bool_], inflation: float = 1.0
+    factors: Array,
+    coefficients: Array,
+    active: NDArray[np.bool_],
+    inflation: float = 1.0,
+    whole: Array | None = None,
 ) -> ClusterRobust | None:
     """Distribution of the estimates from the blocks of the training samples.
 
@@ -198,6 +190,8 @@ def cluster_robust(
     inflation
         Factor on all standard errors; that of robust weights, which are estimates themselves
         (:func:`leakage.robust.weight_inflation`).
+    whole
+        The merged factor of the blocks, where it is known.
 
     Returns
     -------
@@ -213,13 +207,13 @@ def cluster_robust(
     scaled = columns / scale
     error = -(filled @ np.concatenate([coefficients, (1.0, -1.0)]))
     # The whole's singular values come from its merged factor: a sum of Grams loses half the digits.
-    whole = merge(np.ascontiguousarray(filled))[:, :-2][:, active] / scale
-    _, values, rotation = np.linalg.svd(whole, full_matrices=False)
+    whole = merge(np.ascontiguousarray(filled)) if whole is None else whole
+    _, values, rotation = np.linalg.svd(whole[:, :-2][:, active] / scale, full_matrices=False)
     kept = values > RANK_TOLERANCE * values[0]
     basis = rotation[kept]
     to_basis = basis / values[kept, None]
     orthonormal = scaled @ to_basis.T
-    leverage = np.einsum("bij,bik->bjk", orthonormal, orthonormal)
+    leverage = orthonormal.transpose(0, 2, 1) @ orthonormal
     eigenvalues, vectors = np.linalg.eigh(np.eye(len(basis)) - leverage)
     clipped = np.sqrt(np.maximum(eigenvalues, LEVERAGE_FLOOR))
     inverse_root = (vectors / clipped[:, None, :]) @ vectors.transpose(0, 2, 1)
@@ -253,7 +247,7 @@ class Bootstrap:
 def block_bootstrap(
     factors: Array,
     coefficients: Array,
-    active: NDArray[np.bool_],
+    distribution: ClusterRobust | None,
     generator: np.random.Generator,
     resamples: int = 499,
     level: float = 0.95,
@@ -262,8 +256,10 @@ def block_bootstrap(
 
     Parameters
     ----------
-    factors, coefficients, active
-        As for :func:`cluster_robust`; the active set stays as it is in the fit.
+    factors, coefficients
+        As for :func:`cluster_robust`.
+    distribution
+        What it made of them; the active set stays as it is in the fit.
     generator
         Source of the draws.
     resamples
@@ -277,14 +273,16 @@ def block_bootstrap(
         nan where the active columns depend on each other.
     """
     nothing = np.full(len(coefficients), np.nan)
-    filled = factors[factors.any(axis=(1, 2))]
-    distribution = cluster_robust(filled, coefficients, active)
-    if not resamples or distribution is None or len(distribution._basis) < int(active.sum()):
+    if not resamples or distribution is None:
         return Bootstrap(nothing, nothing.copy())
+    active = distribution.active
+    if len(distribution._basis) < int(active.sum()):
+        return Bootstrap(nothing, nothing.copy())
+    filled = factors[factors.any(axis=(1, 2))]
     to_basis = distribution._to_basis / distribution._scale
     orthonormal = filled[:, :, :-2][:, :, active] @ to_basis.T
     error = -(filled @ np.concatenate([coefficients, (1.0, -1.0)]))
-    gram = np.einsum("bij,bik->bjk", orthonormal, orthonormal)
+    gram = orthonormal.transpose(0, 2, 1) @ orthonormal
     score = np.einsum("bij,bi->bj", orthonormal, error)
     drawn = generator.multinomial(
         len(filled), np.full(len(filled), 1 / len(filled)), size=resamples
@@ -292,8 +290,14 @@ def block_bootstrap(
     weights = drawn.astype(np.float64)
     normal = (weights @ gram.reshape(len(filled), -1)).reshape(resamples, *gram.shape[1:])
     right = weights @ score
-    step = np.linalg.pinv(normal, hermitian=True) @ right[:, :, None]
-    shifted = coefficients[active] + (step[:, :, 0] @ to_basis)
+    # In the basis the normal matrix of all blocks is 1; draws may miss what alone tells of one.
+    whole = np.linalg.det(normal) > LEAST_DETERMINANT
+    step = np.empty_like(right)
+    step[whole] = np.linalg.solve(normal[whole], right[whole, :, None])[:, :, 0]
+    step[~whole] = (np.linalg.pinv(normal[~whole], hermitian=True) @ right[~whole, :, None])[
+        :, :, 0
+    ]
+    shifted = coefficients[active] + step @ to_basis
     tail = 50 * (1 - level)
     lower, upper = nothing, nothing.copy()
     lower[active], upper[active] = np.percentile(shifted, [tail, 100 - tail], axis=0)

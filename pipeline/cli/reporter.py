@@ -168,7 +168,11 @@ class Reporter:
         for row in result.alarms:
             # A new baseline needs no attention; `alarms` has it.
             if row["way"] != "baseline":
-                say(f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}")
+                rules = f" (change of rules: {row['rules']})" if row["rules"] else ""
+                say(
+                    f"{row['motor_id']}: {row['indicator']}: {row['to_state']}: {row['reason']}"
+                    f"{rules}"
+                )
 
 
 def _by_stage(result: RunResult) -> dict[str, float]:

@@ -55,6 +55,7 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
         "findings_confirmed": found.findings_confirmed,
         "run": None if found.beat is None else asdict(found.beat),
         "receivers": [asdict(one) for one in found.receivers],
+        "changed_by_rules": found.n_by_rules,
         "damage": [asdict(fault) for fault in found.damage],
     }
     typer.echo(json.dumps(fleet, default=str))
@@ -67,6 +68,11 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     if (line := _run_line(found)) is not None:
         yield line
     yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
+    if found.n_by_rules:
+        yield (
+            "changes of the program's rules: other states of past nights: "
+            f"{found.n_by_rules}; the report's fleet page lists them"
+        )
     if found.damage:
         first, n = found.damage[0], len(found.damage)
         yield f"{n} published files are damaged or missing, such as {first.path}: {first.code}"

@@ -27,8 +27,9 @@ from leakage.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
     Misfit,
+    StructuredMisfit,
     misfit,
-    model_error,
+    model_errors,
     structured_misfit,
 )
 from leakage.slow_errors import slow_errors, whitened
@@ -68,8 +69,9 @@ class BlockFit:
         Percentile limits, a cross-check.
     systematic
         ± from stated tolerances by indicator, in its unit; without those that have none.
-    misfit
-        What the blocks say of the model; None where they are too few.
+    misfit, structured
+        Misfit statistics of the model, and what is structured in them; None where the blocks are
+        too few.
     errors
         Parts of the ± by indicator.
     memory_s
@@ -90,6 +92,7 @@ class BlockFit:
     bootstrap: Bootstrap
     systematic: Mapping[str, float]
     misfit: Misfit | None
+    structured: StructuredMisfit | None
     errors: Mapping[str, ErrorParts]
     memory_s: float = math.nan
     residuals: tuple[PartResiduals, ...] = ()
@@ -148,16 +151,21 @@ def fit_stored_blocks(
     lower, upper = Parametrisation.of(motor).coefficient_bounds()
     training = certify(blocks.factor_of(TRAINING), lower, upper)
     short = blocks.short_blocks(spec.settings.windows.block_s)
-    slow = slow_errors(blocks.factors, short, lower == upper, lower)
+    unweighted = merge(blocks.factors)
+    slow = slow_errors(blocks.factors, short, lower == upper, lower, unweighted)
     factors = whitened(blocks.factors, short, slow)
-    fitted = fit(merge(factors), motor, settings, generator(mode))
+    whole = merge(factors) if slow.are_slow else unweighted
+    fitted = fit(whole, motor, settings, generator(mode))
     excitation = Excitation(
         blocks.span("pressure_bar"), blocks.span("temperature_c"), blocks.span("speed_rpm")
     )
     identification = identify(fitted, factors, excitation, inflation, slow)
     at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
     told = misfit(blocks.factors, short, fitted.coefficients, lower == upper, blocks.block_means())
-    errors = _errors(fitted, identification, excitation, blocks.factors, told, at, sensitivities)
+    structured = None if told is None else structured_misfit([told])
+    errors = _errors(
+        fitted, identification, excitation, blocks.factors, structured, at, sensitivities
+    )
     reference, own = (
         judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
         for name in (REFERENCE, OWN)
@@ -175,13 +183,14 @@ def fit_stored_blocks(
         bootstrap=block_bootstrap(
             factors,
             fitted.coefficients,
-            ~fitted.certificate.fixed,
+            identification.distribution,
             # A source of its own: limits do not depend on whether the search was made.
             generator(f"{mode}|bootstrap"),
             resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
         systematic=stated(sensitivities),
         misfit=told,
+        structured=structured,
         errors=errors,
     )
 
@@ -191,44 +200,47 @@ def _errors(
     identification: Identification,
     excitation: Excitation,
     factors: Array,
-    told: Misfit | None,
+    structured: StructuredMisfit | None,
     at: Mapping[str, OperatingConditions],
     sensitivities: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
     """Parts of the ± of each leakage and coefficient."""
     fixed, distribution = fitted.certificate.fixed, identification.distribution
-    tau = None if told is None else structured_misfit([told]).l_per_min
     sensors = of_sensors(sensitivities)
-
-    def parts(name: str, contrast: Array, factor: float, constants: float = 0.0) -> ErrorParts:
-        interval = None if distribution is None else distribution.interval(contrast)
-        return ErrorParts(
-            None if interval is None else interval.half_width,
-            sensors.get(name, 0.0),
-            None if tau is None else factor * model_error(factors, fixed, contrast, tau),
-            constants,
-        )
-
     rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
     leakages = {name: row[:-2] @ fitted.coefficients[:-1] + row[-1] for name, row in rows.items()}
     constants = 0.0
     if is_outside(excitation, at[REFERENCE]) and leakages[OWN] > 0.0:
         ratio = float(leakages[REFERENCE] / leakages[OWN])
         constants = of_extrapolation(sensitivities, REFERENCE, OWN, ratio)
-    found = {
-        name: parts(
-            name,
-            np.append(row[:-2], 0.0),
-            LEAKAGE_FACTOR,
+    paths = {
+        path.coefficient_name: place
+        for place, path in enumerate(Parametrisation.of(fitted.motor).paths)
+        if path is not None and not fixed[place]
+    }
+    contrasts = {name: np.append(row[:-2], 0.0) for name, row in rows.items()}
+    contrasts |= {name: np.eye(len(fixed))[place] for name, place in paths.items()}
+    intervals = {
+        name: None if distribution is None else distribution.interval(contrasts[name])
+        for name in rows
+    }
+    intervals |= {
+        name: identification.coefficients[place].information for name, place in paths.items()
+    }
+    model: Sequence[float | None] = [None] * len(contrasts)
+    if structured is not None:
+        reach = model_errors(factors, fixed, np.array([*contrasts.values()]), structured.l_per_min)
+        factor = [LEAKAGE_FACTOR] * len(rows) + [COEFFICIENT_FACTOR] * len(paths)
+        model = (factor * reach).tolist()
+    return {
+        name: ErrorParts(
+            None if interval is None else interval.half_width,
+            sensors.get(name, 0.0),
+            part,
             constants if name == REFERENCE else 0.0,
         )
-        for name, row in rows.items()
+        for (name, interval), part in zip(intervals.items(), model, strict=True)
     }
-    for place, path in enumerate(Parametrisation.of(fitted.motor).paths):
-        if path is not None and not fixed[place]:
-            unit = np.eye(len(fixed))[place]
-            found[path.coefficient_name] = parts(path.coefficient_name, unit, COEFFICIENT_FACTOR)
-    return found
 
 
 def conditions(

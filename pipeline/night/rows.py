@@ -11,12 +11,7 @@ from numpy.typing import NDArray
 
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
-from leakage.model_verdict import (
-    Misfit,
-    model_verdict,
-    structured_misfit,
-    verdict_in_words,
-)
+from leakage.model_verdict import model_verdict, verdict_in_words
 from leakage.validation import (
     Agreement,
     agreement,
@@ -359,17 +354,17 @@ def leakage_columns(mode: BlockFit) -> Row:
         "own_conditions_reason": mode.own.reason or None,
         **_leakage(REFERENCE, mode.reference, mode),
         **_leakage(OWN, mode.own, mode),
-        **model_columns(mode.misfit),
+        **model_columns(mode),
     }
 
 
-def model_columns(told: Misfit | None) -> Row:
+def model_columns(mode: BlockFit) -> Row:
     """Verdict on the model; none where the night has too few blocks for it."""
     names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
     row: Row = dict.fromkeys(f"model_{name}" for name in names)
-    if told is None:
+    told, found = mode.misfit, mode.structured
+    if told is None or found is None:
         return row
-    found = structured_misfit([told])
     verdict = model_verdict(found)
     return row | {
         "model_verdict": verdict,

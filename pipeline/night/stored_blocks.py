@@ -51,8 +51,7 @@ class StoredBlocks:
     @classmethod
     def of(cls, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
         """Blocks of rows; None where one is of a model with other columns."""
-        names = "\0".join(columns)
-        if not (rows["columns"].list.join("\0") == names).all():
+        if rows["columns"].to_list() != [list(columns)] * rows.height:
             return None
         size = len(columns)
         factors = np.zeros((rows.height, size, size))
@@ -68,14 +67,9 @@ class StoredBlocks:
         wanted = {name: schema[name] for name in BLOCK_COLUMNS}
         return cls(pl.DataFrame(rows, schema=wanted), factors)
 
-    def part(self, part: str) -> StoredBlocks:
-        """Blocks of the training or the validation samples."""
-        chosen = self.rows["part"] == part
-        return StoredBlocks(self.rows.filter(chosen), self.factors[chosen.to_numpy()])
-
     def factor_of(self, part: str) -> Array:
-        """Factor of all blocks of a part, shape (c, c)."""
-        return merge(self.part(part).factors)
+        """Factor of all blocks of the training or the validation samples, shape (c, c)."""
+        return merge(self.factors[(self.rows["part"] == part).to_numpy()])
 
     def short_blocks(self, block_s: float) -> ShortBlocks:
         """Short blocks that these were merged from; themselves where they were not.
@@ -85,7 +79,7 @@ class StoredBlocks:
         block_s
             Length of a short block [s].
         """
-        start_us = self.rows["block_start"].dt.timestamp("us").to_numpy()
+        start_us = self.rows["block_start"].to_physical().to_numpy()
         number = np.round((start_us - start_us[:1]) / (1e6 * block_s)).astype(np.int64)
         whole = short_blocks(self.factors, number)
         inside = self.rows["short_means"].to_list()
@@ -121,8 +115,7 @@ class StoredBlocks:
     def block_means(self) -> Array:
         """Mean temperature [°C], pressure [bar] and speed [rpm] of each block, shape (b, 3)."""
         names = ("mean_temperature_c", "mean_pressure_bar", "mean_speed_rpm")
-        means: Array = self.rows.select(names).to_numpy()
-        return means
+        return np.column_stack([self.rows[name].to_numpy() for name in names])
 
     def means(self) -> tuple[float, float, float]:
         """Mean pressure difference [bar], temperature [°C] and speed [rpm] of the samples."""

@@ -30,9 +30,10 @@ from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
+from pipeline.report.status import changed_by_rules
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import motor_states
-from pipeline.schema import FITS, SCHEMA_VERSION
+from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, frame
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.workers.local import run_tasks
@@ -308,7 +309,10 @@ def _make_pages(
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
     _write_chart_library(request.folder, before, now)
-    write(INDEX, fleet_html(facts, rows).encode())
+    alarms = history.trends.get(ALARMS.name, frame(ALARMS, []))
+    by_rules = changed_by_rules(alarms).filter(pl.col("motor_id").is_in(list(names)))
+    told = by_rules.sort(ALARMS.key).with_columns(page=pl.col("motor_id").replace(names))
+    write(INDEX, fleet_html(facts, rows, told.to_dicts()).encode())
     by_id = {row.state.motor_id: row for row in rows}
     for motor in motors:
         name = names[motor.motor_id]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,6 +19,7 @@ from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
 from pipeline.report.status import ORDER
 from pipeline.report.words import ABSENT, LEAKAGE_KINDS, STATES, STATUSES, figure, plain, signed
+from pipeline.trends.words import name_of
 
 FOLDER = Path(__file__).parent
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
@@ -42,8 +43,10 @@ class FleetFacts:
     faults: tuple[str, ...]
 
 
-def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow]) -> str:
-    """The fleet's page."""
+def fleet_html(
+    facts: FleetFacts, rows: Sequence[FleetRow], by_rules: Sequence[Mapping[str, Any]] = ()
+) -> str:
+    """The fleet's page; `by_rules`: rows of `alarms` that a change of rules made."""
     found = Counter(row.state.state for row in rows)
     return (
         _environment()
@@ -51,6 +54,7 @@ def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow]) -> str:
         .render(
             facts=facts,
             rows=rows,
+            by_rules=by_rules,
             counts=[(code, found[code]) for code in ORDER if found[code]],
             types=sorted({row.motor_type for row in rows if row.motor_type}),
         )
@@ -88,6 +92,7 @@ def _environment() -> Environment:
     environment.tests["poor"] = is_poor
     environment.filters |= {
         "figure": figure,
+        "indicator": name_of,
         "plain": plain,
         "signed": signed,
         "status": _status,

@@ -130,6 +130,8 @@ class FleetStatus:
         Heartbeat of the current or the last run; None before the first.
     receivers
         Changes of state not yet delivered, by receiver.
+    n_by_rules
+        States of past nights that a change of the program's rules raised, changed or withdrew.
     damage
         Published files that are gone, or were written to since and are not what was published.
     """
@@ -140,6 +142,7 @@ class FleetStatus:
     findings: int
     beat: Beat | None = None
     receivers: tuple[Backlog, ...] = ()
+    n_by_rules: int = 0
     damage: tuple[TableFault, ...] = ()
 
 
@@ -168,6 +171,7 @@ def fleet_status(
         for motor_id in motor_ids
     ]
     findings = last_findings(decisions)
+    alarms = read_rows(output, ALARMS, motor_ids, ("rules", "state_before_rules", "to_state"))
     return FleetStatus(
         tuple(sorted(motors, key=urgency)),
         last_good_run(output),
@@ -175,8 +179,16 @@ def fleet_status(
         len(findings),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
+        changed_by_rules(alarms).height,
         compare_published(output, manifest_keys(output), lambda _: False).faults,
     )
+
+
+def changed_by_rules(alarms: pl.DataFrame) -> pl.DataFrame:
+    """Rows of `alarms` in which a change of rules raised, changed or withdrew something."""
+    before, after = pl.col("state_before_rules"), pl.col("to_state")
+    raised = before.is_in(CHANGED) | after.is_in(CHANGED)
+    return alarms.filter(pl.col("rules").is_not_null() & (before != after) & raised)
 
 
 def last_findings(decisions: Sequence[Decision]) -> list[str]:

@@ -14,8 +14,22 @@ from pipeline.errors import StoreError
 from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.refit import PublishedNight, judge_again, refit
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
+from pipeline.schema import (
+    BLOCK_STATISTICS,
+    FIT_KEY_NAMES,
+    FITS,
+    PARAMETERS,
+    SENSITIVITIES,
+    Table,
+)
 from pipeline.store.tables import read_rows
+
+# Columns that a fit without a log takes; all of the other tables.
+NEEDED = {
+    "block_statistics": BLOCK_COLUMNS,
+    "parameters": (*FIT_KEY_NAMES, "parameter", "spread_over_starts"),
+    "sensitivities": (*FIT_KEY_NAMES, "indicator", "source", "effect", "assumed_sensor"),
+}
 
 log = logging.getLogger(__name__)
 
@@ -69,9 +83,7 @@ class StoredNights:
         return self._nights[table.name].get(label)
 
     def _read(self, table: Table, month: str) -> dict[dt.date, pl.DataFrame]:
-        columns = BLOCK_COLUMNS
-        if table is not BLOCK_STATISTICS:
-            columns = tuple(name for name in table.schema if name != "run_id")
+        columns = NEEDED.get(table.name) or tuple(name for name in table.schema if name != "run_id")
         try:
             rows = read_rows(self._output, table, [self._spec.motor_id], columns, month)
         except StoreError as error:

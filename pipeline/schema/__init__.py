@@ -46,6 +46,7 @@ from pipeline.schema.samples import (
     TEMPERATURE_EDGES_C,
 )
 from pipeline.schema.trends import (
+    ALARM_CONTENT,
     ALARMS,
     BASELINES,
     CHANGE_POINTS,
@@ -55,6 +56,7 @@ from pipeline.schema.trends import (
 
 __all__ = [
     "ALARMS",
+    "ALARM_CONTENT",
     "BASELINES",
     "BLOCK_STATISTICS",
     "CHANGE_POINTS",

@@ -189,9 +189,25 @@ ALARMS = Table(
             "baseline; recovered; recomputed: what was told before is not in the figures now",
         ),
         Column("path", pl.String, "", "Path whose growth explains the change"),
+        Column(
+            "rules",
+            pl.String,
+            "",
+            "Change of the program's rules that made this row of a past night, such as trends 5 "
+            "to 6; null: none",
+        ),
+        Column("state_before_rules", pl.String, "", "State of the night as told before that"),
+        Column(
+            "is_silent",
+            pl.Boolean,
+            "",
+            "True: made by a change of rules and not sent, as its state was told before or passed",
+        ),
         RUN_ID,
     ),
 )
+# Columns of what a row says; the others are its key, or follow from it.
+ALARM_CONTENT = ("from_state", "to_state", "way", "path", "reason")
 
 BASELINES = Table(
     "baselines",

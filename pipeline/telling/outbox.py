@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
-from pipeline.schema import ALARMS
+from pipeline.schema import ALARM_CONTENT, ALARMS
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
 from pipeline.telling.delivery import Receiver
@@ -29,8 +29,6 @@ log = logging.getLogger(__name__)
 OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
 # Rows of one delivery at most.
 MOST_CHANGES = 500
-# Content of a row; other columns are its key or follow from it.
-SAID = ("from_state", "to_state", "way", "path", "reason")
 
 Change = dict[str, Any]
 
@@ -211,7 +209,9 @@ def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
             if before != said:
                 # Counted: a row that changes back is delivered again.
                 known[key] = f"{said}-{int(times) + 1 if before else 0}"
-                what = "changed" if before else "new"
+                if row["is_silent"]:
+                    continue
+                what = "rules" if row["rules"] else "changed" if before else "new"
                 changes.append({"id": f"{key}-{known[key]}", "change": what, **_plain(row)})
                 since = max(since, stamp)
     when = dt.datetime.fromtimestamp(since / 1e9, dt.UTC)
@@ -235,7 +235,7 @@ def _rows_of(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
 
 
 def _digest_of(row: Mapping[str, Any]) -> str:
-    return _digest([row[name] for name in SAID])
+    return _digest([row[name] for name in ALARM_CONTENT])
 
 
 def _digest(parts: object) -> str:
@@ -259,10 +259,13 @@ def _plain_value(value: object) -> float | str | None:
 def _deliveries(
     fleet: str, name: str, since: dt.datetime, changes: Sequence[Change]
 ) -> Iterator[Waiting]:
-    for first in range(0, len(changes), MOST_CHANGES):
-        some = tuple(changes[first : first + MOST_CHANGES])
-        parts = [fleet, name, *(one["id"] for one in some)]
-        yield Waiting(f"msg_{_digest(parts)}", since, some)
+    by_rules = [one for one in changes if one["change"] == "rules"]
+    others = [one for one in changes if one["change"] != "rules"]
+    for kind in (by_rules, others):
+        for first in range(0, len(kind), MOST_CHANGES):
+            some = tuple(kind[first : first + MOST_CHANGES])
+            parts = [fleet, name, *(one["id"] for one in some)]
+            yield Waiting(f"msg_{_digest(parts)}", since, some)
 
 
 def is_waiting(output: Path) -> bool:

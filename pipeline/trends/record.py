@@ -31,12 +31,15 @@ class Record:
     beginnings
         By event and reset, the first night from which the other motors of its oil circuit see the
         baseline that it begins; None in a record of an older version.
+    rules
+        Versions of the rules that made them; None in a record of an older version.
     """
 
     trend_hash: str
     last_night: dt.date
     redo_from: dt.date | None = None
     beginnings: Mapping[str, dt.date] | None = None
+    rules: Mapping[str, int] | None = None
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:
@@ -82,6 +85,7 @@ def read_record(output: Path, motor_id: str) -> Record | None:
             None
             if beginnings is None
             else {name: dt.date.fromisoformat(night) for name, night in beginnings.items()},
+            None if (rules := document.get("rules")) is None else dict(rules),
         )
     except (ValueError, KeyError, TypeError, AttributeError):
         return None

@@ -44,6 +44,7 @@ from pipeline.trends.peers import (
 )
 from pipeline.trends.reading import MotorNights, read_nights
 from pipeline.trends.record import Record
+from pipeline.trends.rule_changes import marked, rules_now
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
 from pipeline.trends.sudden import sudden_changes
@@ -203,12 +204,18 @@ def _run_circuit(
         if part is None:
             continue
         others, published = neighbours.get(motor_id), nights[motor_id].published
-        made = done.guarded(motor_id, partial(_stage_motor, task, part, others, span, published))
+        before = circuit.records[motor_id]
+        made = done.guarded(
+            motor_id, partial(_stage_motor, task, part, others, span, published, before)
+        )
         if made is not None:
             done.nights[motor_id], new = made
             done.alarms += new
             done.records[motor_id] = Record(
-                circuit.hashes[motor_id], span[1], beginnings=seen_from[motor_id]
+                circuit.hashes[motor_id],
+                span[1],
+                beginnings=seen_from[motor_id],
+                rules=rules_now(),
             )
 
 
@@ -334,13 +341,14 @@ def _stage_motor(
     neighbours: Neighbours | None,
     span: tuple[dt.date, dt.date],
     published: Sequence[Row],
+    before: Record | None,
 ) -> tuple[int, list[Row]]:
     """Stage the rows of some nights of a motor; how many nights, and the new rows of `alarms`."""
     history, motor_id = part.history, part.history.spec.motor_id
     gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
     standing = standing_of(part, neighbours)
-    alarms = alarm_rows(standing, places, published)
+    alarms = marked(alarm_rows(standing, places, published), published, before)
     made = {
         "trends": trend_rows(standing, places),
         "alarms": alarms,
@@ -372,7 +380,7 @@ def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
 
     made = {row["night"] for row in rows}
     before = {said(row) for row in published if row["night"] in made}
-    return [row for row in rows if said(row) not in before]
+    return [row for row in rows if said(row) not in before and not row["is_silent"]]
 
 
 def with_q_values(

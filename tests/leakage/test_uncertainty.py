@@ -170,9 +170,9 @@ def test_the_bootstrap_agrees_with_the_intervals() -> None:
     theta = least_squares(z)
     blocks = factors(z, borders)
     active = np.ones(4, dtype=bool)
-    drawn = block_bootstrap(blocks, theta, active, np.random.default_rng(1), resamples=2000)
     distribution = cluster_robust(blocks, theta, active)
     assert distribution is not None
+    drawn = block_bootstrap(blocks, theta, distribution, np.random.default_rng(1), resamples=2000)
     for place, unit in enumerate(np.eye(4)):
         interval = distribution.interval(unit)
         assert interval is not None
@@ -185,8 +185,9 @@ def test_the_bootstrap_is_seeded() -> None:
     z, borders, _ = made_blocks(10, (40,) * 12)
     theta, active = least_squares(z), np.ones(4, dtype=bool)
     blocks = factors(z, borders)
+    distribution = cluster_robust(blocks, theta, active)
     one, other = (
-        block_bootstrap(blocks, theta, active, np.random.default_rng(3)) for _ in range(2)
+        block_bootstrap(blocks, theta, distribution, np.random.default_rng(3)) for _ in range(2)
     )
     assert np.array_equal(one.lower, other.lower)
 
@@ -195,7 +196,8 @@ def test_no_resamples_are_no_limits() -> None:
     z, borders, _ = made_blocks(11, (40,) * 6)
     theta, active = least_squares(z), np.ones(4, dtype=bool)
     blocks = factors(z, borders)
-    drawn = block_bootstrap(blocks, theta, active, np.random.default_rng(1), resamples=0)
+    distribution = cluster_robust(blocks, theta, active)
+    drawn = block_bootstrap(blocks, theta, distribution, np.random.default_rng(1), resamples=0)
     assert np.isnan(drawn.lower).all()
     assert np.isnan(drawn.upper).all()
 
@@ -213,8 +215,10 @@ def test_an_inflation_widens_every_interval_and_a_share_is_a_share() -> None:
         assert one is not None
         assert other is not None
         assert other.half_width == pytest.approx(1.2 * one.half_width)
-        assert 1 / 9 <= plain.largest_block_share(unit) < 0.5
+        assert 1 / 9 <= one.largest_block_share < 0.5
     z[: borders[8], 0] = 0.0
     alone = cluster_robust(factors(z, borders), least_squares(z), active)
     assert alone is not None
-    assert alone.largest_block_share(np.eye(4)[0]) > 0.9
+    rests_on_one = alone.interval(np.eye(4)[0])
+    assert rests_on_one is not None
+    assert rests_on_one.largest_block_share > 0.9
