@@ -361,7 +361,8 @@ def _stage_motor(
         for row in made[table.name]:
             nights[row["night"]].append(row)
         stage(task.staging / table.name / f"{motor_id}.arrow", table, nights)
-    return len(places), new_alarms(alarms, published)
+    told = [row for row in alarms if not row["is_silent"]]
+    return len(places), new_alarms(told, published)
 
 
 def _withdrawn(output: Path, history: History, first: dt.date) -> list[dt.date]:
@@ -380,7 +381,7 @@ def new_alarms(rows: Sequence[Row], published: Sequence[Row]) -> list[Row]:
 
     made = {row["night"] for row in rows}
     before = {said(row) for row in published if row["night"] in made}
-    return [row for row in rows if said(row) not in before and not row["is_silent"]]
+    return [row for row in rows if said(row) not in before]
 
 
 def with_q_values(

@@ -74,6 +74,9 @@ def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -
         "deviation_percent": 27.0,
         "way": "level",
         "path": None,
+        "rules": None,
+        "state_before_rules": None,
+        "is_silent": None,
         **more,
     }
 
@@ -121,6 +124,24 @@ def test_every_receiver_gets_the_rows_of_a_run_once(tmp_path: Path) -> None:
     # Each delivery is one receiver's.
     assert second.taken[0]["id"] != document["id"]
     assert (len(first.taken), len(second.taken)) == (1, 1)
+
+
+def test_a_change_of_rules_is_one_delivery_of_what_stands(tmp_path: Path) -> None:
+    receiver = Fake()
+    run(tmp_path, [row("M1"), row("M2", state="warning")], receiver)
+    by_rules = {"rules": "trends 5 to 6", "state_before_rules": "ok"}
+    silent = [row(f"P{n}", **by_rules, is_silent=True) for n in range(40)]
+    words = row("M1", reason="other words", **by_rules, is_silent=True)
+    stands = row("M2", **by_rules, is_silent=False)
+    tonight = row("M1", FIRST + dt.timedelta(1), "ok")
+    run(tmp_path, [*silent, words, stands, tonight], receiver)
+    found = [
+        [(one["motor_id"], one["change"]) for one in document["changes"]]
+        for document in receiver.taken[1:]
+    ]
+    assert found == [[("M2", "rules")], [("M1", "new")]]
+    run(tmp_path, [*silent, words, stands], receiver)
+    assert len(receiver.taken) == 3
 
 
 def test_without_receivers_there_is_no_outbox(tmp_path: Path) -> None:

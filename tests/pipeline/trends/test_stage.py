@@ -15,10 +15,19 @@ from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BASELINES, TREND_TABLES, TRENDS, Table, frame
-from pipeline.store.tables import read_rows
+from pipeline.store.publishing import Publisher
+from pipeline.store.tables import read_rows, stage
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.decisions import Decision, record_decision
-from pipeline.trends.record import Record, note_touched, read_record, trend_hash, write_record
+from pipeline.trends.record import (
+    TRENDS_VERSION,
+    Record,
+    note_touched,
+    read_record,
+    trend_hash,
+    write_record,
+)
+from pipeline.trends.rule_changes import rules_now
 from pipeline.trends.stage import TrendTask, new_alarms, trend_tasks, with_q_values
 from pipeline.trends.tonight import Tonight
 from pipeline.workers.process import Loss
@@ -123,6 +132,38 @@ def test_a_reset_makes_all_nights_anew(fleet: tuple[Path, Path, Nights]) -> None
     assert sleeve["state"] == "ok"
     decisions = pl.read_parquet(output / "tables" / "decisions" / "**" / "*.parquet")
     assert decisions["note"].to_list() == ["new rings"]
+
+
+def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
+    fleet: tuple[Path, Path, Nights], tmp_path: Path
+) -> None:
+    config, output, _ = fleet
+    said = {"motor_id": "M1", "indicator": "K_balance_sleeve", "way": "level", "reason": "+9 %"}
+    by_old_rules = {
+        night_of(place): [
+            said | {"night": night_of(place), "from_state": before, "to_state": after}
+        ]
+        for place, before, after in ((20, "ok", "warning"), (25, "warning", "alarm"))
+    }
+    stage(tmp_path / "alarms" / "M1.arrow", ALARMS, by_old_rules)
+    Publisher(output, tmp_path, "old").nights((ALARMS,), ["M1"], lambda *_: None)
+    record = read_record(output, "M1")
+    assert record is not None
+    assert record.rules == rules_now()
+    write_record(output, "M1", replace(record, trend_hash="", rules={**rules_now(), "trends": 0}))
+    (told,) = run(config).alarms
+    assert (told["indicator"], told["from_state"], told["to_state"]) == (
+        "K_balance_sleeve",
+        "alarm",
+        "ok",
+    )
+    assert told["rules"] == f"trends 0 to {TRENDS_VERSION}"
+    alarms = rows(output, ALARMS).filter(indicator="K_balance_sleeve")
+    raised = alarms.filter(pl.col("to_state").is_in(["warning", "alarm"]))
+    assert raised["night"].to_list() == list(by_old_rules)
+    assert alarms.filter(~pl.col("is_silent"))["night"].to_list() == [told["night"]]
+    assert run(config).alarms == ()
+    assert rows(output, ALARMS).filter(indicator="K_balance_sleeve").equals(alarms)
 
 
 # Which nights
