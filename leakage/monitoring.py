@@ -157,6 +157,7 @@ def monitor(
     nights: Nights,
     values: Array,
     settings: MonitorSettings | None = None,
+    allowance: Array | float = 0.0,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -169,6 +170,9 @@ def monitor(
         Indicator, positive, shape (n,); nan on nights that are missing or not to be trusted.
     settings
         How it is watched; the defaults where left out.
+    allowance
+        Relative ± of each night that nights alike share, such as that of an unknown effect of their
+        temperature, shape (n,): only what a night deviates by beyond it counts.
 
     Returns
     -------
@@ -193,12 +197,14 @@ def monitor(
     [(15, 'insufficient', 'ok'), (92, 'ok', 'warning')]
     """
     chosen = settings or MonitorSettings()
-    own = track(nights, values, chosen)
+    own = track(nights, values, chosen, allowance)
     states = _states(own, chosen.stale_nights)
     return Monitoring(own, states, state_changes(nights, states))
 
 
-def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
+def track(
+    nights: Nights, values: Array, settings: MonitorSettings, allowance: Array | float = 0.0
+) -> Track:
     """Follow one series against its own baseline.
 
     The first good nights make a provisional baseline, and longer ones take its place
@@ -207,7 +213,7 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
 
     Parameters
     ----------
-    nights, values, settings
+    nights, values, settings, allowance
         As for :func:`monitor`.
 
     Returns
@@ -225,7 +231,7 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
     check_series(nights, values)
     good = np.isfinite(values)
     parts = _Parts.empty(len(nights))
-    served = _serve(nights, values, settings, parts)
+    served = _serve(nights, values, settings, parts, allowance)
     first_served = served[0][0] if served else len(nights)
     return Track(
         baselines=tuple(baseline for _, baseline in served),
@@ -338,24 +344,29 @@ class _Parts:
         baseline: Baseline,
         settings: MonitorSettings,
         start: int,
+        allowance: Array | float,
     ) -> None:
         """Fill the columns from a place on to the end of the series given, by one baseline."""
         stop = len(nights)
         limit = cusum_limit(settings.false_alarms_per_year, baseline)
-        sums = cusum(nights, values, baseline, limit)
-        watched = values[start:]
-        deviation = baseline.deviation(watched)
+        deviation = baseline.deviation(values)
+        allowed = np.clip(deviation, -np.asarray(allowance), allowance)
+        sums = cusum(nights, values - baseline.mean * allowed, baseline, limit)
         relative_sd = baseline.highest_sd() / baseline.mean
-        by_level = level_severity(deviation, relative_sd, settings.levels)
+        by_level = level_severity((deviation - allowed)[start:], relative_sd, settings.levels)
         by_sum = np.where(sums.is_on[start:], _SEVERITY_OF[settings.cusum_leads_to], 0)
-        self.deviation[start:stop] = deviation
+        self.deviation[start:stop] = deviation[start:]
         self.evidence[start:stop] = sums.statistic[start:] / limit
         self.onset[start:stop] = sums.onset[start:]
         self.severity[start:stop] = np.maximum(by_level, by_sum)
 
 
 def _serve(
-    nights: Nights, values: Array, settings: MonitorSettings, parts: _Parts
+    nights: Nights,
+    values: Array,
+    settings: MonitorSettings,
+    parts: _Parts,
+    allowance: Array | float,
 ) -> list[tuple[int, Baseline]]:
     """Baselines with the places from which they serve; fills the parts by them."""
     served: list[tuple[int, Baseline]] = []
@@ -377,7 +388,7 @@ def _serve(
             words = f"provisional: {length} of {whole} good nights"
             found = replace(found, status="provisional", reason=_joined(words, found.reason))
         if not kept:
-            parts.follow(nights, values, found, settings, begin)
+            parts.follow(nights, values, found, settings, begin, allowance)
         served.append((begin, found))
     return served
 

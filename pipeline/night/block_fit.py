@@ -33,6 +33,7 @@ from leakage.model_verdict import (
     structured_misfit,
 )
 from leakage.slow_errors import slow_errors, whitened
+from leakage.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
 from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
@@ -61,6 +62,8 @@ class BlockFit:
         Range of the samples.
     own_means
         Mean pressure difference [bar], temperature [°C] and speed [rpm].
+    response
+        dθ/db: change of the estimates with b, a change of all loss factors with temperature.
     reference_conditions
         Where the reference leakage is evaluated.
     reference, own
@@ -86,6 +89,7 @@ class BlockFit:
     identification: Identification
     excitation: Excitation
     own_means: tuple[float, float, float]
+    response: Array
     reference_conditions: OperatingConditions
     reference: LeakageJudgement
     own: LeakageJudgement
@@ -162,6 +166,7 @@ def fit_stored_blocks(
     identification = identify(fitted, factors, excitation, inflation, slow)
     at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
     told = misfit(blocks.factors, short, fitted.coefficients, lower == upper, blocks.block_means())
+    own_means = blocks.means()
     structured = None if told is None else structured_misfit([told])
     errors = _errors(
         fitted, identification, excitation, blocks.factors, structured, at, sensitivities
@@ -176,7 +181,13 @@ def fit_stored_blocks(
         training=training,
         identification=identification,
         excitation=excitation,
-        own_means=blocks.means(),
+        own_means=own_means,
+        response=temperature_response(
+            factors,
+            fitted.coefficients,
+            ~(fitted.certificate.fixed | fitted.certificate.at_lower | fitted.certificate.at_upper),
+            blocks.block_means()[:, 0] - own_means[1],
+        ),
         reference_conditions=at[REFERENCE],
         reference=reference,
         own=own,
@@ -212,7 +223,13 @@ def _errors(
     constants = 0.0
     if is_outside(excitation, at[REFERENCE]) and leakages[OWN] > 0.0:
         ratio = float(leakages[REFERENCE] / leakages[OWN])
-        constants = of_extrapolation(sensitivities, REFERENCE, OWN, ratio)
+        apart_k = float(at[REFERENCE].oil_temperature_c[0] - at[OWN].oil_temperature_c[0])
+        gaps = float(leakages[REFERENCE] - rows[REFERENCE][-1])
+        constants = math.hypot(
+            of_extrapolation(sensitivities, REFERENCE, OWN, ratio),
+            # The night is fitted before its motor's own change with temperature is known.
+            UNKNOWN_PER_KELVIN * apart_k * gaps,
+        )
     paths = {
         path.coefficient_name: place
         for place, path in enumerate(Parametrisation.of(fitted.motor).paths)
@@ -230,7 +247,7 @@ def _errors(
     model: Sequence[float | None] = [None] * len(contrasts)
     if structured is not None:
         reach = model_errors(factors, fixed, np.array([*contrasts.values()]), structured.l_per_min)
-        factor = [LEAKAGE_FACTOR] * len(rows) + [COEFFICIENT_FACTOR] * len(paths)
+        factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
         model = (factor * reach).tolist()
     return {
         name: ErrorParts(

@@ -287,6 +287,7 @@ def block_fit_columns(spec: MotorSpec, mode: BlockFit) -> Row:
         "singular_values": certificate.singular_values.tolist(),
         "coefficients": fit.coefficients.tolist(),
         "coefficient_covariance": _covariance(mode),
+        "coefficient_response": mode.response.tolist(),
         "interval_status": _interval_status(mode, spec.settings.windows.block_s),
         "n_interval_blocks": mode.identification.n_blocks,
         "n_parameters": mode.training.n_estimated,

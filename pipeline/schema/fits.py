@@ -374,6 +374,13 @@ FITS = Table(
         ),
         Column("model_noise_percent", pl.Float64, "%", "What noise alone would make of it"),
         Column("model_reason", pl.String, "", "Likely causes in order, and what to try"),
+        Column(
+            "coefficient_response",
+            NUMBERS,
+            "K m3, K l/min",
+            "dθ/db: what a change of all loss factors by 1/K, over the temperatures of the night's "
+            "blocks about their mean, would move the coefficients by",
+        ),
     ),
 )
 

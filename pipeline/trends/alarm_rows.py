@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.trends.attribution import path_behind, path_named
+from pipeline.trends.indicators import TEMPERATURE_EFFECT
 from pipeline.trends.reasons import way_of, why_state
 from pipeline.trends.standing import RAISED, Standing
 
@@ -78,7 +79,7 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
         "deviation_percent": None,
         "path": None,
     }
-    if name in standing.zeros:
+    if name == TEMPERATURE_EFFECT or name in standing.zeros:
         return row | _of_sensor(standing, name, place, before, after)
     segment, found, _ = standing.watched[name].at(place)
     deviation = found.own.deviation[place - segment.first]
@@ -96,15 +97,16 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
 
 
 def _of_sensor(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
-    zero = standing.zeros[name]
+    zero = standing.temperature if name == TEMPERATURE_EFFECT else standing.zeros[name]
+    what = "the effect of temperature" if name == TEMPERATURE_EFFECT else "its zero"
     if after == "warning":
         return {"reason": zero.words(place), "way": "drift"}
     if after == INSUFFICIENT:
         reason = next(part.reason for part in zero.segments if place < part.end)
         return {"reason": f"a new baseline begins: {reason}", "way": "baseline"}
     if before == INSUFFICIENT:
-        return {"reason": "its zero is known", "way": "baseline"}
-    return {"reason": "its zero is back where it was", "way": "recovered"}
+        return {"reason": f"{what} is known", "way": "baseline"}
+    return {"reason": f"{what} is back where it was", "way": "recovered"}
 
 
 def _why_ok(before: str) -> str:

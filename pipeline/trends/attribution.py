@@ -13,7 +13,7 @@ def path_behind(standing: Standing, name: str, place: int) -> Posterior | None:
     None without a reported rise or after a fall, for the flushing and the sensors' zeros, and if
     the cause cannot be determined.
     """
-    if name == FLUSHING or name in standing.zeros or standing.has_fallen(name, place):
+    if name == FLUSHING or name not in standing.watched or standing.has_fallen(name, place):
         return None
     if standing.told[name][place] not in CHANGED:
         return None

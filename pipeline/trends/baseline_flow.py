@@ -9,24 +9,16 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import LeakageError, Parametrisation
 from leakage.baseline import LEAKAGE_FLOOR
-from leakage.block_statistics import merge
-from leakage.certificate import certify
+from pipeline.trends.baseline_model import factors_of
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, NO_BASELINE, Indicator
-from pipeline.trends.night_records import whole_matrix
 from pipeline.trends.segments import Segment
 
 Array = NDArray[np.float64]
 
 NO_STATISTICS = "the night's statistics are of another kind than the baseline's"
 NO_FLOW = "no flow beyond the flushing, measured or expected"
-
-
-def factors_of(history: History, places: NDArray[np.intp] | slice) -> Array:
-    """Triangular factors of all kept samples of some nights, shape (m, c, c)."""
-    return whole_matrix(history.records["factor"][places], len(history.layout.columns))
 
 
 def column_sums(history: History, places: NDArray[np.intp] | slice) -> Array:
@@ -41,24 +33,6 @@ def column_sums(history: History, places: NDArray[np.intp] | slice) -> Array:
     for row in range(factors.shape[1]):
         sums += ones[:, row, None] * factors[:, row]
     return sums
-
-
-def baseline_model(history: History, places: NDArray[np.intp]) -> Array | None:
-    """θ fitted to some nights together, from their statistics; shape (p + 1,).
-
-    None where none has statistics, or they do not determine a minimum.
-    """
-    factors = factors_of(history, places)
-    factors = factors[np.isfinite(factors).all(axis=(1, 2))]
-    if not len(factors):
-        return None
-    motor = history.spec.motor(history.nights[int(places[-1])], history.spec.file.flushing.mode)
-    bounds = Parametrisation.of(motor).coefficient_bounds()
-    try:
-        theta: Array = certify(merge(factors), *bounds).coefficients
-    except LeakageError:
-        return None
-    return theta
 
 
 def expected_flow(sums: Array, theta: Array) -> tuple[Array, Array]:
@@ -88,6 +62,17 @@ def log_ratio(history: History, segment: Segment, theta: Array, warm: Array) -> 
         ratio = np.log(measured / expected)
         some = history.fitted[here] & (measured > 0.0) & (expected > 0.0)
     result: Array = np.where(some, ratio, np.nan)
+    return result
+
+
+def gap_ratio(history: History, segment: Segment, theta: Array) -> Array:
+    """Measured over expected flow of the gaps alone in a segment's nights; nan without a figure."""
+    here = slice(segment.first, segment.end)
+    sums = column_sums(history, here)
+    measured, expected = (one - sums[:, -2] for one in expected_flow(sums, theta))
+    result: Array = np.full(len(sums), np.nan)
+    some = history.fitted[here] & (expected > 0.0)
+    result[some] = measured[some] / expected[some]
     return result
 
 

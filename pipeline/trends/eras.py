@@ -8,21 +8,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.temperature_correction import TemperatureCorrection
-from pipeline.trends.baseline_flow import baseline_model, deviation, log_ratio
+from leakage.baseline import BaselineSettings
+from leakage.temperature_correction import UNKNOWN_PER_KELVIN, TemperatureCorrection
+from pipeline.trends.baseline_flow import deviation, log_ratio
+from pipeline.trends.baseline_model import baseline_model
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
-from pipeline.trends.indicators import REFERENCE, Indicator, coefficients
+from pipeline.trends.indicators import Indicator, coefficients
+from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.own_conditions import (
     OwnConditions,
     joined_own_leakage,
-    known_at_reference,
     own_conditions,
     own_leakage,
     reference_leakage,
 )
 from pipeline.trends.segments import Segment, segments
-from pipeline.trends.temperature import NIGHTS, correction_of, warming
+from pipeline.trends.temperature import Effect, frozen_correction, usual_temperatures, warming
 
 Array = NDArray[np.float64]
 
@@ -46,7 +48,7 @@ class Era:
         Correction of loss factors for temperature, of the first good nights that tell it; None
         where they do not.
     temperature_from
-        Place of the last of those nights.
+        Place of the last of those nights; the end of the segment while there are too few.
     """
 
     segment: Segment
@@ -69,12 +71,11 @@ def _era(history: History, segment: Segment) -> Era:
         return Era(segment, segment.end, None, None)
     first = places[:needed]
     model = baseline_model(history, first)
-    era = Era(segment, int(first[-1]), own_conditions(history, first), model)
-    if model is None or len(places) < NIGHTS:
+    era = Era(segment, int(first[-1]), own_conditions(history, first), model, None, segment.end)
+    found = frozen_correction(history, segment.first, segment.end)
+    if found is None:
         return era
-    wider = places[:NIGHTS]
-    found = correction_of(history, wider, model)
-    return replace(era, temperature=found, temperature_from=int(wider[-1]))
+    return replace(era, temperature=found.correction, temperature_from=found.place)
 
 
 def indicators_of(history: History, eras: Sequence[Era]) -> dict[str, Indicator]:
@@ -83,8 +84,8 @@ def indicators_of(history: History, eras: Sequence[Era]) -> dict[str, Indicator]
     Which there are depends on the motor's config alone: the rate of false alarms is shared by all
     of them, whatever the nights so far have shown.
     """
-    warm = _warming(history, eras)
-    found = [_at_one_temperature(history, reference_leakage(history), warm)]
+    effect = effect_of(history, eras)
+    found = [reference_leakage(history, effect)]
     found.append(
         joined_own_leakage(
             history,
@@ -92,7 +93,7 @@ def indicators_of(history: History, eras: Sequence[Era]) -> dict[str, Indicator]
                 (
                     era.segment,
                     era.known_from,
-                    None if era.own is None else own_leakage(history, era.segment, era.own, warm),
+                    None if era.own is None else own_leakage(history, era.segment, era.own, effect),
                 )
                 for era in eras
             ],
@@ -105,41 +106,39 @@ def indicators_of(history: History, eras: Sequence[Era]) -> dict[str, Indicator]
                 (
                     era.segment,
                     era.known_from,
-                    None if era.model is None else log_ratio(history, era.segment, era.model, warm),
+                    None
+                    if era.model is None
+                    else log_ratio(history, era.segment, era.model, effect.factor),
                 )
                 for era in eras
             ],
         )
     )
-    found += [
-        _at_one_temperature(history, one, warm) if one.path else one
-        for one in coefficients(history)
-    ]
-    return {one.name: one for one in found}
+    found += coefficients(history, effect)
+    return {
+        one.name: one if one.name == FLUSHING else one.with_allowance(effect.left) for one in found
+    }
 
 
-def _warming(history: History, eras: Sequence[Era]) -> Array:
-    """Loss factors of each night over those at its era's T₀, shape (n,).
-
-    1 until that is known: what was told stays, and over the nights behind it, it is 1 on the mean.
-    """
-    factor = np.ones(len(history))
+def effect_of(history: History, eras: Sequence[Era]) -> Effect:
+    """Effect of temperature on a motor's nights, as far as it was known in each."""
+    n = len(history)
+    effect = Effect(np.ones(n), np.zeros(n), np.zeros(n))
+    trend = history.spec.settings.trend
+    lengths = np.array(BaselineSettings(trend.baseline_nights, trend.provisional_nights).lengths)
     for era in eras:
-        here = slice(era.temperature_from + 1, era.segment.end)
+        first, known_from = era.segment.first, era.temperature_from
+        early = np.arange(era.known_from + 1, min(known_from + 1, era.segment.end))
+        good = first + np.flatnonzero(history.fitted[first : era.segment.end])
+        # Of the nights of the baseline that serves then.
+        at = np.searchsorted(lengths, np.searchsorted(good, early), "right") - 1
+        usual_c = usual_temperatures(history, good)[lengths[at] - 1]
+        apart_k = history.records["mean_temperature_c"][early] - usual_c
+        effect.left[early] = np.nan_to_num(UNKNOWN_PER_KELVIN * np.abs(apart_k))
         if era.temperature is not None:
-            factor[here] = warming(history, here, era.temperature)
-    return factor
-
-
-def _at_one_temperature(history: History, own: Indicator, warm: Array) -> Indicator:
-    """An indicator with the effect of temperature taken off what the gaps have of it."""
-    if (warm == 1.0).all():
-        return own
-    known = known_at_reference(history) if own.name == REFERENCE else 0.0
-
-    def corrected(figure: Array) -> Array:
-        return known + (figure - known) / warm
-
-    return replace(
-        own, value=corrected(own.value), lower=corrected(own.lower), upper=corrected(own.upper)
-    )
+            late = slice(known_from + 1, era.segment.end)
+            effect.factor[late] = warming(history.records[late], era.temperature)
+            effect.per_kelvin[late] = era.temperature.taken_off
+            apart_k = history.records["mean_temperature_c"][late] - era.temperature.reference_c
+            effect.left[late] = np.nan_to_num(era.temperature.left * np.abs(apart_k))
+    return effect

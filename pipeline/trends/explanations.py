@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from leakage.hypotheses import Blocks, CommonFactor, Growth, Posterior, growth, mean_factor, weigh
 from leakage.temperature_correction import TemperatureCorrection
-from pipeline.trends.baseline_flow import factors_of
+from pipeline.trends.baseline_model import factors_of
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
 from pipeline.trends.temperature import warming
@@ -117,7 +117,7 @@ class Explanations:
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
         factors = factors_of(self.history, places)
-        effect = warming(self.history, places, correction)
+        effect = warming(self.history.records[places], correction)
         factors[:, :, : len(self.history.layout.paths)] *= effect[:, None, None]
         return Blocks(factors, places, temperature if known else None)
 

@@ -24,12 +24,14 @@ from leakage.night_filter import (
     follow,
     night_information,
 )
+from leakage.temperature_correction import TemperatureCorrection
 from pipeline.night.rows import upper_triangle
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.night_records import Layout, Records, whole_matrix
 from pipeline.trends.segments import Segment, segments
+from pipeline.trends.temperature import NIGHTS, FrozenCorrection, frozen_correction, warming
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -89,9 +91,17 @@ def _follow_segment(history: History, records: Records, part: Segment, begin: in
         last = int(done[-1])
         state, scale = _state_of(records[last], free)
         followed = int(records["followed"][last])
+    frozen: FrozenCorrection | None = None
+    looked_at = -1
     for place in left.tolist():
+        here = records[part.first : place]
+        good = int(np.count_nonzero(here["fitted"] | here["informed"]))
+        if frozen is None and good != looked_at and (looked_at < 0 or good in NIGHTS):
+            frozen = frozen_correction(replace(history, records=records), part.first, place)
+        looked_at = good
         record, nights = records[place], int(numbers[place] - numbers[last])
-        state = follow(state, _information(layout, record), nights, scale, followed < learning)
+        told = _information(layout, record, frozen.correction if frozen else None)
+        state = follow(state, told, nights, scale, followed < learning)
         record["informed"] = state.informed
         followed += state.informed
         if followed == NIGHTS_OF_SCALE:
@@ -108,13 +118,28 @@ def _configured_scale(layout: Layout) -> Array:
     return found
 
 
-def _information(layout: Layout, record: Any) -> NightInformation:
-    """Information in a night with statistics."""
+def _information(
+    layout: Layout, record: Any, correction: TemperatureCorrection | None
+) -> NightInformation:
+    """Information in a night with statistics, its loss factors being those of T₀."""
     free = np.array(layout.free)
     factor = whole_matrix(record["factor"], len(layout.columns))
     told = night_information(factor[None], np.array(layout.configured), free)
     noise, freedom = (np.nan_to_num(record[name][free]) for name in ("noise", "freedom"))
-    return replace(told, noise=noise, freedom=freedom)
+    told = replace(told, noise=noise, freedom=freedom)
+    if correction is None or not correction.is_certain:
+        return told
+    # Columns times the factor on K; what the night's blocks differ by in temperature moves X'y.
+    moved = told.explained + correction.per_kelvin * told.gram @ record["response"][free]
+    factor_on = np.ones(len(free))
+    factor_on[:-1] = warming(np.atleast_1d(record), correction)
+    factor_on = factor_on[free]
+    return replace(
+        told,
+        gram=told.gram * np.outer(factor_on, factor_on),
+        explained=moved * factor_on,
+        known=told.known * factor_on,
+    )
 
 
 def _keep(layout: Layout, record: Any, state: FilterState, scale: Array) -> None:

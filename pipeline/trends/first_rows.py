@@ -16,14 +16,12 @@ from pipeline.trends.indicators import (
     DEVIATION,
     DRAIN_FLOW,
     MODEL_MISFIT,
-    TEMPERATURE_EFFECT,
 )
 from pipeline.trends.model import misfit_at, misfit_words
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.reasons import good_nights, why_no_baseline
-from pipeline.trends.standing import CHANGED, Standing
-from pipeline.trends.temperature import NIGHTS, correction_of
-from pipeline.trends.words import temperature_words
+from pipeline.trends.standing import Standing
+from pipeline.trends.temperature import warming
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
@@ -43,38 +41,10 @@ def first_rows(standing: Standing, place: int) -> Iterator[Row]:
         good, needed = good_nights(standing, DEVIATION, place)
         row = _row(BASELINE_PROGRESS, "%", 100.0 * min(good / needed, 1.0))
         yield row | state | {"state_reason": why_no_baseline(standing, DEVIATION, place)}
-    if (effect := temperature_row(standing, place)) is not None:
+    if (effect := standing.temperature.row(place)) is not None:
         yield effect
     if (misfit := model_row(standing, place)) is not None:
         yield misfit
-
-
-def temperature_row(standing: Standing, place: int) -> Row | None:
-    """Effect of temperature on the loss factors, of the last nights and of the baseline's [%/K].
-
-    None before the baseline's is known, or where the last nights cannot tell it.
-    """
-    history, era = standing.history, standing.era(place)
-    if era.model is None or era.temperature is None or place < era.temperature_from:
-        return None
-    fitted = era.segment.first + np.flatnonzero(history.fitted[era.segment.first : place + 1])
-    last = fitted[-NIGHTS:]
-    now = correction_of(history, last, era.model)
-    if now is None:
-        return None
-    frozen = era.temperature
-    now = now.referred_to(frozen.reference_c)
-    # Wear within the last nights is no effect of their temperature.
-    wears = any(states[place] in CHANGED for states in standing.told.values())
-    row = _row(TEMPERATURE_EFFECT, "%/K", 100.0 * now.per_kelvin)
-    return row | {
-        "lower": 100.0 * (now.per_kelvin - now.half_width),
-        "upper": 100.0 * (now.per_kelvin + now.half_width),
-        "n_nights": len(last),
-        "baseline_mean": 100.0 * frozen.per_kelvin,
-        "state": standing.states[DEVIATION][place],
-        "state_reason": temperature_words(frozen, frozen if wears else now) or None,
-    }
 
 
 def model_row(standing: Standing, place: int) -> Row | None:
@@ -111,9 +81,15 @@ def _comparable_flow(standing: Standing, place: int, sums: Array) -> float | Non
     theta = np.array(history.layout.configured) if era.model is None or not known else era.model
     row = reference_row(standing, place)
     measured, expected = (float(one[0]) for one in expected_flow(sums[None], theta))
+    here, there = 1.0, 1.0
+    if known and place > era.temperature_from and era.temperature is not None:
+        here = float(warming(history.records[place : place + 1], era.temperature)[0])
+        asked = history.spec.settings.reference.temperature_c
+        there = 1.0 + era.temperature.taken_off * (asked - era.temperature.reference_c)
+    expected += (here - 1.0) * (expected - float(sums[-2]))
     if isinstance(row, str) or expected <= 0.0:
         return None
-    return measured / expected * float(row[:-2] @ theta[:-1] + row[-1])
+    return measured / expected * float(there * row[:-2] @ theta[:-1] + row[-1])
 
 
 def reference_flows(standing: Standing, place: int) -> dict[str, float]:

@@ -12,6 +12,7 @@ from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR
 from pipeline.trends.filtered_nights import WIDEST_COEFFICIENT, Filtered, filtered
 from pipeline.trends.history import History
 from pipeline.trends.night_records import FLUSHING
+from pipeline.trends.temperature import Effect
 
 Array = NDArray[np.float64]
 
@@ -51,6 +52,8 @@ class Indicator:
         before that is.
     n_nights
         Nights behind it.
+    allowance
+        Relative ± that nights of one temperature share; 0 for none.
     """
 
     name: str
@@ -64,6 +67,17 @@ class Indicator:
     outside: NDArray[np.bool_]
     told: NDArray[np.bool_]
     n_nights: NDArray[np.int32]
+    allowance: Array | float = 0.0
+
+    def with_allowance(self, allowance: Array) -> Indicator:
+        """The same with a relative ± that nights of one temperature share, in its interval, too."""
+        size = np.abs(allowance * (self.value + self.shift))
+        return replace(
+            self,
+            lower=self.value - np.hypot(self.value - self.lower, size),
+            upper=self.value + np.hypot(self.upper - self.value, size),
+            allowance=allowance,
+        )
 
     @property
     def shift(self) -> float:
@@ -97,20 +111,23 @@ def with_filtered(own: Indicator, found: Filtered, widest: float, size: Array) -
     )
 
 
-def coefficients(history: History) -> Iterator[Indicator]:
-    """The coefficient of each free path, and the flushing where it is estimated."""
+def coefficients(history: History, effect: Effect) -> Iterator[Indicator]:
+    """The coefficient of each free path at T₀, and the flushing where it is estimated."""
     layout, n = history.layout, len(history)
+    moved = effect.per_kelvin[:, None] * history.records["response"]
     for number, name in enumerate(layout.coefficients):
         figures = history.records["figures"][:, number]
         is_flow = name == FLUSHING
         place = len(layout.free) - 1 if is_flow else number
+        factor = np.ones(n) if is_flow else effect.factor
+        value, lower, upper = ((figures + moved[:, place, None]) / factor[:, None]).T
         alone = Indicator(
             name,
             "l/min" if is_flow else "m3" if name.startswith("K_") else "1",
             "" if is_flow else layout.paths[number],
-            figures[:, 0],
-            figures[:, 1],
-            figures[:, 2],
+            value,
+            lower,
+            upper,
             history.why(np.isfinite(figures[:, 0]), number),
             LEAKAGE_FLOOR if is_flow else COEFFICIENT_FLOOR,
             np.zeros(n, dtype=np.bool_),

@@ -58,6 +58,7 @@ FIT_COLUMNS = (
     "columns",
     "coefficients",
     "coefficient_covariance",
+    "coefficient_response",
     "night_factor",
     "interval_status",
     "reference_verdict",
@@ -143,6 +144,8 @@ class Layout:
                 ("figures", "f8", (n, 3)),
                 ("theta", "f8", theta),
                 ("covariance", "f8", triangle(theta)),
+                # What a change of b does to θ, as the night's blocks differ in temperature.
+                ("response", "f8", theta),
                 ("factor", "f8", triangle(len(self.columns))),
                 ("own", "f8", 3),
                 # What the blocks say of the model, as `Misfit.numbers`.
@@ -256,9 +259,12 @@ def records_of(
     for name, column, size in (
         ("theta", "coefficients", len(layout.columns) - 2),
         ("covariance", "coefficient_covariance", triangle(len(layout.columns) - 2)),
+        ("response", "coefficient_response", len(layout.columns) - 2),
         ("factor", "night_factor", triangle(len(layout.columns))),
     ):
         records[name] = np.where(same[:, None], _vectors(fits, column, size), np.nan)
+    # Nights of before have none.
+    records["response"] = np.nan_to_num(records["response"])
     _fill_noise(layout, records)
     _fill_operation(records, fits, operation)
     statuses = _status_words(fits)

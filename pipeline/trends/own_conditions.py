@@ -28,6 +28,7 @@ from pipeline.trends.indicators import (
 )
 from pipeline.trends.night_records import HISTOGRAMS, WIDEST_ALONE, too_wide, triangle
 from pipeline.trends.segments import Segment
+from pipeline.trends.temperature import Effect
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -73,9 +74,11 @@ class OwnLeakage:
     filtered: Filtered
 
 
-def reference_leakage(history: History) -> Indicator:
-    """Leakage at the fleet's reference conditions."""
-    figures, n = history.records["reference"], len(history)
+def reference_leakage(history: History, effect: Effect) -> Indicator:
+    """Leakage at the fleet's reference conditions, with the loss factors of T₀."""
+    n = len(history)
+    at = _reference_conditions(history)
+    figures = _at_one_temperature(history, at, effect)
     alone = Indicator(
         REFERENCE,
         "l/min",
@@ -89,21 +92,23 @@ def reference_leakage(history: History) -> Indicator:
         np.ones(n, dtype=np.bool_),
         np.ones(n, dtype=np.int32),
     )
-    at = _reference_conditions(history)
     found = _filtered_leakage(history, slice(0, n), at, np.isnan(figures[:, 0]))
     return with_filtered(alone, found, WIDEST_LEAKAGE, np.abs(found.value))
 
 
-def known_at_reference(history: History) -> Array:
-    """Known flow at the fleet's reference conditions in each night [l/min], shape (n,).
-
-    0 where the model does not hold there.
-    """
-    rows = (
-        regressor_row(history, place, one)
-        for place, one in enumerate(_reference_conditions(history))
-    )
-    return np.array([0.0 if isinstance(row, str) else float(row[-1]) for row in rows])
+def _at_one_temperature(history: History, at: Sequence[OwnConditions], effect: Effect) -> Array:
+    """Leakage at the reference conditions with its ends, as `fits` has it, but at T₀."""
+    figures = history.records["reference"].copy()
+    if effect.is_taken_off:
+        for place in np.flatnonzero(np.isfinite(figures[:, 0])).tolist():
+            row = regressor_row(history, place, at[place])
+            if not isinstance(row, str):
+                moved = effect.per_kelvin[place] * (
+                    row[:-2] @ history.records["response"][place, :-1]
+                )
+                figures[place] += moved - row[-1]
+                figures[place] = figures[place] / effect.factor[place] + row[-1]
+    return figures
 
 
 def _reference_conditions(history: History) -> list[OwnConditions]:
@@ -155,18 +160,20 @@ def own_conditions(history: History, places: NDArray[np.intp]) -> OwnConditions 
     return OwnConditions(pressure, temperature, speed, above_case)
 
 
-def own_leakage(history: History, segment: Segment, own: OwnConditions, warm: Array) -> OwnLeakage:
+def own_leakage(
+    history: History, segment: Segment, own: OwnConditions, effect: Effect
+) -> OwnLeakage:
     """Leakage of a segment's nights at the motor's own conditions, flushing excluded.
 
     From θ and its covariance, as the published intervals are those of other conditions; Student's t
-    with as many degrees of freedom as the night has blocks beyond its coefficients. `warm`: loss
-    factors of each night over those at the baseline's temperature, shape (n,).
+    with as many degrees of freedom as the night has blocks beyond its coefficients.
     """
     here = slice(segment.first, segment.end)
     records = history.records[here]
     contrast, known, words = _regressors(history, segment, own)
-    contrast = contrast / warm[here, None]
-    value = _row_sums(records["theta"] * contrast) + known
+    contrast = contrast / effect.factor[here, None]
+    theta = records["theta"] + effect.per_kelvin[here, None] * records["response"]
+    value = _row_sums(theta * contrast) + known
     variance = _quadratic_forms(records["covariance"], contrast)
     freedom = records["blocks"] - records["theta"].shape[1]
     quantile = stdtrit(np.fmax(freedom, 1.0), 0.5 + LEVEL / 2)

@@ -70,7 +70,8 @@ def why_no_baseline(standing: Standing, name: str, place: int) -> str:
 
 def sensors_words(standing: Standing, place: int) -> str:
     """Sensors that have drifted, and their drift, in words; empty if none has."""
-    return "; ".join(words for zero in standing.zeros.values() if (words := zero.words(place)))
+    told = [one.words(place) for one in standing.zeros.values()]
+    return "; ".join(words for words in (*told, standing.temperature.words(place)) if words)
 
 
 def way_of(standing: Standing, name: str, place: int) -> str:

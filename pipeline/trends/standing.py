@@ -18,11 +18,12 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION
+from pipeline.trends.indicators import DEVIATION, TEMPERATURE_EFFECT
 from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.peers import Peers
 from pipeline.trends.running import RunningHours, running_hours
 from pipeline.trends.sudden import Sudden
+from pipeline.trends.temperature_watch import TemperatureWatch, temperature_watch
 from pipeline.trends.watch import Watched
 from pipeline.trends.zeros import Zero, health
 
@@ -78,6 +79,18 @@ class Standing:
     @cached_property
     def told(self) -> dict[str, tuple[str, ...]]:
         """State of each night, by indicator, whatever the other motors of the circuit did."""
+        sensors = {name: zero.state for name, zero in self.zeros.items()}
+        return {**self._told, **sensors, TEMPERATURE_EFFECT: self.temperature.state}
+
+    @cached_property
+    def temperature(self) -> TemperatureWatch:
+        """Effect of temperature on the loss factors; nights of another change do not count."""
+        changed = np.isin(np.array(list(self._told.values())), CHANGED)
+        return temperature_watch(self.history, self.eras, np.any(changed, axis=0))
+
+    @cached_property
+    def _told(self) -> dict[str, tuple[str, ...]]:
+        """The same of the watched indicators alone."""
         found: dict[str, list[str]] = {
             name: [state for part in one.monitoring for state in part.states]
             for name, one in self.watched.items()
@@ -88,9 +101,7 @@ class Standing:
             for place in range(one.told, one.until):
                 if flow[place] == "ok":
                     flow[place] = "common_cause" if one.kind == "circuit" else "warning"
-        return {name: tuple(states) for name, states in found.items()} | {
-            name: zero.state for name, zero in self.zeros.items()
-        }
+        return {name: tuple(states) for name, states in found.items()}
 
     @cached_property
     def states(self) -> dict[str, States]:

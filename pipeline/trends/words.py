@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -98,27 +97,29 @@ def _date_ahead(night: dt.date, days: float) -> str:
     return date if days < TO_THE_DAY else date.split(" ", 1)[1]
 
 
-def temperature_words(frozen: TemperatureCorrection, now: TemperatureCorrection) -> str:
-    """Effect of temperature on the loss factors, and its change; empty where neither is certain.
+def falls_words(per_kelvin: float) -> str:
+    """Change of all loss factors with temperature.
 
     Examples
     --------
-    >>> falls, none = TemperatureCorrection(-0.0097, 0.002, 50.0), TemperatureCorrection(0, 1e-3, 9)
-    >>> temperature_words(falls, falls)
-    "K falls by 0.97 % a kelvin: the sensor is not where the gap is, or the oil's curve is off"
-    >>> temperature_words(none, falls)
-    'K falls by 0.97 % a kelvin, since the baseline: the sensor or the oil has changed'
+    >>> falls_words(-0.0097)
+    'K falls by 0.97 % a kelvin'
     """
-    changed = abs(now.per_kelvin - frozen.per_kelvin) > math.hypot(
-        now.half_width, frozen.half_width
-    )
-    if not (changed or frozen.is_certain):
+    way = "falls" if per_kelvin < 0.0 else "rises"
+    return f"K {way} by {100.0 * abs(per_kelvin):.2f} % a kelvin"
+
+
+def temperature_words(frozen: TemperatureCorrection) -> str:
+    """Effect of temperature on the loss factors, of the baseline; empty where none is certain.
+
+    Examples
+    --------
+    >>> temperature_words(TemperatureCorrection(-0.0097, 0.002, 50.0))
+    "K falls by 0.97 % a kelvin: the sensor is not where the gap is, or the oil's curve is off"
+    """
+    if not frozen.is_certain:
         return ""
-    told = now if changed else frozen
-    way = "falls" if told.per_kelvin < 0.0 else "rises"
-    effect = f"K {way} by {100.0 * abs(told.per_kelvin):.2f} % a kelvin"
-    if changed:
-        return f"{effect}, since the baseline: the sensor or the oil has changed"
+    effect = falls_words(frozen.per_kelvin)
     return f"{effect}: the sensor is not where the gap is, or the oil's curve is off"
 
 

@@ -17,6 +17,7 @@ from pipeline.trends.filtered_nights import Filtered, with_filter
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator, coefficients, with_filtered
 from pipeline.trends.standing import Standing
+from pipeline.trends.temperature import Effect
 from pipeline.trends.trend_rows import trend_rows
 from tests.pipeline.trends.blocks import POOR, blocks_of, samples_of, with_blocks
 from tests.pipeline.trends.nights import (
@@ -177,7 +178,7 @@ def test_a_step_is_told_with_its_path_on_nights_of_half_an_hour() -> None:
 
 def test_a_figure_that_is_too_wide_to_count_is_shown_with_its_interval_and_why() -> None:
     found = history(poor(0, 1, n=2))
-    alone = next(coefficients(found))
+    alone = next(coefficients(found, Effect(np.ones(2), np.zeros(2), np.zeros(2))))
     assert alone.gated == (POOR["interval_status"],) * 2
     said = Filtered(np.ones(2), np.array([0.4, 0.6]), np.array([3, 4], dtype=np.int32))
     both = with_filtered(alone, said, 0.5, np.ones(2))

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.trends.first_rows import temperature_row
+from pipeline.trends.alarm_rows import alarm_rows
+from pipeline.trends.reasons import why_state
 from pipeline.trends.standing import Standing
 from tests.pipeline.trends.nights import PATHS, Nights, motor, standing
 
@@ -79,24 +80,57 @@ def test_a_night_is_told_as_a_run_on_it_would_have(moved: Standing) -> None:
             )
 
 
-def test_the_row_tells_the_effect_and_its_change(moved: Standing, unmoved: Standing) -> None:
-    row = temperature_row(moved, N - 1)
+def test_the_row_tells_the_effect(moved: Standing, unmoved: Standing) -> None:
+    row = moved.temperature.row(N - 1)
     assert row is not None
     assert row["baseline_mean"] == pytest.approx(-1.0, abs=0.15)
     assert row["lower"] <= -1.0 <= row["upper"]
+    assert row["state"] == "ok"
     assert row["state_reason"].endswith(
         "% a kelvin: the sensor is not where the gap is, or the oil's curve is off"
     )
-    assert temperature_row(moved, 3) is None
-    none = temperature_row(unmoved, N - 1)
+    assert moved.temperature.row(3) is None
+    none = unmoved.temperature.row(N - 1)
     assert none is not None
     assert none["state_reason"] is None
-    changed = temperature_row(standing(motor_with(np.where(np.arange(N) < 90, 0.0, -0.02))), N - 1)
-    assert changed is not None
-    assert changed["state_reason"].endswith("since the baseline: the sensor or the oil has changed")
+
+
+def test_a_change_of_the_effect_is_a_warning_that_names_sensor_and_oil() -> None:
+    """2 % a kelvin over a weather of 2 K are 4 %, with no change on the mean of the nights."""
+    generator = np.random.default_rng(3)
+    warm = 50.0 + 2.0 * generator.standard_normal(N)
+    effect = np.where(np.arange(N) < 90, 0.0, -0.02)
+    factor = (1.0 + effect * (warm - 50.0)) * (1.0 + 0.003 * generator.standard_normal(N))
+    weather = {"mean_temperature_c": warm}
+    found = standing(Nights(motor(), N, dict.fromkeys(PATHS, factor), operation=weather))
+    states = found.states["temperature_effect"]
+    assert set(states[60:90]) == {"ok"}
+    assert "warning" in states[90:121]
+    place = states.index("warning")
+    words = found.temperature.words(place)
+    assert words.startswith("the temperature sensor or the oil's curve has changed since ")
+    assert "K falls by" in words
+    (row,) = [one for one in alarm_rows(found, [place]) if one["indicator"] == "temperature_effect"]
+    assert (row["way"], row["reason"]) == ("drift", words)
+    assert words in why_state(found, "baseline_deviation", place, None)
 
 
 def test_nights_of_one_temperature_tell_nothing() -> None:
     found = standing(Nights(motor(), 60))
     assert found.era(59).temperature is None
-    assert temperature_row(found, 59) is None
+    assert found.temperature.row(59) is None
+
+
+def test_while_it_is_unknown_a_warm_night_carries_what_it_may_be() -> None:
+    """1 % a kelvin: 6 K above the baseline's nights are no rise below 6 %."""
+    warm = np.where(np.arange(29) < 20, 50.0, 56.0)
+    factor = np.where(np.arange(29) < 20, 1.0, 1.05)
+    weather = {"mean_temperature_c": warm}
+    found = standing(Nights(motor(), 29, dict.fromkeys(PATHS, factor), operation=weather))
+    sleeve = found.watched["K_balance_sleeve"].indicator
+    allowed = np.broadcast_to(sleeve.allowance, 29)
+    assert allowed[20:] == pytest.approx(0.06)
+    assert sleeve.upper[20] > 1.06 * sleeve.value[20]
+    assert set(found.states["baseline_deviation"][20:]) == {"ok"}
+    plain = standing(Nights(motor(), 29, dict.fromkeys(PATHS, factor)))
+    assert "warning" in plain.states["baseline_deviation"]
