@@ -192,6 +192,36 @@ def merge(factors_in_time_order: Array) -> Array:
     return merged
 
 
+def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
+    """Factors with the known flow as a path of its own, whose coefficient can be estimated.
+
+    Parameters
+    ----------
+    factors
+        Shape (b, c, c).
+    place
+        Of the new column among the paths.
+    coefficient
+        With which the path is in the known flow.
+
+    Returns
+    -------
+    ndarray
+        Shape (b, c + 1, c + 1); nothing is known any more.
+
+    Examples
+    --------
+    >>> one = factor(np.array([[3.0, 1.0, 4.0, 9.0], [2.0, 1.0, 6.0, 8.0]]))[None]
+    >>> with_free_known(one, 1, 2.0)[0, :2].round(6).tolist() == factor(
+    ...     np.array([[3.0, 2.0, 1.0, 0.0, 9.0], [2.0, 3.0, 1.0, 0.0, 8.0]])
+    ... )[:2].round(6).tolist()
+    True
+    """
+    moved = np.insert(factors, place, factors[:, :, -2] / coefficient, axis=2)
+    moved[:, :, -2] = 0.0
+    return _triangular(np.pad(moved, ((0, 0), (0, 1), (0, 0))))
+
+
 def _require_finite(what: str, values: Array) -> None:
     if not np.isfinite(values).all():
         raise StatisticsError(

@@ -153,7 +153,7 @@ def is_refit(outcome: NightOutcome) -> bool:
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
     """A row of `fits`; what needs samples is as before."""
     reference = spec.settings.reference
-    row = before | block_fit_columns(spec, found) | leakage_columns(found)
+    row = before | block_fit_columns(spec, found) | leakage_columns(spec, found)
     row |= {
         "is_refitted": True,
         "reference_pressure_bar": reference.pressure_bar,

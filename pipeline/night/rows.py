@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.model_verdict import (
+    LowSide,
     Misfit,
     model_verdict,
     structured_misfit,
@@ -231,7 +232,7 @@ def _mode_columns(
         **previous_model_columns(spec, statistics.judged_on(), previous),
         **block_fit_columns(spec, mode),
         **residual_columns(mode.residuals),
-        **leakage_columns(mode),
+        **leakage_columns(spec, mode),
     }
 
 
@@ -349,7 +350,7 @@ def mark_modes(rows: Sequence[Row], primary: str) -> None:
         )
 
 
-def leakage_columns(mode: BlockFit) -> Row:
+def leakage_columns(spec: MotorSpec, mode: BlockFit) -> Row:
     """Reference leakage and leakage at own conditions, where they are told, with intervals."""
     return {
         "reference_verdict": mode.reference.verdict,
@@ -359,11 +360,11 @@ def leakage_columns(mode: BlockFit) -> Row:
         "own_conditions_reason": mode.own.reason or None,
         **_leakage(REFERENCE, mode.reference, mode),
         **_leakage(OWN, mode.own, mode),
-        **model_columns(mode.misfit),
+        **model_columns(mode.misfit, spec.low_side),
     }
 
 
-def model_columns(told: Misfit | None) -> Row:
+def model_columns(told: Misfit | None, low_side: LowSide) -> Row:
     """Verdict on the model; none where the night has too few blocks for it."""
     names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
     row: Row = dict.fromkeys(f"model_{name}" for name in names)
@@ -375,7 +376,9 @@ def model_columns(told: Misfit | None) -> Row:
         "model_verdict": verdict,
         "model_misfit_percent": 100.0 * found.share,
         "model_noise_percent": 100.0 * found.noise_share,
-        "model_reason": verdict_in_words(found) if verdict in ("doubtful", "disproved") else None,
+        "model_reason": (
+            verdict_in_words(found, low_side) if verdict in ("doubtful", "disproved") else None
+        ),
         "model_misfit_statistics": told.numbers().tolist(),
     }
 
