@@ -109,8 +109,10 @@ class Motor:
     def standard(self) -> SpeedCurve | None:
         """The speed curve that is the whole known flow: what its scale is, data can tell."""
         known = [path for path in self.known_paths if path.configured_coefficient]
-        only = known[0] if len(known) == 1 else None
-        return only if isinstance(only, SpeedCurve) else None
+        for path in known:
+            if len(known) == 1 and isinstance(path, SpeedCurve):
+                return path if path.scale.minimum < path.scale.maximum else None
+        return None
 
     def with_free_standard(self) -> Motor:
         """The motor with the scale of its standard free within its bounds."""

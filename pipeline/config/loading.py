@@ -54,7 +54,8 @@ class Folder(Generic[Model]):
 class MotorSpec:
     """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
 
-    Its logs lie below `log_root`, or below `log_url` where that is not empty.
+    Its logs lie below `log_root`, or below `log_url` where that is not empty. `roller_is_free`: the
+    scale of the rollers' curve is estimated, as the motor's own nights decide.
     """
 
     file: MotorFile
@@ -63,6 +64,12 @@ class MotorSpec:
     settings: Settings
     log_root: Path
     log_url: str = ""
+    roller_is_free: bool = False
+
+    @property
+    def stated(self) -> MotorSpec:
+        """The motor as its files state it, the scale of the rollers' curve fixed."""
+        return replace(self, roller_is_free=False) if self.roller_is_free else self
 
     @property
     def motor_id(self) -> str:
@@ -84,12 +91,13 @@ class MotorSpec:
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
         """The motor as the physics knows it, on a night and under one mode of flushing."""
         model = self.settings.model
-        return Motor(
+        motor = Motor(
             motor_type=self.motor_type.motor_type,
             paths=(*self.motor_type.paths(), self.file.flushing.path(flushing_mode)),
             oil=self.oil_on(night).oil(),
             film_pressure=FilmPressure(model.film_pressure, model.film_pressure_share),
         )
+        return motor.with_free_standard() if self.roller_is_free else motor
 
 
 @dataclass(frozen=True, slots=True)

@@ -273,6 +273,13 @@ class Model(Section):
         0.0, description="Stated tolerance of charge − case pressure; 0: none stated"
     )
 
+    roller_scale: Literal["by_information", "fixed"] = Field(
+        "by_information",
+        description="Scale of a motor's one known curve, that of the cam rollers: estimated where "
+        "most of the first nights of a baseline tell it, since speed varies; `fixed`: as the motor "
+        "type says, the thesis",
+    )
+
     def is_two_sided(self, *, is_logged: bool = False) -> bool:
         """Two-sided as stated, else where the low side's pressure is stated or logged."""
         is_known = is_logged or self.charge_pressure_bar > 0.0

@@ -12,12 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, OperatingConditions, Parametrisation, SearchSettings, fit, regressors
-from leakage.block_statistics import merge
+from leakage import (
+    EstimationError,
+    Fit,
+    Motor,
+    OperatingConditions,
+    Parametrisation,
+    SearchSettings,
+    fit,
+    regressors,
+)
+from leakage.block_statistics import merge, with_free_known
 from leakage.certificate import Certificate, certify
 from leakage.identifiability import (
     Excitation,
     Identification,
+    Judgement,
     LeakageJudgement,
     identify,
     is_outside,
@@ -31,7 +41,7 @@ from leakage.model_verdict import (
     model_error,
     structured_misfit,
 )
-from leakage.slow_errors import slow_errors, whitened
+from leakage.slow_errors import SlowErrors, slow_errors, whitened
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
 from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
@@ -42,6 +52,14 @@ from pipeline.night.windows import TRAINING
 Array = NDArray[np.float64]
 
 REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
+
+
+@dataclass(frozen=True, slots=True)
+class RollerScale:
+    """The scale of the rollers' curve by the blocks of a night, and the verdict on it."""
+
+    value: float
+    judgement: Judgement
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,9 +87,12 @@ class BlockFit:
     systematic
         ± from stated tolerances by indicator, in its unit; without those that have none.
     misfit
-        What the blocks say of the model; None where they are too few.
+        What the blocks say of the model as it is stated; None where they are too few.
     errors
         Parts of the ± by indicator.
+    roller
+        What the blocks say of the scale of the rollers' curve, whether or not the fit uses it; None
+        without such a curve.
     memory_s
         Time over which the training errors forget [s]; it needs samples, nan without.
     residuals
@@ -91,6 +112,7 @@ class BlockFit:
     systematic: Mapping[str, float]
     misfit: Misfit | None
     errors: Mapping[str, ErrorParts]
+    roller: RollerScale | None = None
     memory_s: float = math.nan
     residuals: tuple[PartResiduals, ...] = ()
 
@@ -104,6 +126,7 @@ def fit_stored_blocks(
     inflation: float,
     sensitivities: Sequence[Mapping[str, Any]] = (),
     *,
+    misfit_as_stated: Misfit | None = None,
     search: bool = True,
     bootstrap: bool = True,
 ) -> BlockFit:
@@ -121,6 +144,8 @@ def fit_stored_blocks(
         Factor on standard errors that robust weights ask for; 1 without them.
     sensitivities
         Rows of the table: effects of the stated tolerances under this mode.
+    misfit_as_stated
+        Misfit of the model as it is stated, where the rollers' scale is free; else its own counts.
     search
         Make the starts of the search, too; the estimate does not depend on them.
     bootstrap
@@ -157,7 +182,10 @@ def fit_stored_blocks(
     identification = identify(fitted, factors, excitation, inflation, slow)
     at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
     told = misfit(blocks.factors, short, fitted.coefficients, lower == upper, blocks.block_means())
-    errors = _errors(fitted, identification, excitation, blocks.factors, told, at, sensitivities)
+    judged = misfit_as_stated if spec.roller_is_free else told
+    errors = _errors(
+        fitted, identification, excitation, blocks.factors, (told, judged), at, sensitivities
+    )
     reference, own = (
         judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
         for name in (REFERENCE, OWN)
@@ -181,9 +209,37 @@ def fit_stored_blocks(
             resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
         systematic=stated(sensitivities),
-        misfit=told,
+        misfit=judged,
         errors=errors,
+        roller=_roller(
+            spec.stated.motor(night, mode), fitted, factors, excitation, inflation, slow
+        ),
     )
+
+
+def _roller(
+    motor: Motor,
+    fitted: Fit,
+    factors: Array,
+    excitation: Excitation,
+    inflation: float,
+    slow: SlowErrors,
+) -> RollerScale | None:
+    """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
+    standard = motor.standard
+    if standard is None:
+        return None
+    free = motor.with_free_standard()
+    place = free.columns.index(standard.name)
+    if free.columns != fitted.motor.columns:
+        factors = with_free_known(factors, place, standard.configured_coefficient)
+        nowhere = SearchSettings(starting_points=0)
+        try:
+            fitted = fit(merge(factors), free, nowhere, np.random.default_rng(0))
+        except EstimationError:
+            return None
+    judged = identify(fitted, factors, excitation, inflation, slow).coefficients[place]
+    return RollerScale(float(fitted.coefficients[place]), judged)
 
 
 def _errors(
@@ -191,16 +247,17 @@ def _errors(
     identification: Identification,
     excitation: Excitation,
     factors: Array,
-    told: Misfit | None,
+    misfits: tuple[Misfit | None, Misfit | None],
     at: Mapping[str, OperatingConditions],
     sensitivities: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
-    """Parts of the ± of each leakage and coefficient."""
+    """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
     fixed, distribution = fitted.certificate.fixed, identification.distribution
-    tau = None if told is None else structured_misfit([told]).l_per_min
     sensors = of_sensors(sensitivities)
 
     def parts(name: str, contrast: Array, factor: float, constants: float = 0.0) -> ErrorParts:
+        told = misfits[name not in at]
+        tau = None if told is None else structured_misfit([told]).l_per_min
         interval = None if distribution is None else distribution.interval(contrast)
         return ErrorParts(
             None if interval is None else interval.half_width,

@@ -361,6 +361,21 @@ def leakage_columns(spec: MotorSpec, mode: BlockFit) -> Row:
         **_leakage(REFERENCE, mode.reference, mode),
         **_leakage(OWN, mode.own, mode),
         **model_columns(mode.misfit, spec.low_side),
+        **_roller_columns(spec, mode),
+    }
+
+
+def _roller_columns(spec: MotorSpec, mode: BlockFit) -> Row:
+    """Scale of the rollers' curve, as the night tells it, and whether the fit uses it."""
+    row: Row = {"roller_is_free": spec.roller_is_free}
+    row |= dict.fromkeys(("roller_scale", "roller_scale_half_width", "roller_verdict"))
+    if mode.roller is None:
+        return row
+    judged = mode.roller.judgement
+    return row | {
+        "roller_scale": mode.roller.value,
+        "roller_scale_half_width": judged.interval and judged.interval.half_width,
+        "roller_verdict": judged.verdict,
     }
 
 

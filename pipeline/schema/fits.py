@@ -374,6 +374,28 @@ FITS = Table(
         ),
         Column("model_noise_percent", pl.Float64, "%", "What noise alone would make of it"),
         Column("model_reason", pl.String, "", "Likely causes in order, and what to try"),
+        Column(
+            "roller_is_free",
+            pl.Boolean,
+            "",
+            "The fit estimates the scale of the cam rollers' curve, as speed varies in most of the "
+            "baseline's first nights; starts, predictions, residual tests and the verdict on the "
+            "model are then still those of the model as stated",
+        ),
+        Column(
+            "roller_scale",
+            pl.Float64,
+            "1",
+            "That scale, as the night tells it, whether or not the fit uses it; null where the "
+            "known flow is not one curve",
+        ),
+        Column(
+            "roller_scale_half_width",
+            pl.Float64,
+            "1",
+            "Half-width of its 95 % interval; null unless identified",
+        ),
+        Column("roller_verdict", pl.String, "", "As `verdict` in `parameters`"),
     ),
 )
 

@@ -101,6 +101,9 @@ def coefficients(history: History) -> Iterator[Indicator]:
     """The coefficient of each free path, and the flushing where it is estimated."""
     layout, n = history.layout, len(history)
     for number, name in enumerate(layout.coefficients):
+        # The rollers are the standard: which indicators are watched hangs on the config alone.
+        if layout.standard is not None and number == layout.standard[0]:
+            continue
         figures = history.records["figures"][:, number]
         is_flow = name == FLUSHING
         place = len(layout.free) - 1 if is_flow else number
