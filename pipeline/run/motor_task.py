@@ -470,7 +470,7 @@ class _Nights:
         self.hashes = SettingsHashes(self.form)
         for label in sorted(label for label, one in self.records.items() if one.model):
             before = self._model_before(label)
-            stated = self.stated.get(label) or self.stored.refit(label, before)
+            stated = self.stated.get(label) or self.stored.stated(label, before)
             if stated is not None:
                 self.reasons.setdefault(label, "the scale of its rollers is estimated, or no more")
                 self._remember(self._in_form(stated, before), before)

@@ -11,7 +11,7 @@ import polars as pl
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.night.fit_night import NightOutcome, PreviousModel
+from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
 from pipeline.night.refit import PublishedNight, judge_again, refit, with_free_roller
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, SENSITIVITIES, Table
@@ -33,6 +33,14 @@ class StoredNights:
     def refit(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
         """Fit a night anew; None where the log has to be read."""
         return refit(self._spec, self._published(label), previous, with_starts=self._with_starts)
+
+    def stated(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+        """A night as its model is stated; None where its rows do not suffice."""
+        fits = self._rows(FITS, label)
+        if any(row["roller_is_free"] for row in fits):
+            return self.refit(label, previous)
+        rows = {FITS.name: fits, PARAMETERS.name: self._rows(PARAMETERS, label)}
+        return NightOutcome(label, OK, None, None, rows, tables=tuple(rows)) if fits else None
 
     def with_free_roller(
         self, stated: NightOutcome, previous: PreviousModel
