@@ -3,7 +3,8 @@
 Each night goes through the physics of one motor and is fitted with another: an hour at 1 Hz,
 warming up under steps of load, noise with memory, and sensors that are off from night to night
 (0.3 °C and 0.3 % gain, AR(1) 0.6; 0.3 bar white), of which twice that is the stated tolerance.
-"Before" is the statistical ± alone, "after" the total with the night's own misfit.
+"Before" is the statistical ± alone, "after" the total with the night's own misfit; "free" is the
+same with the scale of the rollers' curve estimated, K with the misfit of the stated model.
 """
 
 from __future__ import annotations
@@ -19,9 +20,16 @@ from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
-from leakage import Motor, OperatingConditions, SpeedCurve, factors, regressors
+from leakage import (
+    Motor,
+    OperatingConditions,
+    Parametrisation,
+    SpeedCurve,
+    factors,
+    regressors,
+)
 from leakage.annular_gap import AnnularGap
-from leakage.block_statistics import merge
+from leakage.block_statistics import merge, with_free_known
 from leakage.certificate import certify
 from leakage.model_verdict import (
     COEFFICIENT_FACTOR,
@@ -41,9 +49,13 @@ from pipeline.demo.noise import autoregression, lagging
 Array = NDArray[np.float64]
 
 MODEL = motor()
-FIXED = np.array([False, False, False, True])
+FREE = MODEL.with_free_standard()
+ROLLER = FREE.columns.index("cam_roller")
+FACTORS = np.array([LEAKAGE_FACTOR, *[COEFFICIENT_FACTOR] * 3])
 MINUTES, BLOCK = 60, 120
 COURSES, NIGHTS = 24, 10
+# Seeds of its own: the rules were tuned on others.
+FIRST_SEED = 1800
 NOISE_L_PER_MIN = 0.015
 SENSOR_SAMPLES = 600
 STATED = Tolerances(
@@ -143,13 +155,12 @@ CASES = {
 
 @dataclass(frozen=True, slots=True)
 class Night:
-    """A fitted night; errors, ± of the samples, total ± and truth are leakage, then K."""
+    """A night; shapes (2, 4): roller fixed and free, leakage and K over the true ones."""
 
     misfit: Misfit
     error: Array
     statistical: Array
     total: Array
-    truth: Array
 
 
 def course(case: Case, seed: int) -> list[Night]:
@@ -198,30 +209,37 @@ def night(case: Case, wander: tuple[float, float, float], generator: np.random.G
     assert leakages is not None
     assert coefficients is not None
     sensors = np.append(leakages, coefficients[:3])
-    return _fitted(blocks, means, sensors, truth)
+    fixed, misfit_of_stated = _fitted(MODEL, blocks, means, sensors)
+    moved = with_free_known(blocks, ROLLER, 1.0)
+    free, _ = _fitted(FREE, moved, means, sensors, misfit_of_stated)
+    parts = np.stack([fixed, free], axis=1)
+    parts[0] -= truth
+    return Night(misfit_of_stated, *parts / truth)
 
 
-def _fitted(blocks: Array, means: Array, sensors: Array, truth: Array) -> Night:
-    """A night's figures as the package makes them."""
+def _fitted(
+    model: Motor, blocks: Array, means: Array, sensors: Array, stated: Misfit | None = None
+) -> tuple[Array, Misfit]:
+    """Estimate, ± of the samples and total ± as the package makes them; and the model's misfit."""
+    k = len(model.columns) - 2
+    fixed = np.arange(k) == k - 1
     short = short_blocks(blocks, np.arange(len(blocks)))
-    slow = slow_errors(blocks, short, FIXED, np.zeros(4))
+    slow = slow_errors(blocks, short, fixed, np.zeros(k))
     white = whitened(blocks, short, slow)
-    upper = np.array([1e-9] * 3 + [0.0])
-    theta = certify(merge(white), np.zeros(4), upper).coefficients
-    told = misfit(blocks, short, theta, FIXED, means)
-    distribution = cluster_robust(white, theta, ~FIXED, WIDENING if slow.are_slow else 1.0)
-    assert told is not None
+    theta = certify(merge(white), *Parametrisation.of(model).coefficient_bounds()).coefficients
+    own = misfit(blocks, short, theta, fixed, means)
+    distribution = cluster_robust(white, theta, ~fixed, WIDENING if slow.are_slow else 1.0)
+    assert own is not None
     assert distribution is not None
-    row = regressors(MODEL, REFERENCE)[0]
-    contrasts = np.vstack([np.append(row[:-2], 0.0), np.eye(4)[:3]])
+    row = regressors(model, REFERENCE)[0]
+    contrasts = np.vstack([np.append(row[:-2], 0.0), np.eye(k)[:3]])
     intervals = [distribution.interval(one) for one in contrasts]
     statistical = np.array([np.nan if one is None else one.half_width for one in intervals])
-    tau = structured_misfit([told]).l_per_min
-    reach = model_errors(blocks, FIXED, contrasts, tau)
-    model = reach * np.array([LEAKAGE_FACTOR, *[COEFFICIENT_FACTOR] * 3])
+    taus = [structured_misfit([one]).l_per_min for one in (own, *[stated or own] * 3)]
+    reach = model_errors(blocks, fixed, contrasts, 1.0) * np.array(taus)
+    total = np.sqrt(statistical**2 + sensors**2 + (reach * FACTORS) ** 2)
     estimate = np.append(contrasts[0] @ theta + row[-1], theta[:3])
-    total = np.sqrt(statistical**2 + sensors**2 + model**2)
-    return Night(told, estimate - truth, statistical, total, truth)
+    return np.array([estimate, statistical, total]), own
 
 
 def _duty(n: int, generator: np.random.Generator) -> tuple[Array, Array, Array]:
@@ -247,7 +265,9 @@ def main() -> None:
     """Measure and write `benchmarks/results/model_verdict.md`."""
     rows = []
     for name, case in CASES.items():
-        many = Parallel(n_jobs=2)(delayed(course)(case, seed) for seed in range(COURSES))
+        many = Parallel(n_jobs=2)(
+            delayed(course)(case, seed) for seed in range(FIRST_SEED, FIRST_SEED + COURSES)
+        )
         rows.append([name, *_verdicts(many), *_coverage([one for some in many for one in some])])
     header = (
         "case",
@@ -258,9 +278,14 @@ def main() -> None:
         "first kind",
         "leakage held before, %",
         "after, %",
-        "± before / after, %",
+        "free, %",
+        "bias, fixed → free, %",
+        "± before, fixed → free, %",
+        "± after, fixed → free, %",
         "K held before, %",
         "after, %",
+        "free, %",
+        "± of K after, fixed → free, %",
     )
     title = (
         f"Verdicts on models: {COURSES * NIGHTS} nights a case; verdicts are shares of supported / "
@@ -286,16 +311,26 @@ def _verdicts(courses: Sequence[Sequence[Night]]) -> list[str]:
 
 
 def _coverage(nights: Sequence[Night]) -> list[str]:
-    error = np.abs([one.error for one in nights])
-    truth = np.array([one.truth for one in nights])
-    statistical = np.array([one.statistical for one in nights])
-    total = np.array([one.total for one in nights])
-    before, after = 100 * np.mean(error <= statistical, 0), 100 * np.mean(error <= total, 0)
-    widths = 100 * np.median(np.stack([statistical, total]) / truth, axis=1)[:, 0]
+    error, statistical, total = (
+        np.array([getattr(one, name) for one in nights])
+        for name in ("error", "statistical", "total")
+    )
+    before, after = (100 * np.mean(np.abs(error) <= half, 0) for half in (statistical, total))
+    bias = 100 * np.mean(error[:, :, 0], axis=0)
+    widths = 100 * np.median([statistical, total], axis=1)
+
+    def k(held: Array) -> str:
+        return " / ".join(f"{one:.0f}" for one in held[1:])
+
     return [
-        f"{before[0]:.0f}",
-        f"{after[0]:.0f}",
-        f"{widths[0]:.2f} / {widths[1]:.2f}",
-        " / ".join(f"{one:.0f}" for one in before[1:]),
-        " / ".join(f"{one:.0f}" for one in after[1:]),
+        f"{before[0, 0]:.0f}",
+        f"{after[0, 0]:.0f}",
+        f"{after[1, 0]:.0f}",
+        " → ".join(f"{one:+.1f}" for one in bias),
+        " → ".join(f"{one:.2f}" for one in widths[0, :, 0]),
+        " → ".join(f"{one:.2f}" for one in widths[1, :, 0]),
+        k(before[0]),
+        k(after[0]),
+        k(after[1]),
+        " → ".join(k(one) for one in widths[1]),
     ]

@@ -192,6 +192,50 @@ def merge(factors_in_time_order: Array) -> Array:
     return merged
 
 
+def with_free_known(factors: Array, place: int, coefficient: float) -> Array:
+    """Factors with the known flow as a path of its own, whose coefficient can be estimated.
+
+    Parameters
+    ----------
+    factors
+        Shape (b, c, c).
+    place
+        Of the new column among the paths.
+    coefficient
+        With which the path is in the known flow.
+
+    Returns
+    -------
+    ndarray
+        Shape (b, c + 1, c + 1); nothing is known any more.
+
+    Examples
+    --------
+    >>> one = factor(np.array([[3.0, 1.0, 4.0, 9.0], [2.0, 1.0, 6.0, 8.0]]))[None]
+    >>> with_free_known(one, 1, 2.0)[0, :2].round(6).tolist() == factor(
+    ...     np.array([[3.0, 2.0, 1.0, 0.0, 9.0], [2.0, 3.0, 1.0, 0.0, 8.0]])
+    ... )[:2].round(6).tolist()
+    True
+    """
+    moved = np.insert(factors, place, factors[:, :, -2] / coefficient, axis=2)
+    moved[:, :, -2] = 0.0
+    return _triangular(np.pad(moved, ((0, 0), (0, 1), (0, 0))))
+
+
+def with_path_known(factors: Array, place: int, coefficient: float) -> Array:
+    """Factors with a path in the known flow: the inverse of :func:`with_free_known`.
+
+    Examples
+    --------
+    >>> one = factor(np.array([[3.0, 1.0, 4.0, 9.0], [2.0, 1.0, 6.0, 8.0]]))[None]
+    >>> bool(np.allclose(with_path_known(with_free_known(one, 1, 2.0), 1, 2.0), one))
+    True
+    """
+    known = factors.copy()
+    known[:, :, -2] += coefficient * factors[:, :, place]
+    return _triangular(np.delete(known, place, axis=2))[:, : known.shape[2] - 1]
+
+
 def _require_finite(what: str, values: Array) -> None:
     if not np.isfinite(values).all():
         raise StatisticsError(

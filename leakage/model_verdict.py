@@ -39,6 +39,8 @@ from leakage.uncertainty import cluster_robust
 Array = NDArray[np.float64]
 
 ModelVerdict: TypeAlias = Literal["supported", "doubtful", "disproved"]
+# What a model has of the low-pressure side.
+LowSide: TypeAlias = Literal["modelled", "known", "unknown"]
 
 # Columns that a right model does not need, in order; the ones come last, as in the statistics.
 COLUMNS = ("known flow", "temperature", "pressure", "speed", "pressure and speed", "constant")
@@ -56,10 +58,15 @@ LEAST_BESIDE = 0.005
 CAUSES = {
     "temperature": "another oil than stated, or a temperature sensor that lags or sits elsewhere; "
     "check the grade and take a sample",
-    "load": "leakage from both sides, another film law, or a sensor's zero; try two_sided or "
-    'film_pressure "slot", check zeros',
+    "load": 'another film law, or a sensor\'s zero; try film_pressure "slot", check zeros',
     "speed": "the cam roller's curve or count, or all other flows on another scale (oil, film "
     "law); check them, or free the roller's scale",
+}
+# The likeliest of load, by what is known of the low-pressure side.
+LOW_SIDES: dict[LowSide, str] = {
+    "modelled": "",
+    "known": "leakage may be two-sided: try model.two_sided; or ",
+    "unknown": "leakage may be two-sided: log or state the charge pressure; or ",
 }
 # Half-widths that a misfit adds, over what it can do: of a leakage, and of a coefficient.
 LEAKAGE_FACTOR = 2.0
@@ -342,10 +349,11 @@ def model_verdict(misfit: StructuredMisfit) -> ModelVerdict | None:
     return "doubtful" if misfit.share > doubtful else "supported"
 
 
-def verdict_in_words(misfit: StructuredMisfit) -> str:
+def verdict_in_words(misfit: StructuredMisfit, low_side: LowSide = "unknown") -> str:
     """Size of the misfit, what it goes with, likely causes in order, and what to try."""
     size = f"{100 * misfit.share:.1f} % of the leakage goes with what the model does not describe"
-    return "; ".join([size, *(f"{kind}: {CAUSES[kind]}" for kind in misfit.kinds)])
+    causes = CAUSES | {"load": LOW_SIDES[low_side] + CAUSES["load"]}
+    return "; ".join([size, *(f"{kind}: {causes[kind]}" for kind in misfit.kinds)])
 
 
 def model_errors(

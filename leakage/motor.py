@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from leakage.conditions import OperatingConditions
 from leakage.errors import ParameterError
 from leakage.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil, flow_drive_per_s
-from leakage.paths import Constant, LeakagePath
+from leakage.paths import Constant, LeakagePath, SpeedCurve
 
 __all__ = [
     "FIXED_COLUMNS",
@@ -103,6 +103,27 @@ class Motor:
         """Paths of which nothing is free, but the constant: their sum is the known flow."""
         return tuple(
             path for path in self.paths if not path.is_free and not isinstance(path, Constant)
+        )
+
+    @property
+    def standard(self) -> SpeedCurve | None:
+        """The speed curve that is the whole known flow: what its scale is, data can tell."""
+        known = [path for path in self.known_paths if path.configured_coefficient]
+        for path in known:
+            if len(known) == 1 and isinstance(path, SpeedCurve):
+                return path if path.scale.minimum < path.scale.maximum else None
+        return None
+
+    def with_free_standard(self) -> Motor:
+        """The motor with the scale of its standard free within its bounds."""
+        return replace(
+            self,
+            paths=tuple(
+                replace(path, scale=replace(path.scale, fixed=False))
+                if path is self.standard and isinstance(path, SpeedCurve)
+                else path
+                for path in self.paths
+            ),
         )
 
     @property

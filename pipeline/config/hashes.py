@@ -45,6 +45,8 @@ SETTINGS_NAMED = 4
 OF_TRENDS = ("trend.", "alarms.")
 # Settings that shape no figure: how people are told.
 UNSHAPING = {"alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"}}
+# Key of a motor whose rollers' scale is free.
+ROLLER = "roller"
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
 
 
@@ -125,7 +127,13 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
         "type": spec.motor_type.model_dump(mode="json"),
         "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
         "settings": spec.settings.model_dump(mode="json", exclude=UNSHAPING),
+        **_roller(spec),
     }
+
+
+def _roller(spec: MotorSpec) -> dict[str, str]:
+    """How the scale of the rollers' curve is fitted; nothing where it is fixed."""
+    return {ROLLER: "free"} if spec.roller_is_free else {}
 
 
 def reading_hash(spec: MotorSpec) -> str:
@@ -163,7 +171,7 @@ class SettingsHashes:
         by_hand = ChosenPeriods.of(spec.file.periods, night_labelled(night, spec.settings.nights))
         key = (spec.file.oil_on(night), by_hand)
         if key not in self._statistics:
-            motor = spec.motor(night, spec.file.flushing.mode)
+            motor = spec.stated.motor(night, spec.file.flushing.mode)
             self._statistics[key] = hash_of(
                 {
                     "model_hash": model_hash(spec, motor, night),
@@ -200,6 +208,7 @@ class SettingsHashes:
                     "minimum_training_minutes": settings.windows.minimum_training_minutes,
                     "reference": settings.reference.model_dump(mode="json"),
                     "model": settings.model.model_dump(mode="json"),
+                    **_roller(spec),
                 }
             )
         return self._figures[oil]
@@ -240,7 +249,11 @@ def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:
                 "minimum_speed_spread_rpm",
                 "minimum_temperature_spread_c",
             },
-            "model": {"film_pressure_share_tolerance", "charge_pressure_tolerance_bar"},
+            "model": {
+                "film_pressure_share_tolerance",
+                "charge_pressure_tolerance_bar",
+                "roller_scale",
+            },
             "estimation": set(type(spec.settings.estimation).model_fields) - {"loss"},
         },
     )

@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
+from leakage.model_verdict import LowSide
 from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
@@ -25,6 +26,9 @@ Model = TypeVar("Model", bound=BaseModel)
 URL_SCHEMES = ("s3", "az", "gs")
 
 Document = Mapping[str, Any]
+
+# Channels that tell the pressure of the low side.
+LOW_SIDE = frozenset(("charge_pressure", "low_port_pressure"))
 
 # Folders of the output that a run writes or empties.
 OWN_FOLDERS = ("tables", "manifest", "ledger", "history", "staging", "report")
@@ -50,7 +54,8 @@ class Folder(Generic[Model]):
 class MotorSpec:
     """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
 
-    Its logs lie below `log_root`, or below `log_url` where that is not empty.
+    Its logs lie below `log_root`, or below `log_url` where that is not empty. `roller_is_free`: the
+    scale of the rollers' curve is estimated, as the motor's own nights decide.
     """
 
     file: MotorFile
@@ -59,6 +64,12 @@ class MotorSpec:
     settings: Settings
     log_root: Path
     log_url: str = ""
+    roller_is_free: bool = False
+
+    @property
+    def stated(self) -> MotorSpec:
+        """The motor as its files state it, the scale of the rollers' curve fixed."""
+        return replace(self, roller_is_free=False) if self.roller_is_free else self
 
     @property
     def motor_id(self) -> str:
@@ -69,15 +80,24 @@ class MotorSpec:
         """The oil of a night."""
         return self.oils[self.file.oil_on(night)]
 
+    @property
+    def low_side(self) -> LowSide:
+        """The low-pressure side in the model: part of it, known and left out, or unknown."""
+        model, is_logged = self.settings.model, not LOW_SIDE.isdisjoint(self.file.channels)
+        if model.two_sided:
+            return "modelled"
+        return "known" if is_logged or model.charge_pressure_bar > 0.0 else "unknown"
+
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
         """The motor as the physics knows it, on a night and under one mode of flushing."""
         model = self.settings.model
-        return Motor(
+        motor = Motor(
             motor_type=self.motor_type.motor_type,
             paths=(*self.motor_type.paths(), self.file.flushing.path(flushing_mode)),
             oil=self.oil_on(night).oil(),
             film_pressure=FilmPressure(model.film_pressure, model.film_pressure_share),
         )
+        return motor.with_free_standard() if self.roller_is_free else motor
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,6 +282,9 @@ def _resolve(
     motor, motor_type = motors.parsed.get(name), types.parsed.get(document.get("motor_type", ""))
     if len(faults) > before or not motor or not settings or not motor_type:
         return None
+    two_sided = settings.model.is_two_sided(is_logged=not LOW_SIDE.isdisjoint(motor.channels))
+    model = settings.model.model_copy(update={"two_sided": two_sided})
+    settings = settings.model_copy(update={"model": model})
     spec = MotorSpec(motor, motor_type, oils.parsed, settings, log_root)
     faults += _impossible(file, spec)
     return spec

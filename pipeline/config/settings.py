@@ -257,13 +257,14 @@ class Model(Section):
     film_pressure_share_tolerance: NonNegative = Field(
         0.0, le=1, description="Stated tolerance of that share; 0: none stated"
     )
-    two_sided: bool = Field(
-        False,
+    two_sided: bool | None = Field(
+        None,
         description="Every path leaks to the case from both sides: the high one at pressure "
-        "difference + charge − case pressure, the low one at charge − case pressure",
+        "difference + charge − case pressure, the low one at charge − case pressure; by default "
+        "where the charge or low-port pressure is logged, or `charge_pressure_bar` is stated",
     )
     charge_pressure_bar: NonNegative = Field(
-        0.0, description="Pressure of the low port; `two_sided` without a channel of it"
+        0.0, description="Pressure of the low port, without a channel of it; 0: none stated"
     )
     case_pressure_bar: NonNegative = Field(
         0.0, description="Pressure of the case; `two_sided` without a channel of it"
@@ -271,6 +272,18 @@ class Model(Section):
     charge_pressure_tolerance_bar: NonNegative = Field(
         0.0, description="Stated tolerance of charge − case pressure; 0: none stated"
     )
+
+    roller_scale: Literal["by_information", "fixed"] = Field(
+        "by_information",
+        description="Scale of a motor's one known curve, that of the cam rollers: estimated where "
+        "most of the first nights of a baseline tell it, since speed varies; `fixed`: as the motor "
+        "type says, the thesis",
+    )
+
+    def is_two_sided(self, *, is_logged: bool = False) -> bool:
+        """Two-sided as stated, else where the low side's pressure is stated or logged."""
+        is_known = is_logged or self.charge_pressure_bar > 0.0
+        return is_known if self.two_sided is None else self.two_sided
 
 
 class Estimation(Section):

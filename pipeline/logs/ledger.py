@@ -14,6 +14,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.config import MotorSpec
+from pipeline.config.hashes import ROLLER
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.workers.process import still_alive
 
@@ -76,6 +78,8 @@ class NightRecord:
     statistics_hash, figures_hash
         Hashes of the settings of its statistics, and of the figures made from them; empty without
         any.
+    tells_roller
+        Whether it tells the scale of the rollers' curve; None without a fit, or such a curve.
     """
 
     status: str
@@ -83,6 +87,7 @@ class NightRecord:
     judged_with: str = ""
     statistics_hash: str = ""
     figures_hash: str = ""
+    tells_roller: bool | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +204,12 @@ def read_settings(output: Path, motor_id: str) -> dict[str, str]:
     """Settings of a motor's last run by dotted key; empty without a record."""
     document = read_if_whole(settings_file(output, motor_id), unseal) or {}
     return {str(key): str(value) for key, value in document.items()}
+
+
+def as_published(output: Path, spec: MotorSpec) -> MotorSpec:
+    """A motor with the scale of its rollers' curve free where its published fits have it so."""
+    is_free = ROLLER in read_settings(output, spec.motor_id)
+    return replace(spec, roller_is_free=is_free)
 
 
 def write_settings(output: Path, motor_id: str, settings: Mapping[str, str]) -> None:

@@ -158,7 +158,7 @@ def subject_of(
         pressure_bar=reference.pressure_bar,
         temperature_c=reference.temperature_c,
         speed_rpm=reference.speed_rpm,
-        charge_over_case_bar=max(charge, 0.0) if model.two_sided else None,
+        charge_over_case_bar=max(charge, 0.0) if model.is_two_sided() else None,
         deformation_points={
             path.name: np.array(path.deformation_points)
             for path in motor_type.path

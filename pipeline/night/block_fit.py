@@ -12,12 +12,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, OperatingConditions, Parametrisation, SearchSettings, fit, regressors
-from leakage.block_statistics import merge
+from leakage import (
+    EstimationError,
+    Fit,
+    Motor,
+    OperatingConditions,
+    Parametrisation,
+    SearchSettings,
+    fit,
+    regressors,
+)
+from leakage.block_statistics import merge, with_free_known
 from leakage.certificate import Certificate, certify
 from leakage.identifiability import (
     Excitation,
     Identification,
+    Judgement,
     LeakageJudgement,
     identify,
     is_outside,
@@ -32,7 +42,7 @@ from leakage.model_verdict import (
     model_errors,
     structured_misfit,
 )
-from leakage.slow_errors import slow_errors, whitened
+from leakage.slow_errors import SlowErrors, slow_errors, whitened
 from leakage.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
@@ -44,6 +54,14 @@ from pipeline.night.windows import TRAINING
 Array = NDArray[np.float64]
 
 REFERENCE, OWN = "reference_leakage", "own_conditions_leakage"
+
+
+@dataclass(frozen=True, slots=True)
+class RollerScale:
+    """The scale of the rollers' curve by the blocks of a night, and the verdict on it."""
+
+    value: float
+    judgement: Judgement
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +91,13 @@ class BlockFit:
     systematic
         ± from stated tolerances by indicator, in its unit; without those that have none.
     misfit, structured
-        Misfit statistics of the model, and what is structured in them; None where the blocks are
-        too few.
+        What the blocks say of the model as it is stated, and what is structured in it; None where
+        they are too few.
     errors
         Parts of the ± by indicator.
+    roller
+        What the blocks say of the scale of the rollers' curve, whether or not the fit uses it; None
+        without such a curve.
     memory_s
         Time over which the training errors forget [s]; it needs samples, nan without.
     residuals
@@ -98,6 +119,7 @@ class BlockFit:
     misfit: Misfit | None
     structured: StructuredMisfit | None
     errors: Mapping[str, ErrorParts]
+    roller: RollerScale | None = None
     memory_s: float = math.nan
     residuals: tuple[PartResiduals, ...] = ()
 
@@ -111,6 +133,7 @@ def fit_stored_blocks(
     inflation: float,
     sensitivities: Sequence[Mapping[str, Any]] = (),
     *,
+    misfit_as_stated: Misfit | None = None,
     search: bool = True,
     bootstrap: bool = True,
 ) -> BlockFit:
@@ -128,6 +151,8 @@ def fit_stored_blocks(
         Factor on standard errors that robust weights ask for; 1 without them.
     sensitivities
         Rows of the table: effects of the stated tolerances under this mode.
+    misfit_as_stated
+        Misfit of the model as it is stated, where the rollers' scale is free; else its own counts.
     search
         Make the starts of the search, too; the estimate does not depend on them.
     bootstrap
@@ -167,9 +192,17 @@ def fit_stored_blocks(
     at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
     told = misfit(blocks.factors, short, fitted.coefficients, lower == upper, blocks.block_means())
     own_means = blocks.means()
-    structured = None if told is None else structured_misfit([told])
+    judged = misfit_as_stated if spec.roller_is_free else told
+    structured = None if judged is None else structured_misfit([judged])
+    own_structured = structured if judged is told or told is None else structured_misfit([told])
     errors = _errors(
-        fitted, identification, excitation, blocks.factors, structured, at, sensitivities
+        fitted,
+        identification,
+        excitation,
+        blocks.factors,
+        (own_structured, structured),
+        at,
+        sensitivities,
     )
     reference, own = (
         judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
@@ -200,10 +233,38 @@ def fit_stored_blocks(
             resamples=estimation.bootstrap_resamples if bootstrap else 0,
         ),
         systematic=stated(sensitivities),
-        misfit=told,
+        misfit=judged,
         structured=structured,
         errors=errors,
+        roller=_roller(
+            spec.stated.motor(night, mode), fitted, factors, excitation, inflation, slow
+        ),
     )
+
+
+def _roller(
+    motor: Motor,
+    fitted: Fit,
+    factors: Array,
+    excitation: Excitation,
+    inflation: float,
+    slow: SlowErrors,
+) -> RollerScale | None:
+    """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
+    standard = motor.standard
+    if standard is None:
+        return None
+    free = motor.with_free_standard()
+    place = free.columns.index(standard.name)
+    if free.columns != fitted.motor.columns:
+        factors = with_free_known(factors, place, standard.configured_coefficient)
+        nowhere = SearchSettings(starting_points=0)
+        try:
+            fitted = fit(merge(factors), free, nowhere, np.random.default_rng(0))
+        except EstimationError:
+            return None
+    judged = identify(fitted, factors, excitation, inflation, slow).coefficients[place]
+    return RollerScale(float(fitted.coefficients[place]), judged)
 
 
 def _errors(
@@ -211,11 +272,11 @@ def _errors(
     identification: Identification,
     excitation: Excitation,
     factors: Array,
-    structured: StructuredMisfit | None,
+    misfits: tuple[StructuredMisfit | None, StructuredMisfit | None],
     at: Mapping[str, OperatingConditions],
     sensitivities: Sequence[Mapping[str, Any]],
 ) -> dict[str, ErrorParts]:
-    """Parts of the ± of each leakage and coefficient."""
+    """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
     fixed, distribution = fitted.certificate.fixed, identification.distribution
     sensors = of_sensors(sensitivities)
     rows = {name: regressors(fitted.motor, one)[0] for name, one in at.items()}
@@ -244,11 +305,13 @@ def _errors(
     intervals |= {
         name: identification.coefficients[place].information for name, place in paths.items()
     }
-    model: Sequence[float | None] = [None] * len(contrasts)
-    if structured is not None:
-        reach = model_errors(factors, fixed, np.array([*contrasts.values()]), structured.l_per_min)
-        factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
-        model = (factor * reach).tolist()
+    reach = model_errors(factors, fixed, np.array([*contrasts.values()]), 1.0)
+    taus = [misfits[0]] * len(rows) + [misfits[1]] * len(paths)
+    factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
+    model = [
+        None if tau is None else float(scale * tau.l_per_min)
+        for scale, tau in zip(factor * reach, taus, strict=True)
+    ]
     return {
         name: ErrorParts(
             None if interval is None else interval.half_width,

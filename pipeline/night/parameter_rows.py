@@ -37,8 +37,17 @@ def parameter_rows(spec: MotorSpec, mode: BlockFit) -> list[Row]:
     rows: list[Row] = []
     for path in fit.motor.paths:
         row = _coefficient_row(mode, path, places.get(path.name), spreads)
+        if path is fit.motor.standard and spec.settings.model.roller_scale == "by_information":
+            row["reason"] = _why_fixed(mode)
         rows += [row, *_derived_rows(spec, path, row, spreads)]
     return rows + _share_rows(mode)
+
+
+def _why_fixed(mode: BlockFit) -> str:
+    """Reason why the scale of the rollers' curve is held as configured."""
+    if mode.roller is not None and mode.roller.judgement.reason:
+        return f"configured, as speed varies too little: {mode.roller.judgement.reason}"
+    return "configured, as most of a baseline's first nights are to tell it"
 
 
 def _columns(fit: Fit) -> tuple[LeakagePath | None, ...]:

@@ -15,6 +15,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import EstimationError
+from leakage.block_statistics import with_free_known, with_path_known
+from leakage.model_verdict import Misfit
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, fit_stored_blocks
 from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
@@ -30,8 +32,10 @@ from pipeline.night.rows import (
     previous_model_columns,
     search_columns,
     start_rows,
+    upper_triangle,
 )
-from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.schema import BLOCK_STATISTICS
 
 Array = NDArray[np.float64]
 
@@ -83,20 +87,25 @@ def refit(
         None where the published rows do not suffice: the log has to be read.
     """
     primary = spec.file.flushing.mode
+    motor = spec.stated.motor(night.label, primary)
     fits = {row["flushing_mode"]: row for row in night.fits}
     if set(fits) != set(spec.file.flushing.modes) or night.blocks is None:
         return None
     if any(row["status"] != OK or row["sample_period_s"] is None for row in fits.values()):
         return None
-    blocks = StoredBlocks.of(night.blocks, spec.motor(night.label, primary).columns)
+    blocks = StoredBlocks.of(night.blocks, motor.columns)
     if blocks is None:
         return None
+    if spec.roller_is_free and motor.standard is not None:
+        place = spec.motor(night.label, primary).columns.index(motor.standard.name)
+        blocks = blocks.with_free_known(place, motor.standard.configured_coefficient)
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
     rows: Rows = {name: [] for name in tables}
     model = {}
     for mode in spec.file.flushing.modes:
         key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
-        before = fits[mode]
+        before = fits[mode] | _night_factor(spec, fits[mode])
+        told = before["model_misfit_statistics"]
         try:
             found = fit_stored_blocks(
                 spec,
@@ -106,6 +115,7 @@ def refit(
                 before["mean_charge_over_case_bar"],
                 before["weight_inflation"],
                 [row for row in night.sensitivities if row["flushing_mode"] == mode],
+                misfit_as_stated=None if told is None else Misfit.of(np.array(told)),
                 search=with_starts,
             )
         except EstimationError:
@@ -122,6 +132,63 @@ def refit(
         model[mode] = tuple(found.fit.coefficients.tolist())
     mark_modes(rows["fits"], primary)
     return NightOutcome(night.label, OK, None, None, rows, model, tables=tables)
+
+
+def with_free_roller(
+    spec: MotorSpec,
+    outcome: NightOutcome,
+    published: PublishedNight | None,
+    previous: PreviousModel,
+) -> NightOutcome | None:
+    """A night's outcome with the scale of the rollers' curve estimated.
+
+    What needs samples, the search and the misfit are those of the model as it is stated.
+
+    Parameters
+    ----------
+    spec
+        The motor.
+    outcome
+        The night, fitted as stated.
+    published
+        Its rows as published, of a night that was not read; None of one that was.
+    previous
+        The motor's model before, by flushing mode.
+
+    Returns
+    -------
+    NightOutcome or None
+        None where its rows do not suffice.
+    """
+    rows = outcome.rows
+    if published is None:
+        kinds = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS}
+        blocks = pl.DataFrame(rows["block_statistics"], kinds)
+        published = PublishedNight(outcome.night, (), (), rows["sensitivities"], blocks)
+    night = replace(published, fits=rows["fits"], parameters=rows["parameters"])
+    made = refit(replace(spec, roller_is_free=True), night, previous)
+    if made is None:
+        return None
+    is_refitted = {row["flushing_mode"]: row["is_refitted"] for row in rows["fits"]}
+    fits = [row | {"is_refitted": is_refitted[row["flushing_mode"]]} for row in made.rows["fits"]]
+    return replace(outcome, rows={**rows, **made.rows, "fits": fits}, model=made.model)
+
+
+def _night_factor(spec: MotorSpec, row: Row) -> Row:
+    """Columns of the night's factor in the form in which the motor is fitted."""
+    stated = spec.stated.motor(row["night"], row["flushing_mode"])
+    columns = list(spec.motor(row["night"], row["flushing_mode"]).columns)
+    if row["columns"] == columns or stated.standard is None:
+        return {}
+    standard, known = stated.standard, row["columns"]
+    factor = np.zeros((len(known),) * 2)
+    factor[np.triu_indices(len(factor))] = row["night_factor"]
+    if standard.name in columns:
+        place, move = columns.index(standard.name), with_free_known
+    else:
+        place, move = known.index(standard.name), with_path_known
+    (moved,) = move(factor[None], place, standard.configured_coefficient)
+    return {"columns": columns, "night_factor": upper_triangle(moved)}
 
 
 def judge_again(
@@ -153,7 +220,7 @@ def is_refit(outcome: NightOutcome) -> bool:
 def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlocks) -> Row:
     """A row of `fits`; what needs samples is as before."""
     reference = spec.settings.reference
-    row = before | block_fit_columns(spec, found) | leakage_columns(found)
+    row = before | block_fit_columns(spec, found) | leakage_columns(spec, found)
     row |= {
         "is_refitted": True,
         "reference_pressure_bar": reference.pressure_bar,
@@ -175,7 +242,7 @@ def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:
 
 def _parameters(spec: MotorSpec, found: BlockFit, before: Sequence[Row]) -> list[Row]:
     """Rows of `parameters`; what needs starts is as before."""
-    spreads = {row["parameter"]: row["spread_over_starts"] for row in before}
+    spreads = {row["parameter"]: row.get("spread_over_starts") for row in before}
     return [
         row | {"spread_over_starts": spreads.get(row["parameter"])}
         for row in parameter_rows(spec, found)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
 from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
-from leakage.model_verdict import model_verdict, verdict_in_words
+from leakage.model_verdict import LowSide, model_verdict, verdict_in_words
 from leakage.validation import (
     Agreement,
     agreement,
@@ -226,7 +226,7 @@ def _mode_columns(
         **previous_model_columns(spec, statistics.judged_on(), previous),
         **block_fit_columns(spec, mode),
         **residual_columns(mode.residuals),
-        **leakage_columns(mode),
+        **leakage_columns(spec, mode),
     }
 
 
@@ -345,7 +345,7 @@ def mark_modes(rows: Sequence[Row], primary: str) -> None:
         )
 
 
-def leakage_columns(mode: BlockFit) -> Row:
+def leakage_columns(spec: MotorSpec, mode: BlockFit) -> Row:
     """Reference leakage and leakage at own conditions, where they are told, with intervals."""
     return {
         "reference_verdict": mode.reference.verdict,
@@ -355,11 +355,26 @@ def leakage_columns(mode: BlockFit) -> Row:
         "own_conditions_reason": mode.own.reason or None,
         **_leakage(REFERENCE, mode.reference, mode),
         **_leakage(OWN, mode.own, mode),
-        **model_columns(mode),
+        **model_columns(mode, spec.low_side),
+        **_roller_columns(spec, mode),
     }
 
 
-def model_columns(mode: BlockFit) -> Row:
+def _roller_columns(spec: MotorSpec, mode: BlockFit) -> Row:
+    """Scale of the rollers' curve, as the night tells it, and whether the fit uses it."""
+    row: Row = {"roller_is_free": spec.roller_is_free}
+    row |= dict.fromkeys(("roller_scale", "roller_scale_half_width", "roller_verdict"))
+    if mode.roller is None:
+        return row
+    judged = mode.roller.judgement
+    return row | {
+        "roller_scale": mode.roller.value,
+        "roller_scale_half_width": judged.interval and judged.interval.half_width,
+        "roller_verdict": judged.verdict,
+    }
+
+
+def model_columns(mode: BlockFit, low_side: LowSide) -> Row:
     """Verdict on the model; none where the night has too few blocks for it."""
     names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
     row: Row = dict.fromkeys(f"model_{name}" for name in names)
@@ -371,7 +386,9 @@ def model_columns(mode: BlockFit) -> Row:
         "model_verdict": verdict,
         "model_misfit_percent": 100.0 * found.share,
         "model_noise_percent": 100.0 * found.noise_share,
-        "model_reason": verdict_in_words(found) if verdict in ("doubtful", "disproved") else None,
+        "model_reason": (
+            verdict_in_words(found, low_side) if verdict in ("doubtful", "disproved") else None
+        ),
         "model_misfit_statistics": told.numbers().tolist(),
     }
 

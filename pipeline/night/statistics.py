@@ -172,7 +172,10 @@ def _charge_over_case_bar(spec: MotorSpec, samples: Samples) -> Array:
     """Charge above case pressure: from channels where logged, else as configured."""
     logged, model = samples.low_pressures_bar, spec.settings.model
     constant = np.full(len(samples.index), model.charge_pressure_bar)
-    charge = logged.get("charge_pressure", logged.get("low_port_pressure", constant))
+    if (low_port := logged.get("low_port_pressure")) is not None:
+        # Under back-drive the ports change sides.
+        constant = low_port + np.minimum(samples.pressure_difference_bar, 0.0)
+    charge = logged.get("charge_pressure", constant)
     case = logged.get("case_pressure", np.full(len(samples.index), model.case_pressure_bar))
     difference: Array = np.maximum(charge - case, 0.0)
     return difference

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage.block_statistics import merge
+from leakage.block_statistics import merge, with_free_known
 from leakage.slow_errors import ShortBlocks, short_blocks
 from pipeline.schema import BLOCK_STATISTICS
 
@@ -66,6 +66,20 @@ class StoredBlocks:
         schema = BLOCK_STATISTICS.schema
         wanted = {name: schema[name] for name in BLOCK_COLUMNS}
         return cls(pl.DataFrame(rows, schema=wanted), factors)
+
+    def with_free_known(self, place: int, coefficient: float) -> StoredBlocks:
+        """The blocks with the known flow as a path of its own, the same to the bit each time."""
+        size = self.factors.shape[2] + 1
+        shorts = []
+        for values in self.rows["short_means"].to_list():
+            # Place and number of samples come before the columns.
+            part = np.reshape(values or (), (-1, size)).astype(np.float64)
+            part = np.insert(part, 2 + place, part[:, -2] / coefficient, axis=1)
+            part[:, -2] = 0.0
+            shorts.append(part.ravel().tolist() or None)
+        column = pl.Series("short_means", shorts, dtype=self.rows.schema["short_means"])
+        moved = with_free_known(self.factors, place, coefficient)
+        return StoredBlocks(self.rows.with_columns(column), moved)
 
     def factor_of(self, part: str) -> Array:
         """Factor of all blocks of the training or the validation samples, shape (c, c)."""

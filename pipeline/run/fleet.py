@@ -27,7 +27,7 @@ from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.files import legible
-from pipeline.logs.ledger import read_settings
+from pipeline.logs.ledger import as_published, read_settings
 from pipeline.logs.motor_logs import FATES
 from pipeline.night.fit_night import FAILED
 from pipeline.run.chunks import run_motors
@@ -327,7 +327,7 @@ def plan_trends(request: RunRequest) -> Iterator[tuple[str, str]]:
     """
     output, specs = request.fleet.output, request.specs
     decisions = decisions_of(specs, read_decisions(output))
-    for spec in specs:
+    for spec in (as_published(output, one) for one in specs):
         record = read_record(output, spec.motor_id)
         if record is not None and record.trend_hash != trend_hash(spec, decisions[spec.motor_id]):
             before, now = read_settings(output, spec.motor_id), settings_of(spec)

@@ -31,6 +31,7 @@ from pipeline.logs.ledger import (
     FileRecord,
     Ledger,
     NightRecord,
+    as_published,
     changed_months,
     ledger_folder,
     read_ledger,
@@ -49,6 +50,7 @@ from pipeline.night.fit_night import (
     unfitted,
 )
 from pipeline.night.refit import is_refit, judged
+from pipeline.night.roller import is_roller_free
 from pipeline.night.rows import Row
 from pipeline.run.stored_nights import StoredNights
 from pipeline.run.tasks import (
@@ -171,6 +173,12 @@ class _Chunk:
     peak_memory_mib: float
 
 
+def _tells_roller(outcome: NightOutcome) -> bool | None:
+    """Whether a night's primary fit tells the scale of the rollers' curve; None without either."""
+    verdicts = [row.get("roller_verdict") for row in outcome.rows["fits"] if row["is_primary"]]
+    return verdicts[0] and verdicts[0] == "identified"
+
+
 def _still_published(ledger: Ledger, output: Path) -> Ledger:
     """A ledger without the nights whose tables somebody removed: they are to be made anew."""
     gone = {label for label in ledger.nights if not night_file(output, FITS, label).exists()}
@@ -226,9 +234,12 @@ class _Nights:
                 if label not in self.withdrawn
             },
         )
-        self.hashes = SettingsHashes(self.spec)
+        self.form = as_published(task.output, self.spec)
+        self.hashes = SettingsHashes(self.form)
         self.stored = StoredNights(task.output, self.spec, with_starts=task.with_starts)
         self.done: dict[dt.date, NightOutcome] = {}
+        # Nights of this run as the model is stated.
+        self.stated: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
         self.kept: set[dt.date] = set()
         self.reasons: dict[dt.date, str] = {}
@@ -294,6 +305,8 @@ class _Nights:
             # Also those that an earlier state of a file had been read for.
             for waiting in self.logs.waiting() & self.done.keys():
                 self._take_back(waiting)
+        if self._is_roller_free() != self.form.roller_is_free:
+            self._change_form()
         for label in self._holes():
             reason = "no log covers this night"
             self.done[label] = unfitted(self.spec, label, NO_NEW_DATA, reason)
@@ -325,7 +338,7 @@ class _Nights:
         if self.task.force:
             return dict.fromkeys(present, Step(Work.READ, "asked for"))
         before = read_settings(self.task.output, self.spec.motor_id)
-        why = why_anew(before, settings_of(self.spec))
+        why = why_anew(before, settings_of(self.form))
         for label, record in self.before.nights.items():
             if not record.statistics_hash:
                 continue
@@ -391,6 +404,7 @@ class _Nights:
             _hash_of_model(before),
             self.hashes.statistics(label),
             self.hashes.figures(label),
+            _tells_roller(outcome),
         )
 
     def _holes(self) -> list[dt.date]:
@@ -420,15 +434,46 @@ class _Nights:
                 make = self.stored.refit if work is Work.REFIT else self.stored.judge
                 with self._timed("refit_s"):
                     outcome = make(label, before)
-                if outcome is not None or label not in self.logs.present():
+                if work is Work.JUDGE and outcome is not None:
                     return outcome
-            return self._read_and_fit(label, before)
+                if outcome is not None or label not in self.logs.present():
+                    return outcome and self._in_form(outcome, before)
+            return self._in_form(self._read_and_fit(label, before), before)
         except StoreError:
             raise
         except (Exception, PanicException) as error:  # one night must not cost the motor's others
             log.exception("motor %s, night %s failed", self.spec.motor_id, label)
             loss = loss_of(error)
             return unfitted(self.spec, label, FAILED, legible(loss.how), code=loss.code)
+
+    def _in_form(self, stated: NightOutcome, before: PreviousModel) -> NightOutcome:
+        """A night's outcome in the form in which the motor's fits are published."""
+        self.stated[stated.night] = stated
+        if not self.form.roller_is_free or stated.status != OK:
+            return stated
+        with self._timed("refit_s"):
+            return self.stored.with_free_roller(stated, before) or stated
+
+    def _is_roller_free(self) -> bool:
+        """The decision of the motor's nights; as it is where only some of them were asked for."""
+        if self.spec.settings.model.roller_scale == "fixed":
+            return False
+        if self.task.since is not None or self.task.until is not None:
+            return self.form.roller_is_free
+        told = {label: one.tells_roller for label, one in self.records.items()}
+        begins = [event.date for event in self.spec.file.events]
+        return is_roller_free(told, begins, self.spec.settings.trend.provisional_nights)
+
+    def _change_form(self) -> None:
+        """All nights with a fit in the other form, in order: each is judged with the one before."""
+        self.form = replace(self.spec, roller_is_free=not self.form.roller_is_free)
+        self.hashes = SettingsHashes(self.form)
+        for label in sorted(label for label, one in self.records.items() if one.model):
+            before = self._model_before(label)
+            stated = self.stated.get(label) or self.stored.stated(label, before)
+            if stated is not None:
+                self.reasons.setdefault(label, "the scale of its rollers is estimated, or no more")
+                self._remember(self._in_form(stated, before), before)
 
     def _read_and_fit(self, label: dt.date, before: PreviousModel) -> NightOutcome:
         here = night(label, self.spec.settings.nights)
@@ -556,6 +601,7 @@ class _Nights:
             inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
             files=self.logs.counts(self.done),
             growing=tuple(self.logs.growing()),
+            roller_is_free=self.form.roller_is_free,
             ledger=changed_months(self.remembered, after),
             seconds=dict(self.seconds),
             peak_memory_mib=max([_peak_memory_mib(), *self.memory_of_chunks]),

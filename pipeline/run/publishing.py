@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import logging
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -63,7 +63,7 @@ def publish_motors(
     for outcome in outcomes:
         write_months(publisher.output, outcome.motor_id, _remembered(publisher, outcome))
         if outcome.finished:
-            spec = specs[outcome.motor_id]
+            spec = replace(specs[outcome.motor_id], roller_is_free=outcome.roller_is_free)
             write_settings(publisher.output, outcome.motor_id, settings_of(spec))
     return sum(len(outcome.nights) for outcome in outcomes)
 

@@ -11,8 +11,8 @@ import polars as pl
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.night.fit_night import NightOutcome, PreviousModel
-from pipeline.night.refit import PublishedNight, judge_again, refit
+from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
+from pipeline.night.refit import PublishedNight, judge_again, refit, with_free_roller
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import (
     BLOCK_STATISTICS,
@@ -46,19 +46,37 @@ class StoredNights:
 
     def refit(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
         """Fit a night anew; None where the log has to be read."""
-        night = PublishedNight(
+        return refit(self._spec, self._published(label), previous, with_starts=self._with_starts)
+
+    def stated(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+        """A night as its model is stated; None where its rows do not suffice."""
+        fits = self._rows(FITS, label)
+        if any(row["roller_is_free"] for row in fits):
+            return self.refit(label, previous)
+        rows = {FITS.name: fits, PARAMETERS.name: self._rows(PARAMETERS, label)}
+        return NightOutcome(label, OK, None, None, rows, tables=tuple(rows)) if fits else None
+
+    def with_free_roller(
+        self, stated: NightOutcome, previous: PreviousModel
+    ) -> NightOutcome | None:
+        """A night with the rollers' scale estimated; None where its rows do not suffice."""
+        # Of a night just read, all rows are in the outcome.
+        published = None if stated.tables is None else self._published(stated.night)
+        return with_free_roller(self._spec, stated, published, previous)
+
+    def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
+        """Judge another model before on a night; None where the log has to be read."""
+        night = PublishedNight(label, self._rows(FITS, label), (), (), None)
+        return judge_again(self._spec, night, previous)
+
+    def _published(self, label: dt.date) -> PublishedNight:
+        return PublishedNight(
             label,
             self._rows(FITS, label),
             self._rows(PARAMETERS, label),
             self._rows(SENSITIVITIES, label),
             self._of_night(BLOCK_STATISTICS, label),
         )
-        return refit(self._spec, night, previous, with_starts=self._with_starts)
-
-    def judge(self, label: dt.date, previous: PreviousModel) -> NightOutcome | None:
-        """Judge another model before on a night; None where the log has to be read."""
-        night = PublishedNight(label, self._rows(FITS, label), (), (), None)
-        return judge_again(self._spec, night, previous)
 
     def refitted(self) -> set[dt.date]:
         """Nights whose fits were made from their published rows."""

@@ -147,6 +147,8 @@ class MotorOutcome:
         File of the chunk that was made or failed; empty for a whole motor.
     chunks_done
         Chunks of the motor that are done by now, and all of them; (0, 0) for a whole motor.
+    roller_is_free
+        Whether the scale of the motor's rollers is estimated.
     to_do
         Chunks that are to be made first; empty: the motor is done.
     """
@@ -169,6 +171,7 @@ class MotorOutcome:
     is_set_aside: bool = False
     chunk: str = ""
     chunks_done: tuple[int, int] = (0, 0)
+    roller_is_free: bool = False
     to_do: tuple[MotorTask, ...] = ()
 
     @property

@@ -381,6 +381,28 @@ FITS = Table(
             "dθ/db: what a change of all loss factors by 1/K, over the temperatures of the night's "
             "blocks about their mean, would move the coefficients by",
         ),
+        Column(
+            "roller_is_free",
+            pl.Boolean,
+            "",
+            "The fit estimates the scale of the cam rollers' curve, as speed varies in most of the "
+            "baseline's first nights; starts, predictions, residual tests and the verdict on the "
+            "model are then still those of the model as stated",
+        ),
+        Column(
+            "roller_scale",
+            pl.Float64,
+            "1",
+            "That scale, as the night tells it, whether or not the fit uses it; null where the "
+            "known flow is not one curve",
+        ),
+        Column(
+            "roller_scale_half_width",
+            pl.Float64,
+            "1",
+            "Half-width of its 95 % interval; null unless identified",
+        ),
+        Column("roller_verdict", pl.String, "", "As `verdict` in `parameters`"),
     ),
 )
 

@@ -15,11 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.block_statistics import with_path_known
 from leakage.hypotheses import Blocks, CommonFactor, Growth, Posterior, growth, mean_factor, weigh
 from leakage.temperature_correction import TemperatureCorrection
 from pipeline.trends.baseline_model import factors_of
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History
+from pipeline.trends.night_records import Layout
 from pipeline.trends.temperature import warming
 
 # Nights that say what is now, at most, and what was before, at least.
@@ -97,7 +99,7 @@ class Explanations:
         return self._growths[key]
 
     def _grown(self, now: Places) -> Growth | None:
-        trend, layout = self.history.spec.settings.trend, self.history.layout
+        trend, layout = self.history.spec.settings.trend, _stated(self.history)
         era = self.era(int(now[0]))
         before = self._informed(era.segment.first, int(now[0]))[: trend.baseline_nights]
         if len(before) < LEAST_NIGHTS:
@@ -117,15 +119,25 @@ class Explanations:
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
         factors = factors_of(self.history, places)
+        if (standard := self.history.layout.standard) is not None:
+            factors = with_path_known(factors, *standard)
         effect = warming(self.history.records[places], correction)
-        factors[:, :, : len(self.history.layout.paths)] *= effect[:, None, None]
+        factors[:, :, : len(_stated(self.history).paths)] *= effect[:, None, None]
         return Blocks(factors, places, temperature if known else None)
+
+
+def _stated(history: History) -> Layout:
+    """The layout with the cam rollers known: the change of their scale is found on its own."""
+    if _stated not in history.kept:
+        history.kept[_stated] = Layout.of(history.spec.stated, history.nights[0])
+    layout: Layout = history.kept[_stated]
+    return layout
 
 
 def standard_name(history: History) -> str:
     """Name of the flow that is known: the cam rollers, as a rule."""
     if standard_name not in history.kept:
-        motor = history.spec.motor(history.nights[0], history.spec.file.flushing.mode)
+        motor = history.spec.stated.motor(history.nights[0], history.spec.file.flushing.mode)
         known = "_and_".join(path.name for path in motor.known_paths)
         history.kept[standard_name] = known or "known_flow"
     name: str = history.kept[standard_name]

@@ -58,9 +58,11 @@ def add_blocks(layout: Layout, records: Records, blocks: pl.DataFrame) -> None:
     for (label,), rows in blocks.partition_by("night", as_dict=True).items():
         record = records[int(np.searchsorted(records["night"], np.datetime64(label)))]
         hashes = set(rows["model_hash"].to_list())
-        stored = StoredBlocks.of(rows.sort("block_start"), layout.columns)
+        stored = StoredBlocks.of(rows.sort("block_start"), layout.stated_columns)
         if len(hashes) != 1 or stored is None:
             continue
+        if layout.standard is not None:
+            stored = stored.with_free_known(*layout.standard)
         record["model"], record["own"] = hashes.pop(), stored.means()
         record["factor"] = upper_triangle(merge(stored.factors))
         told = night_information(stored.factors, np.array(layout.configured), free)

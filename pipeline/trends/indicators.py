@@ -116,6 +116,9 @@ def coefficients(history: History, effect: Effect) -> Iterator[Indicator]:
     layout, n = history.layout, len(history)
     moved = effect.per_kelvin[:, None] * history.records["response"]
     for number, name in enumerate(layout.coefficients):
+        # The rollers are the standard: which indicators are watched hangs on the config alone.
+        if layout.standard is not None and number == layout.standard[0]:
+            continue
         figures = history.records["figures"][:, number]
         is_flow = name == FLUSHING
         place = len(layout.free) - 1 if is_flow else number

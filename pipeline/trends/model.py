@@ -36,7 +36,7 @@ def misfit_words(standing: Standing, place: int, found: StructuredMisfit) -> str
         told = "the model does not describe this motor"
     else:
         told = f"the model no longer describes this motor since about {night}"
-    return f"{told}: {verdict_in_words(found)}"
+    return f"{told}: {verdict_in_words(found, standing.history.spec.low_side)}"
 
 
 def _known(standing: Standing, place: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:

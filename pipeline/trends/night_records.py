@@ -104,6 +104,9 @@ class Layout:
         θ as configured.
     free
         True for each coefficient of θ that is estimated.
+    standard
+        Place of the cam rollers among the paths where their scale is estimated, and how much of
+        the known flow it is as stated; None otherwise.
     """
 
     paths: tuple[str, ...]
@@ -111,6 +114,7 @@ class Layout:
     columns: tuple[str, ...]
     configured: tuple[float, ...]
     free: tuple[bool, ...]
+    standard: tuple[int, float] | None = None
 
     @classmethod
     def of(cls, spec: MotorSpec, night: dt.date) -> Layout:
@@ -120,13 +124,25 @@ class Layout:
         flushing = (FLUSHING,) if spec.file.flushing.mode == "estimated" else ()
         parameters = Parametrisation.of(motor)
         lower, upper = parameters.coefficient_bounds()
+        stated = spec.stated.motor(night, spec.file.flushing.mode).standard
+        names_of_paths = tuple(path.name for path in motor.column_paths)
+        standard = None
+        if stated is not None and stated.name in names_of_paths:
+            standard = names_of_paths.index(stated.name), stated.configured_coefficient
         return cls(
-            tuple(path.name for path in motor.column_paths),
+            names_of_paths,
             names + flushing,
             tuple(motor.columns),
             tuple(path.configured_coefficient if path else 0.0 for path in parameters.paths),
             tuple((lower < upper).tolist()),
+            standard,
         )
+
+    @property
+    def stated_columns(self) -> tuple[str, ...]:
+        """Columns of the statistics as stored, the cam rollers in the known flow."""
+        rollers = None if self.standard is None else self.standard[0]
+        return tuple(name for place, name in enumerate(self.columns) if place != rollers)
 
     @property
     def dtype(self) -> np.dtype[Any]:

@@ -22,6 +22,7 @@ from threadpoolctl import threadpool_limits
 from leakage.slope import benjamini_hochberg
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
+from pipeline.logs.ledger import as_published
 from pipeline.schema import TREND_TABLES, TRENDS
 from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
@@ -139,12 +140,13 @@ def trend_tasks(
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with threadpool_limits(1):
-        said = decisions_of(task.specs, task.decisions)
-        circuits = [Circuit.of(task.output, group, said) for group in circuits_of(task.specs)]
+        specs = [as_published(task.output, one) for one in task.specs]
+        said = decisions_of(specs, task.decisions)
+        circuits = [Circuit.of(task.output, group, said) for group in circuits_of(specs)]
         first = [circuit.first_nights(task.changed_from, task.tonight) for circuit in circuits]
         since = {motor_id: night for one in first for motor_id, night in one.items()}
         try:
-            nights = read_nights(task.output, task.specs, said, since, task.tonight)
+            nights = read_nights(task.output, specs, said, since, task.tonight)
         except StoreError as error:
             return TrendOutcome(failures=dict.fromkeys(said, _failure(error)))
         done = _Done(dict(task.given_up))

@@ -142,6 +142,9 @@ def test_a_wrong_model_is_disproved_and_its_kind_told(truth: Truth, first: str) 
     assert model_verdict(together) == "disproved"
     assert together.kinds[0] == first
     assert f"{first}: " in verdict_in_words(together)
+    if first == "load":
+        assert "log or state the charge pressure" in verdict_in_words(together)
+        assert "two-sided" not in verdict_in_words(together, "modelled")
 
 
 def test_the_size_is_that_of_the_flow_which_the_fit_cannot_follow() -> None:

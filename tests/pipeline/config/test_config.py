@@ -100,6 +100,36 @@ def test_the_source_of_a_constant_must_be_named(configs: Path) -> None:
     }
 
 
+PORTS = (
+    ("[channels.pressure_difference]", "[channels.high_port_pressure]"),
+    (
+        "[channels.speed]",
+        '[channels.low_port_pressure]\nsource = "low"\nunit = "bar"\n[channels.speed]',
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("ports", "model", "is_two_sided", "low_side"),
+    [
+        ((), "", False, "unknown"),
+        ((), "charge_pressure_bar = 15.0", True, "modelled"),
+        ((), "two_sided = true", True, "modelled"),
+        (PORTS, "", True, "modelled"),
+        (PORTS, "two_sided = false", False, "known"),
+    ],
+)
+def test_leakage_is_two_sided_where_the_low_side_is_known(
+    configs: Path, ports: tuple[tuple[str, str], ...], model: str, is_two_sided: bool, low_side: str
+) -> None:
+    for before, after in ports:
+        change(configs, MOTOR, before, after)
+    add(configs, MOTOR, f"\n[override.model]\n{model}\n")
+    spec = next(one for one in load(configs).motors if one.motor_id == MOTOR[7:-5])
+    assert spec.settings.model.two_sided is is_two_sided
+    assert spec.low_side == low_side
+
+
 # All faults at once
 
 

@@ -293,7 +293,7 @@ def _at_own(spec: MotorSpec, row: Mapping[str, Any]) -> float:
 def test_two_sided_leakage_is_found_again(tmp_path: Path, logged: bool) -> None:
     """Charge pressure from a channel or as a constant; one-sided, the ring is far off."""
     channel = '[channels.charge_pressure]\nsource = "charge_pressure"\nunit = "bar"\n'
-    constants = "[override.model]\ntwo_sided = true\ncase_pressure_bar = 1.0\n"
+    constants = "[override.model]\ncase_pressure_bar = 1.0\n"
     more = (
         (channel if logged else "") + constants + ("" if logged else "charge_pressure_bar = 16.0\n")
     )

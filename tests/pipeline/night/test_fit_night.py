@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from leakage import AnnularGap
+from leakage import AnnularGap, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.ingest import RawChannel, read_log
@@ -201,10 +201,14 @@ def test_half_forward_half_backward_is_one_motor(spec: MotorSpec) -> None:
     assert max(errors_of_k(spec, fit(spec, operation, turned).rows, "none")) < 1e-6
 
 
-def test_two_ports_are_their_difference(tmp_path: Path, spec: MotorSpec) -> None:
+def with_ports(folder: Path, more: str = "") -> MotorSpec:
     ports_of = {"high_port_pressure": "bar", "low_port_pressure": "bar"}
     units = ports_of | {name: unit for name, unit in CANONICAL.items() if "pressure" not in name}
-    ports = load_motor(tmp_path / "ports", motor_toml("M1", units=units))
+    return load_motor(folder, motor_toml("M1", units=units, more=more))
+
+
+def test_two_ports_are_their_difference(tmp_path: Path, spec: MotorSpec) -> None:
+    ports = with_ports(tmp_path / "ports", "[override.model]\ntwo_sided = false\n")
     operation = operate()
     values = simulate(spec, operation)
     # 16ths of a bar: the difference of the ports is then exact.
@@ -212,6 +216,26 @@ def test_two_ports_are_their_difference(tmp_path: Path, spec: MotorSpec) -> None
     difference = values.pop("pressure_difference")
     both = values | {"high_port_pressure": difference + low, "low_port_pressure": low}
     assert max(errors_of_k(spec, fit(ports, operation, both).rows, "none")) < 1e-6
+
+
+def test_the_low_side_changes_its_port_under_back_drive(tmp_path: Path, spec: MotorSpec) -> None:
+    ports, operation = with_ports(tmp_path / "ports"), operate()
+    sign = np.where(np.arange(len(operation.time_us)) < 1200, 1.0, -1.0)
+    charge = 15.0 + np.sin(np.arange(len(sign)) / 50.0)
+    conditions = OperatingConditions.from_bar(
+        operation.pressure_bar, operation.temperature_c, operation.speed_rpm, charge
+    )
+    difference = sign * operation.pressure_bar
+    values = {
+        "high_port_pressure": charge + np.maximum(difference, 0.0),
+        "low_port_pressure": charge + np.maximum(-difference, 0.0),
+        "oil_temperature": operation.temperature_c,
+        "speed": sign * operation.speed_rpm,
+        "leakage_flow": total_flow_l_per_min(
+            spec.motor(NIGHT, "estimated"), conditions, true_coefficients(spec)
+        ),
+    }
+    assert max(errors_of_k(spec, fit(ports, operation, values).rows, "none")) < 1e-6
 
 
 def test_rows_fit_their_tables_and_no_key_stands_twice(tmp_path: Path) -> None:

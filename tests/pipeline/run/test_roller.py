@@ -1,0 +1,68 @@
+"""A motor whose nights tell the scale of its rollers: the same tables, whenever they are read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from polars.testing import assert_frame_equal
+
+import pipeline.run.motor_task
+from pipeline.night.roller import is_roller_free
+from tests.pipeline.simulated import NIGHT, motor_toml, write_configs
+from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
+
+ROLLER = """
+[[path]]
+name = "cam_roller"
+law = "speed_curve"
+source = "invented"
+count = 8
+coefficients = [1.6e-3, 4.0e-3]
+speed_range_rpm = [0.0, 125.0]
+reference_pressure_bar = 200.0
+reference_viscosity_mpa_s = 35.0
+"""
+FIXED = QUICK + '[model]\nroller_scale = "fixed"\n'
+
+
+@pytest.fixture(autouse=True)
+def two_nights_decide(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        pipeline.run.motor_task,
+        "is_roller_free",
+        lambda tells, begins, _: is_roller_free(tells, begins, 2),
+    )
+
+
+def workshop(folder: Path, fleet: str = QUICK) -> Workshop:
+    made = Workshop(folder)
+    write_configs(folder, {"M1": motor_toml("M1", "MINI")}, {"MINI": MINI + ROLLER}, fleet)
+    made.logs.mkdir(parents=True, exist_ok=True)
+    return made
+
+
+def forms(made: Workshop) -> list[bool]:
+    return made.rows("fits")["roller_is_free"].to_list()
+
+
+def test_all_nights_change_with_the_decision(tmp_path: Path) -> None:
+    one, two = workshop(tmp_path / "one"), workshop(tmp_path / "two")
+    for number in range(3):
+        two.log(NIGHT + number * DAY, seed=number)
+    two.run()
+    one.log(NIGHT, seed=0)
+    one.run()
+    assert forms(one) == [False]
+    (stated,) = one.rows("fits")["coefficients"].to_list()
+    for number in (1, 2):
+        one.log(NIGHT + number * DAY, seed=number)
+    one.run()
+    assert forms(one) == [True] * 3
+    check_same_figures(one, two, "input_files")
+    assert_frame_equal(one.rows("trends"), two.rows("trends"), check_exact=True)
+    # The thesis: back to the model as stated, from the stored statistics.
+    workshop(one.folder, FIXED)
+    assert one.run().n_refitted == 3
+    assert forms(one) == [False] * 3
+    assert one.rows("fits")["coefficients"][0].to_list() == pytest.approx(stated, rel=1e-9)
