@@ -157,6 +157,7 @@ def monitor(
     nights: Nights,
     values: Array,
     settings: MonitorSettings | None = None,
+    limited: Array | None = None,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -169,6 +170,8 @@ def monitor(
         Indicator, positive, shape (n,); nan on nights that are missing or not to be trusted.
     settings
         How it is watched; the defaults where left out.
+    limited
+        Values that the absolute limits hold against, shape (n,), where they are others.
 
     Returns
     -------
@@ -193,12 +196,14 @@ def monitor(
     [(15, 'insufficient', 'ok'), (92, 'ok', 'warning')]
     """
     chosen = settings or MonitorSettings()
-    own = track(nights, values, chosen)
+    own = track(nights, values, chosen, limited)
     states = _states(own, chosen.stale_nights)
     return Monitoring(own, states, state_changes(nights, states))
 
 
-def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
+def track(
+    nights: Nights, values: Array, settings: MonitorSettings, limited: Array | None = None
+) -> Track:
     """Follow one series against its own baseline.
 
     The first good nights make a provisional baseline, and longer ones take its place
@@ -207,7 +212,7 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
 
     Parameters
     ----------
-    nights, values, settings
+    nights, values, settings, limited
         As for :func:`monitor`.
 
     Returns
@@ -234,7 +239,9 @@ def track(nights: Nights, values: Array, settings: MonitorSettings) -> Track:
         evidence=parts.evidence,
         onset=parts.onset,
         severity=parts.severity,
-        limit_severity=limit_severity(values, settings.limits, settings.levels),
+        limit_severity=limit_severity(
+            values if limited is None else limited, settings.limits, settings.levels
+        ),
         has_baseline=np.arange(len(nights)) >= first_served,
         since_good=nights_since_good(nights, good),
     )

@@ -111,6 +111,7 @@ def _why_ok(before: str) -> str:
     return {
         INSUFFICIENT: "a baseline was taken",
         "stale": "there is a trusted figure again",
+        "duty_outside": "its duty is one that the baseline has seen",
         "common_cause": "the oil circuit is back where it was",
     }.get(before, "back below its levels")
 

@@ -21,7 +21,7 @@ from pipeline.trends.own_conditions import (
     own_leakage,
     reference_leakage,
 )
-from pipeline.trends.segments import Segment, segments
+from pipeline.trends.segments import Segment, first_good, segments
 from pipeline.trends.temperature import NIGHTS, correction_of, warming
 
 Array = NDArray[np.float64]
@@ -63,16 +63,14 @@ def eras_of(history: History, decisions: Sequence[Decision]) -> tuple[Era, ...]:
 
 
 def _era(history: History, segment: Segment) -> Era:
-    needed = history.spec.settings.trend.provisional_nights
-    places = segment.first + np.flatnonzero(history.fitted[segment.first : segment.end])
-    if len(places) < needed:
+    first = first_good(history, segment)
+    if not len(first):
         return Era(segment, segment.end, None, None)
-    first = places[:needed]
     model = baseline_model(history, first)
     era = Era(segment, int(first[-1]), own_conditions(history, first), model)
-    if model is None or len(places) < NIGHTS:
+    wider = segment.first + np.flatnonzero(history.fitted[segment.first : segment.end])[:NIGHTS]
+    if model is None or len(wider) < NIGHTS:
         return era
-    wider = places[:NIGHTS]
     found = correction_of(history, wider, model)
     return replace(era, temperature=found, temperature_from=int(wider[-1]))
 

@@ -51,6 +51,8 @@ class Indicator:
         before that is.
     n_nights
         Nights behind it.
+    compared
+        Watched series where it is another one than the value: at the duty of the baseline.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Indicator:
     outside: NDArray[np.bool_]
     told: NDArray[np.bool_]
     n_nights: NDArray[np.int32]
+    compared: Array | None = None
 
     @property
     def shift(self) -> float:
@@ -73,6 +76,11 @@ class Indicator:
     @property
     def watched(self) -> Array:
         """Watched series, shape (n,): positive; nan where gated."""
+        return self.trusted if self.compared is None else self.compared
+
+    @property
+    def trusted(self) -> Array:
+        """The value as absolute limits take it, shape (n,): positive; nan where gated."""
         counts = np.array([not reason for reason in self.gated], dtype=np.bool_)
         return np.where(counts, self.value + self.shift, np.nan)
 

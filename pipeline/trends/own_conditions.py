@@ -89,7 +89,7 @@ def reference_leakage(history: History) -> Indicator:
         np.ones(n, dtype=np.bool_),
         np.ones(n, dtype=np.int32),
     )
-    at = _reference_conditions(history)
+    at = [reference_conditions(history, place) for place in range(n)]
     found = _filtered_leakage(history, slice(0, n), at, np.isnan(figures[:, 0]))
     return with_filtered(alone, found, WIDEST_LEAKAGE, np.abs(found.value))
 
@@ -100,24 +100,24 @@ def known_at_reference(history: History) -> Array:
     0 where the model does not hold there.
     """
     rows = (
-        regressor_row(history, place, one)
-        for place, one in enumerate(_reference_conditions(history))
+        regressor_row(history, place, reference_conditions(history, place))
+        for place in range(len(history))
     )
     return np.array([0.0 if isinstance(row, str) else float(row[-1]) for row in rows])
 
 
-def _reference_conditions(history: History) -> list[OwnConditions]:
-    """The fleet's reference conditions, with each night's charge pressure."""
+def reference_conditions(history: History, place: int) -> OwnConditions:
+    """The fleet's reference conditions, with a night's charge pressure."""
+    if reference_conditions not in history.kept:
+        history.kept[reference_conditions] = _last_known(history.records["charge"])
     asked = history.spec.settings.reference
-    return [
-        OwnConditions(
-            asked.pressure_bar,
-            asked.temperature_c,
-            asked.speed_rpm,
-            None if np.isnan(charge) else charge,
-        )
-        for charge in _last_known(history.records["charge"]).tolist()
-    ]
+    charge = float(history.kept[reference_conditions][place])
+    return OwnConditions(
+        asked.pressure_bar,
+        asked.temperature_c,
+        asked.speed_rpm,
+        None if np.isnan(charge) else charge,
+    )
 
 
 def _last_known(values: Array) -> Array:

@@ -19,7 +19,7 @@ from pipeline.trends.eras import Era
 from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION
-from pipeline.trends.night_records import FLUSHING
+from pipeline.trends.night_records import FLUSHING, OUTSIDE
 from pipeline.trends.peers import Peers
 from pipeline.trends.running import RunningHours, running_hours
 from pipeline.trends.sudden import Sudden
@@ -75,6 +75,12 @@ class Standing:
         years: Array = self.history.numbers / DAYS_A_YEAR
         return years
 
+    @property
+    def is_outside(self) -> NDArray[np.bool_]:
+        """Nights whose duty the baseline has not seen, shape (n,)."""
+        outside: NDArray[np.bool_] = self.history.records["duty"] == OUTSIDE
+        return outside
+
     @cached_property
     def told(self) -> dict[str, tuple[str, ...]]:
         """State of each night, by indicator, whatever the other motors of the circuit did."""
@@ -88,6 +94,10 @@ class Standing:
             for place in range(one.told, one.until):
                 if flow[place] == "ok":
                     flow[place] = "common_cause" if one.kind == "circuit" else "warning"
+        for name, watched in self.watched.items():
+            for place in np.flatnonzero(np.isnan(watched.series) & self.is_outside).tolist():
+                if found[name][place] in ("ok", "stale"):
+                    found[name][place] = "duty_outside"
         return {name: tuple(states) for name, states in found.items()} | {
             name: zero.state for name, zero in self.zeros.items()
         }

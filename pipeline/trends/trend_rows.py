@@ -24,7 +24,7 @@ from pipeline.trends.indicators import (
     gap_change,
     scaled,
 )
-from pipeline.trends.reasons import why_no_baseline, why_state
+from pipeline.trends.reasons import why_gated, why_no_baseline, why_state
 from pipeline.trends.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.zeros import HALF, NO_HALT, Zero
@@ -74,6 +74,8 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     state, indicator = standing.states[name][place], watched.indicator
     limits = watched.settings.limits
     row = _figures(indicator, place)
+    if indicator.told[place]:
+        row["gated_reason"] = why_gated(standing, name, place) or None
     row |= {"state": state, "state_reason": None}
     if state in CHANGED and (begin := standing.change_start(name, place)) is not None:
         row["change_start"] = standing.label(begin)

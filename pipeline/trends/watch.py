@@ -66,17 +66,18 @@ def watch(
             indicator,
             series,
             parts,
-            tuple(_monitored(history, part, series, settings) for part in parts),
+            tuple(_monitored(history, part, indicator, settings) for part in parts),
             settings,
         )
     return watched
 
 
 def _monitored(
-    history: History, part: Segment, series: Array, settings: MonitorSettings
+    history: History, part: Segment, indicator: Indicator, settings: MonitorSettings
 ) -> Monitoring:
     here = slice(part.first, part.end)
-    return monitor(history.numbers[here], series[here], settings)
+    series, limited = indicator.watched[here], indicator.trusted[here]
+    return monitor(history.numbers[here], series, settings, limited)
 
 
 def monitor_settings(spec: MotorSpec, indicator: Indicator, n_indicators: int) -> MonitorSettings:
