@@ -39,6 +39,11 @@ OUTERMOST = 0.005
 # left of a feature, in standard deviations of the baseline's blocks.
 LEAST_BLOCKS, LEAST_EFFECTIVE, LARGEST_IMBALANCE = 20, 30.0, 0.15
 STEPS, CONVERGED = 50, 1e-9
+# A rise is told above this, over ten nights and less so many standard errors.
+LEAST_RISE, CERTAIN, NIGHTS_OF_NOW = 0.05, 2.5, 10
+# Where fewer of the baseline's blocks are left than this share, the flow must have risen as well:
+# by this part of what the rise means, and by so much.
+FEW, CLOSED, LEAST_CLOSED = 0.5, 0.5, 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,8 +172,8 @@ class Comparison:
     covariance
         Of `then`, its nights being the clusters, shape (c − 2, c − 2); 0 for what is not estimated.
     log_ratio
-        ln of the measured flow of those blocks over what `then` says of them, without flushing; nan
-        where one of them is not positive.
+        ln of the measured flow of those blocks over what `then` says of them, without flushing,
+        less the same of the weighted baseline; nan where one of them is not positive.
     effective_share
         Effective blocks of the baseline over all of its blocks.
     """
@@ -221,14 +226,83 @@ def compare(before: DutyBlocks, now: DutyBlocks, lower: Array, upper: Array) -> 
     covariance = np.zeros((len(then),) * 2)
     covariance[np.ix_(distribution.active, distribution.active)] = distribution.covariance()
     whole = merge(now.factors)
-    sums = whole[:, -3] @ whole
-    measured = sums[-1] - then[-1] * sums[-3]
-    expected = sums[:-3] @ then[:-1] + sums[-2]
-    is_told = measured > 0.0 and expected > 0.0
+    ratios = [_flow_ratio(one, then) for one in (whole, merge(nights))]
     return Comparison(
         then,
         certify(whole, lower, upper).coefficients,
         covariance,
-        float(np.log(measured / expected)) if is_told else float("nan"),
+        float(np.log(ratios[0] / ratios[1])) if min(ratios) > 0.0 else float("nan"),
         found.effective / len(before.nights),
     )
+
+
+def _flow_ratio(whole: Array, theta: Array) -> float:
+    """Measured over expected flow of some samples, without flushing; 0 where it is not positive."""
+    sums = whole[:, -3] @ whole
+    measured = sums[-1] - theta[-1] * sums[-3]
+    expected = sums[:-3] @ theta[:-1] + sums[-2]
+    return float(measured / expected) if measured > 0.0 and expected > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rises:
+    """A figure in nights of another duty, relative to the baseline at their duty; shape (n,) each.
+
+    Attributes
+    ----------
+    rise, error
+        Its rise, and the standard error of the baseline's figure; nan where there is none.
+    part
+        Share of the flow that the figure stands for.
+    flow
+        Rise of the flow.
+    share
+        Effective blocks of the baseline over all of its blocks.
+    """
+
+    rise: Array
+    error: Array
+    part: Array
+    flow: Array
+    share: Array
+
+
+def told_rises(found: Rises, baseline_nights: int) -> Array:
+    """Rise of each night that is told, over up to ten nights to it.
+
+    Parameters
+    ----------
+    found
+        The nights, in order.
+    baseline_nights
+        Nights of the baseline: a night scatters as one of them does.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,): the rise where it is certain and the flow closes with it; no rise where there
+        may be none; nan between the two.
+    """
+    result = np.full(len(found.rise), np.nan)
+    known = np.flatnonzero(np.isfinite(found.rise))
+    rise, error, part, flow, share = (
+        _recent(values[known])
+        for values in (found.rise, found.error, found.part, found.flow, found.share)
+    )
+    n = np.minimum(np.arange(len(known)) + 1, NIGHTS_OF_NOW)
+    error = error * np.sqrt(1.0 + baseline_nights / n)
+    closed = (flow >= CLOSED * part * rise) & (flow > LEAST_CLOSED)
+    certain = (rise - CERTAIN * error > LEAST_RISE) & (closed | (share >= FEW))
+    none = rise <= LEAST_RISE + error
+    night = found.rise[known]
+    result[known] = np.where(certain, night, np.where(none, np.minimum(night, 0.0), np.nan))
+    return result
+
+
+def _recent(values: Array) -> Array:
+    """Mean of up to ten values up to each."""
+    sums = np.cumsum(np.append(0.0, values))
+    end = np.arange(1, len(sums))
+    begin = np.maximum(end - NIGHTS_OF_NOW, 0)
+    means: Array = (sums[end] - sums[begin]) / (end - begin)
+    return means

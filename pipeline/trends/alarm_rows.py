@@ -78,8 +78,8 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
         "deviation_percent": None,
         "path": None,
     }
-    if name in standing.zeros:
-        return row | _of_sensor(standing, name, place, before, after)
+    if name in standing.by_own_rules:
+        return row | _by_own_rules(standing, name, place, before, after)
     segment, found, _ = standing.watched[name].at(place)
     deviation = found.own.deviation[place - segment.first]
     row["deviation_percent"] = 100.0 * float(deviation) if deviation == deviation else None
@@ -91,20 +91,21 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
     return row | {
         "reason": why_state(standing, name, place, path),
         "way": way_of(standing, name, place) if after in RAISED else after,
-        "path": path_named(standing, name, path),
+        "path": path_named(standing, name, place, path),
     }
 
 
-def _of_sensor(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
-    zero = standing.zeros[name]
+def _by_own_rules(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+    one, is_zero = standing.by_own_rules[name], name in standing.zeros
     if after == "warning":
-        return {"reason": zero.words(place), "way": "drift"}
+        return {"reason": one.words(place), "way": "drift" if is_zero else "change"}
     if after == INSUFFICIENT:
-        reason = next(part.reason for part in zero.segments if place < part.end)
+        reason = next(part.reason for part in one.segments if place < part.end)
         return {"reason": f"a new baseline begins: {reason}", "way": "baseline"}
+    what = "its zero" if is_zero else "the model's misfit"
     if before == INSUFFICIENT:
-        return {"reason": "its zero is known", "way": "baseline"}
-    return {"reason": "its zero is back where it was", "way": "recovered"}
+        return {"reason": f"{what} is known", "way": "baseline"}
+    return {"reason": f"{what} is back where it was", "way": "recovered"}
 
 
 def _why_ok(before: str) -> str:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, Parametrisation
-from leakage.balanced_baseline import Comparison, DutyBlocks, compare
+from leakage.balanced_baseline import Comparison, DutyBlocks, Rises, compare, told_rises
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.baseline_blocks import BlockFiles
@@ -36,12 +36,6 @@ Places = NDArray[np.intp]
 # A night's mean pressure [bar], temperature [°C] or speed [rpm] is another one from these standard
 # deviations of the baseline's nights on, and from these differences on.
 OTHER_SD, OTHER = 4.0, np.array([20.0, 10.0, 10.0])
-# A rise at another duty is told above this, over ten nights: a loss factor or leakage less so many
-# standard errors of it.
-LEAST_RISE, CERTAIN, NIGHTS_OF_NOW = 0.05, 2.5, 10
-# Where fewer of the baseline's blocks are left than this share, the flow must have risen as well:
-# by this part of what the rise means, and by so much.
-FEW, CLOSED, LEAST_CLOSED = 0.5, 0.5, 0.02
 # Share of the samples that the baseline is taken to have seen, and of a night that says it has not.
 TAIL, MUCH = 0.005, 0.1
 CHANNELS = (
@@ -121,15 +115,6 @@ def _keep(record: Any, found: Comparison | None) -> None:
         record["duty_flow"], record["duty_share"] = found.log_ratio, found.effective_share
 
 
-@dataclass(frozen=True, slots=True)
-class _Rise:
-    """Relative rise in some nights of another duty, its error, and its share of the flow."""
-
-    rise: Array
-    error: Array
-    part: Array
-
-
 def at_duty(history: History, eras: Sequence[Era], own: Indicator) -> Indicator:
     """An indicator with what its nights of another duty are compared as.
 
@@ -146,17 +131,19 @@ def at_duty(history: History, eras: Sequence[Era], own: Indicator) -> Indicator:
             series[here[duty[here] == OUTSIDE]] = np.nan
         balanced = here[(duty[here] == BALANCED) & np.isfinite(plain[here])]
         if len(balanced):
-            found = _rise(history, era, own, balanced)
+            found = _rises(history, era, own, balanced)
             level = _level(history, era, plain)[balanced - era.segment.first]
-            series[balanced] = level * (1.0 + _told(history, own, balanced, found))
+            series[balanced] = level * (
+                1.0 + told_rises(found, len(first_good(history, era.segment)))
+            )
     return replace(own, compared=series)
 
 
-def _rise(history: History, era: Era, own: Indicator, places: Places) -> _Rise:
+def _rises(history: History, era: Era, own: Indicator, places: Places) -> Rises:
     records = history.records[places]
+    flow, share, part = np.expm1(records["duty_flow"]), records["duty_share"], np.ones(len(places))
     if own.name == DEVIATION:
-        rise = np.expm1(records["duty_flow"])
-        return _Rise(rise, np.zeros(len(places)), np.ones(len(places)))
+        return Rises(flow, np.zeros(len(places)), part, flow, share)
     rows = np.array([_contrast(history, era, own, place) for place in places.tolist()])
     contrast, known = rows[:, :-1], rows[:, -1]
     then = np.einsum("ni,ni->n", contrast, records["duty_then"]) + known
@@ -164,7 +151,6 @@ def _rise(history: History, era: Era, own: Indicator, places: Places) -> _Rise:
     upper = whole_matrix(records["duty_error"], contrast.shape[1])
     spread = upper + np.triu(upper, 1).swapaxes(1, 2)
     error = np.sqrt(np.maximum(np.einsum("ni,nij,nj->n", contrast, spread, contrast), 0.0))
-    part = np.ones(len(places))
     if own.path:
         sums = column_sums(history, places)
         column = history.layout.paths.index(own.path)
@@ -173,7 +159,7 @@ def _rise(history: History, era: Era, own: Indicator, places: Places) -> _Rise:
     # A night alone is not compared by a figure of many, nor against a loss factor of 0.
     told = (then > 0.0) & (own.n_nights[places] == 1)
     then = np.where(told, then, np.nan)
-    return _Rise(now / then - 1.0, error / then, part)
+    return Rises(now / then - 1.0, error / then, part, flow, share)
 
 
 def _contrast(history: History, era: Era, own: Indicator, place: int) -> Array:
@@ -186,43 +172,6 @@ def _contrast(history: History, era: Era, own: Indicator, place: int) -> Array:
     if isinstance(row, str):
         return np.full(size + 1, np.nan)
     return np.concatenate([row[:-2], (0.0, row[-1])])
-
-
-def _told(history: History, own: Indicator, places: Places, found: _Rise) -> Array:
-    """Rise of each night that is told; nan where none can be."""
-    result = np.full(len(places), np.nan)
-    known = np.flatnonzero(np.isfinite(found.rise))
-    n = np.minimum(np.arange(len(known)) + 1, NIGHTS_OF_NOW)
-    rise, error, part, share, flow = (
-        _recent(values[known])
-        for values in (
-            found.rise,
-            found.error,
-            found.part,
-            history.records["duty_share"][places],
-            np.expm1(history.records["duty_flow"][places]),
-        )
-    )
-    nights = history.spec.settings.trend.provisional_nights
-    # A night scatters as one of the baseline's does.
-    error = error * np.sqrt(1.0 + nights / n)
-    certain = rise - CERTAIN * error > LEAST_RISE
-    if own.name != DEVIATION:
-        closed = (flow >= CLOSED * part * rise) & (flow > LEAST_CLOSED)
-        certain &= (share >= FEW) | closed
-    none = rise <= LEAST_RISE + error
-    night = found.rise[known]
-    result[known] = np.where(certain, night, np.where(none, np.minimum(night, 0.0), np.nan))
-    return result
-
-
-def _recent(values: Array) -> Array:
-    """Mean of up to ten values up to each."""
-    sums = np.cumsum(np.append(0.0, values))
-    end = np.arange(1, len(sums))
-    begin = np.maximum(end - NIGHTS_OF_NOW, 0)
-    means: Array = (sums[end] - sums[begin]) / (end - begin)
-    return means
 
 
 def _level(history: History, era: Era, series: Array) -> Array:

@@ -150,6 +150,8 @@ class Layout:
                 ("own", "f8", 3),
                 # What the blocks say of the model, as `Misfit.numbers`.
                 ("misfit", "f8", MISFIT_NUMBERS),
+                # τ and what noise explains, of ten nights over their mean leakage.
+                ("misfit_of_ten", "f8", 2),
                 *((name, "f8") for name in SINGLE),
                 *((name, "f8") for name in OPERATED),
                 *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from leakage.hypotheses import Posterior
 from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
+from pipeline.trends.attribution import why_not_named
 from pipeline.trends.duty import UNCERTAIN, duty_words
 from pipeline.trends.explanation_words import why_words
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
@@ -40,13 +41,19 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
     if found.own.severity[inside]:
-        parts.append(why_words(standing.history, place, behind, watched.indicator.path))
+        parts.append(_cause(standing, place, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
         if not found.own.severity[inside]:
             behind = standing.why.at(place, sudden.place)
-            parts.append(why_words(standing.history, place, behind))
+            parts.append(_cause(standing, place, behind))
     return "; ".join(part for part in parts if part)
+
+
+def _cause(standing: Standing, place: int, found: Posterior | None, own: str = "") -> str:
+    """Cause of a change in words, or why none is named; empty if nothing can be said."""
+    why = "" if found is None else why_not_named(standing, place, found)
+    return why or why_words(standing.history, place, found, own)
 
 
 def why_gated(standing: Standing, name: str, place: int) -> str:

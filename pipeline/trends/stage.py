@@ -36,6 +36,7 @@ from pipeline.trends.explanations import Explanations, OilCircuit, View, Why
 from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, Indicator
+from pipeline.trends.model import model_course, with_misfit
 from pipeline.trends.night_records import Records
 from pipeline.trends.peers import (
     Contribution,
@@ -246,7 +247,7 @@ def _part(
     blocks: BlockFiles,
 ) -> Part:
     """A motor before comparison with the others, its nights from `until` on filtered anew."""
-    filtered = with_filter(history, said, until)
+    filtered = with_misfit(with_filter(history, said, until), said, until)
     part = Part.of(with_duty(filtered, said, until, blocks), said)
     for night, then, said_then in earlier_views(history, said, seen_from):
         # By another baseline, which others hear of for some nights: not at its duty.
@@ -336,6 +337,7 @@ def standing_of(part: Part, neighbours: Neighbours | None) -> Standing:
         why,
         sudden_changes(part.history, part.decisions, part.indicators, why),
         sensor_zeros(part.history, part.decisions),
+        model_course(part.history, part.decisions),
     )
 
 

@@ -18,7 +18,8 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION
+from pipeline.trends.indicators import DEVIATION, MODEL_MISFIT
+from pipeline.trends.model import ModelCourse
 from pipeline.trends.night_records import FLUSHING, OUTSIDE
 from pipeline.trends.peers import Peers
 from pipeline.trends.running import RunningHours, running_hours
@@ -54,6 +55,8 @@ class Standing:
         Sudden changes that no event explains.
     zeros
         Zeros of its sensors.
+    model
+        Misfit of its model.
     """
 
     history: History
@@ -63,6 +66,7 @@ class Standing:
     why: Why
     sudden: tuple[Sudden, ...]
     zeros: Mapping[str, Zero]
+    model: ModelCourse
 
     @cached_property
     def hours(self) -> RunningHours:
@@ -99,8 +103,13 @@ class Standing:
                 if found[name][place] in ("ok", "stale"):
                     found[name][place] = "duty_outside"
         return {name: tuple(states) for name, states in found.items()} | {
-            name: zero.state for name, zero in self.zeros.items()
+            name: one.state for name, one in self.by_own_rules.items()
         }
+
+    @property
+    def by_own_rules(self) -> Mapping[str, Zero | ModelCourse]:
+        """What is told by other rules than the watched indicators: sensors and the model."""
+        return {**self.zeros, MODEL_MISFIT: self.model}
 
     @cached_property
     def states(self) -> dict[str, States]:

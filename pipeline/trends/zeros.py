@@ -95,7 +95,7 @@ def _zero(history: History, decisions: Sequence[Decision], name: str) -> Zero:
     first, move, lower, upper = (np.full(n, np.nan) for _ in range(4))
     state = np.full(n, "insufficient", dtype=object)
     parts = segments(history, decisions, name)
-    rule = _rule(history.spec)
+    rule = rule_of(history.spec)
     for part in parts:
         here = slice(part.first, part.end)
         found = zero_course(
@@ -128,7 +128,7 @@ def tolerance(spec: MotorSpec, name: str) -> float:
     return max(stated, LEAST_MOVE[name], *(one.resolution for one in declared))
 
 
-def _rule(spec: MotorSpec) -> Levels:
+def rule_of(spec: MotorSpec) -> Levels:
     """As many nights as other indicators need to go on and off."""
     needed, of = spec.settings.alarms.on_nights
     return Levels(on_nights=needed, of_nights=of, off_nights=spec.settings.alarms.off_nights)
