@@ -13,7 +13,9 @@ from leakage.autoregression import Array, Nights
 from leakage.errors import ParameterError
 
 Severities = NDArray[np.int64]
-State: TypeAlias = Literal["ok", "warning", "alarm", "common_cause", "stale", "insufficient"]
+State: TypeAlias = Literal[
+    "ok", "warning", "alarm", "common_cause", "duty_outside", "stale", "insufficient"
+]
 
 # Severities are 0, 1, 2.
 OF_SEVERITY: tuple[State, State, State] = ("ok", "warning", "alarm")

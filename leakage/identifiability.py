@@ -7,6 +7,7 @@ would mislead: a coefficient that is not identified never gets an interval.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
@@ -24,9 +25,15 @@ from leakage.uncertainty import ClusterRobust, Interval, cluster_robust
 Array = NDArray[np.float64]
 
 Verdict: TypeAlias = Literal[
-    "identified", "only_in_combination", "not_excited", "at_bound", "fixed", "too_little_data"
+    "identified",
+    "uncertain",
+    "only_in_combination",
+    "not_excited",
+    "at_bound",
+    "fixed",
+    "too_little_data",
 ]
-# Verdicts of a leakage that has a value.
+# Verdicts of a figure that has a value.
 TOLD = ("identified", "uncertain", "extrapolated", "fixed")
 OUTSIDE = ("extrapolated", "outside_fitted_range")
 
@@ -77,7 +84,7 @@ class Judgement:
     reason
         In words, with what operation would help; empty where identified.
     interval
-        Its 95 % interval; None unless identified.
+        Its 95 % interval; None unless identified or uncertain.
     information
         The interval that was judged, whatever the verdict; None where the samples do not span it.
     """
@@ -145,6 +152,39 @@ def identify(
         _judge(place, path, fit, distribution, excitation) for place, path in enumerate(paths)
     )
     return Identification(judged, slow, len(factors), distribution)
+
+
+def judge_by_total(
+    fit: Fit, identification: Identification, total: Mapping[int, float | None]
+) -> Identification:
+    """The verdicts on coefficients with what sensors and the model can do to them.
+
+    Parameters
+    ----------
+    fit, identification
+        The fit, and its verdicts by the samples alone.
+    total
+        Whole half-widths by place in θ; None where there is none.
+
+    Returns
+    -------
+    Identification
+        ``uncertain`` where a coefficient is identified by its samples, and its whole half-width is
+        more than half of the configured value or not less than the estimate.
+    """
+    paths = Parametrisation.of(fit.motor).paths
+    judged = list(identification.coefficients)
+    for place, whole in total.items():
+        path, value = paths[place], float(fit.coefficients[place])
+        if path is None or whole is None or judged[place].verdict != "identified":
+            continue
+        if whole > WIDEST_COEFFICIENT * _size(path, value) or whole >= abs(value):
+            reason = (
+                f"known to ± {100 * whole / abs(value):.0f} % only, with what sensors and the "
+                "model can do to it"
+            )
+            judged[place] = replace(judged[place], verdict="uncertain", reason=reason)
+    return replace(identification, coefficients=tuple(judged))
 
 
 def _judge(

@@ -158,6 +158,7 @@ def monitor(
     values: Array,
     settings: MonitorSettings | None = None,
     allowance: Array | float = 0.0,
+    limited: Array | None = None,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
 
@@ -173,6 +174,8 @@ def monitor(
     allowance
         Relative ± of each night that nights alike share, such as that of an unknown effect of their
         temperature, shape (n,): only what a night deviates by beyond it counts.
+    limited
+        Values that the absolute limits hold against, shape (n,), where they are others.
 
     Returns
     -------
@@ -197,13 +200,17 @@ def monitor(
     [(15, 'insufficient', 'ok'), (92, 'ok', 'warning')]
     """
     chosen = settings or MonitorSettings()
-    own = track(nights, values, chosen, allowance)
+    own = track(nights, values, chosen, allowance, limited)
     states = _states(own, chosen.stale_nights)
     return Monitoring(own, states, state_changes(nights, states))
 
 
 def track(
-    nights: Nights, values: Array, settings: MonitorSettings, allowance: Array | float = 0.0
+    nights: Nights,
+    values: Array,
+    settings: MonitorSettings,
+    allowance: Array | float = 0.0,
+    limited: Array | None = None,
 ) -> Track:
     """Follow one series against its own baseline.
 
@@ -213,7 +220,7 @@ def track(
 
     Parameters
     ----------
-    nights, values, settings, allowance
+    nights, values, settings, allowance, limited
         As for :func:`monitor`.
 
     Returns
@@ -240,7 +247,9 @@ def track(
         evidence=parts.evidence,
         onset=parts.onset,
         severity=parts.severity,
-        limit_severity=limit_severity(values, settings.limits, settings.levels),
+        limit_severity=limit_severity(
+            values if limited is None else limited, settings.limits, settings.levels
+        ),
         has_baseline=np.arange(len(nights)) >= first_served,
         since_good=nights_since_good(nights, good),
     )

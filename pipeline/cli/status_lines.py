@@ -18,7 +18,13 @@ from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.telling.outbox import Backlog
 
 # Colours only support the words of a state.
-COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
+COLOURS = {
+    "alarm": "bold red",
+    "warning": "yellow",
+    "common_cause": "magenta",
+    "duty_outside": "blue",
+    "stale": "blue",
+}
 COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "sensors", "why")
 
 

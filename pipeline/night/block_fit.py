@@ -31,6 +31,7 @@ from leakage.identifiability import (
     LeakageJudgement,
     identify,
     is_outside,
+    judge_by_total,
     judge_leakage,
 )
 from leakage.model_verdict import (
@@ -208,11 +209,16 @@ def fit_stored_blocks(
         judge_leakage(fitted, identification, excitation, at[name], errors[name].beside_samples)
         for name in (REFERENCE, OWN)
     )
+    total = {
+        place: errors[path.coefficient_name].total
+        for place, path in enumerate(Parametrisation.of(motor).paths)
+        if path is not None and path.coefficient_name in errors
+    }
     return BlockFit(
         name=mode,
         fit=fitted,
         training=training,
-        identification=identification,
+        identification=judge_by_total(fitted, identification, total),
         excitation=excitation,
         own_means=own_means,
         response=temperature_response(

@@ -236,7 +236,7 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
             continue
         unit = f" {_in_words(row['unit'])}".rstrip()
         text = f"{row['parameter']}: {row['verdict'].replace('_', ' ')}"
-        if row["verdict"] == "identified":
+        if row["verdict"] in ("identified", "uncertain"):
             text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}]{unit}"
         yield f"{text}; {row['reason']}" if row["reason"] else text
 

@@ -201,7 +201,9 @@ def _leakage(fits: pl.DataFrame, name: str) -> Course:
 
 def _over(stamps: NDArray[np.datetime64], rows: pl.DataFrame) -> Course:
     """A parameter over the nights, in those in which the data determine it."""
-    return _placed(stamps, rows.filter(pl.col("verdict").is_in(["identified", "fixed"])))
+    return _placed(
+        stamps, rows.filter(pl.col("verdict").is_in(["identified", "uncertain", "fixed"]))
+    )
 
 
 def _placed(stamps: NDArray[np.datetime64], rows: pl.DataFrame) -> Course:

@@ -27,7 +27,7 @@ Row = dict[str, Any]
 
 # From what needs attention most to what needs none.
 CHANGED = ("alarm", "warning", "common_cause")
-ORDER = (*CHANGED, "stale", "insufficient", "ok")
+ORDER = (*CHANGED, "duty_outside", "stale", "insufficient", "ok")
 REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_flow")
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")

@@ -66,6 +66,7 @@ STATES: Final[Mapping[str, str]] = {
     "warning": "warning",
     "alarm": "alarm",
     "common_cause": "common cause",
+    "duty_outside": "duty outside the baseline",
     "stale": "no recent figure",
     "insufficient": "too little data",
 }

@@ -431,8 +431,8 @@ PARAMETERS = Table(
             "verdict",
             pl.String,
             "",
-            "identified, only_in_combination, not_excited, at_bound, fixed or too_little_data; of "
-            "shares as reference_verdict",
+            "identified, uncertain (by its total ±), only_in_combination, not_excited, at_bound, "
+            "fixed or too_little_data; of shares as reference_verdict",
         ),
         Column("reason", pl.String, "", "The verdict in words"),
         Column(

@@ -90,8 +90,8 @@ TRENDS = Table(
             "state",
             pl.String,
             "",
-            "ok (no change of external leakage), warning, alarm, common_cause, stale or "
-            "insufficient",
+            "ok (no change of external leakage), warning, alarm, common_cause, duty_outside (the "
+            "baseline has not seen the night's duty), stale or insufficient",
         ),
         Column("state_reason", pl.String, "", "The state in words; null where ok"),
         Column("path", pl.String, "", "Path whose growth explains the change; null: none is told"),
@@ -186,7 +186,8 @@ ALARMS = Table(
             "",
             "Into a warning or an alarm: level, change (cumulative sum), both, jump (a sudden "
             "change that no event explains) or drift (of a sensor's zero); stale; common_cause; "
-            "baseline; recovered; recomputed: what was told before is not in the figures now",
+            "duty_outside; baseline; recovered; recomputed: what was told before is not in the "
+            "figures now",
         ),
         Column("path", pl.String, "", "Path whose growth explains the change"),
         Column(

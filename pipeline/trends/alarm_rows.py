@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.trends.attribution import path_behind, path_named
-from pipeline.trends.indicators import TEMPERATURE_EFFECT
+from pipeline.trends.indicators import MODEL_MISFIT, TEMPERATURE_EFFECT
 from pipeline.trends.reasons import way_of, why_state
 from pipeline.trends.standing import RAISED, Standing
 
@@ -15,6 +15,11 @@ Row = dict[str, Any]
 
 RECOMPUTED = "recomputed"
 INSUFFICIENT = "insufficient"
+# What is judged by rules of its own, in words; the others are zeros of sensors.
+OF_OWN_RULES = {
+    MODEL_MISFIT: "the model's misfit",
+    TEMPERATURE_EFFECT: "the effect of temperature",
+}
 
 
 def alarm_rows(
@@ -79,8 +84,8 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
         "deviation_percent": None,
         "path": None,
     }
-    if name == TEMPERATURE_EFFECT or name in standing.zeros:
-        return row | _of_sensor(standing, name, place, before, after)
+    if name in standing.by_own_rules:
+        return row | _by_own_rules(standing, name, place, before, after)
     segment, found, _ = standing.watched[name].at(place)
     deviation = found.own.deviation[place - segment.first]
     row["deviation_percent"] = 100.0 * float(deviation) if deviation == deviation else None
@@ -92,18 +97,18 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
     return row | {
         "reason": why_state(standing, name, place, path),
         "way": way_of(standing, name, place) if after in RAISED else after,
-        "path": path_named(standing, name, path),
+        "path": path_named(standing, name, place, path),
     }
 
 
-def _of_sensor(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
-    zero = standing.temperature if name == TEMPERATURE_EFFECT else standing.zeros[name]
-    what = "the effect of temperature" if name == TEMPERATURE_EFFECT else "its zero"
+def _by_own_rules(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+    one = standing.by_own_rules[name]
     if after == "warning":
-        return {"reason": zero.words(place), "way": "drift"}
+        return {"reason": one.words(place), "way": "change" if name == MODEL_MISFIT else "drift"}
     if after == INSUFFICIENT:
-        reason = next(part.reason for part in zero.segments if place < part.end)
+        reason = next(part.reason for part in one.segments if place < part.end)
         return {"reason": f"a new baseline begins: {reason}", "way": "baseline"}
+    what = OF_OWN_RULES.get(name, "its zero")
     if before == INSUFFICIENT:
         return {"reason": f"{what} is known", "way": "baseline"}
     return {"reason": f"{what} is back where it was", "way": "recovered"}
@@ -113,6 +118,7 @@ def _why_ok(before: str) -> str:
     return {
         INSUFFICIENT: "a baseline was taken",
         "stale": "there is a trusted figure again",
+        "duty_outside": "its duty is one that the baseline has seen",
         "common_cause": "the oil circuit is back where it was",
     }.get(before, "back below its levels")
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from leakage.hypotheses import Posterior
-from pipeline.trends.night_records import FLUSHING
+from pipeline.trends.duty import duty_words
+from pipeline.trends.night_records import BALANCED, FLUSHING, OUTSIDE
 from pipeline.trends.standing import CHANGED, Standing
 
 
@@ -13,19 +14,46 @@ def path_behind(standing: Standing, name: str, place: int) -> Posterior | None:
     None without a reported rise or after a fall, for the flushing and the sensors' zeros, and if
     the cause cannot be determined.
     """
-    if name == FLUSHING or name not in standing.watched or standing.has_fallen(name, place):
+    if name == FLUSHING or name in standing.by_own_rules or standing.has_fallen(name, place):
         return None
     if standing.told[name][place] not in CHANGED:
         return None
     return standing.explained(place)
 
 
-def path_named(standing: Standing, name: str, found: Posterior | None) -> str | None:
+def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
+    """Reason why no path may be named in a night, in words; empty where one may.
+
+    Duty first, then a common change, then the model.
+    """
+    duty = standing.history.records["duty"][place]
+    if duty == OUTSIDE:
+        return duty_words(standing.history, standing.era(place), place)
+    if found.verdict == "common":
+        return ""
+    if standing.model.state[place] == "warning":
+        return f"no path is named: {standing.model.words(place)}"
+    if duty != BALANCED:
+        return ""
+    elsewhere = "at another duty than the baseline's"
+    if words := standing.model.words(place):
+        return f"no path is named {elsewhere}: {words}"
+    raised = {
+        one.indicator.path
+        for name, one in standing.watched.items()
+        if standing.told[name][place] in CHANGED
+    }
+    if set(found.named) - raised:
+        return f"which path cannot be told {elsewhere}"
+    return ""
+
+
+def path_named(standing: Standing, name: str, place: int, found: Posterior | None) -> str | None:
     """The paths behind a state; None where none can be named.
 
     A loss factor speaks for its own path alone.
     """
-    if found is None:
+    if found is None or why_not_named(standing, place, found):
         return None
     own = standing.watched[name].indicator.path
     named = [one for one in found.named if not own or one == own]

@@ -38,12 +38,12 @@ def column_sums(history: History, places: NDArray[np.intp] | slice) -> Array:
 def expected_flow(sums: Array, theta: Array) -> tuple[Array, Array]:
     """Measured and expected flow of some nights [l/min × samples], both without flushing.
 
-    The sums are from :func:`column_sums`, shape (m, c). θ has shape (p + 1,); its last coefficient
-    is the flushing.
+    The sums are from :func:`column_sums`, shape (m, c). θ has shape (p + 1,), or (p + 1, m) where
+    each night has its own; its last coefficient is the flushing.
     """
     measured = sums[:, -1] - theta[-1] * sums[:, -3]
     expected = sums[:, -2].copy()
-    for column, coefficient in enumerate(theta[:-1].tolist()):
+    for column, coefficient in enumerate(theta[:-1]):
         expected += coefficient * sums[:, column]
     return measured, expected
 

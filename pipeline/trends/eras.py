@@ -23,7 +23,7 @@ from pipeline.trends.own_conditions import (
     own_leakage,
     reference_leakage,
 )
-from pipeline.trends.segments import Segment, segments
+from pipeline.trends.segments import Segment, first_good, segments
 from pipeline.trends.temperature import Effect, frozen_correction, usual_temperatures, warming
 
 Array = NDArray[np.float64]
@@ -65,11 +65,9 @@ def eras_of(history: History, decisions: Sequence[Decision]) -> tuple[Era, ...]:
 
 
 def _era(history: History, segment: Segment) -> Era:
-    needed = history.spec.settings.trend.provisional_nights
-    places = segment.first + np.flatnonzero(history.fitted[segment.first : segment.end])
-    if len(places) < needed:
+    first = first_good(history, segment)
+    if not len(first):
         return Era(segment, segment.end, None, None)
-    first = places[:needed]
     model = baseline_model(history, first)
     era = Era(segment, int(first[-1]), own_conditions(history, first), model, None, segment.end)
     found = frozen_correction(history, segment.first, segment.end)

@@ -17,7 +17,6 @@ from pipeline.trends.indicators import (
     DRAIN_FLOW,
     MODEL_MISFIT,
 )
-from pipeline.trends.model import misfit_at, misfit_words
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.reasons import good_nights, why_no_baseline
 from pipeline.trends.standing import Standing
@@ -49,13 +48,15 @@ def first_rows(standing: Standing, place: int) -> Iterator[Row]:
 
 def model_row(standing: Standing, place: int) -> Row | None:
     """Structured misfit of the model over the last nights, with its verdict."""
-    found = misfit_at(standing, place)
+    model = standing.model
+    found = model.at(place)
     if found is None:
         return None
     return _row(MODEL_MISFIT, "%", 100.0 * found.share) | {
         "n_nights": found.n_nights,
-        "state": standing.states[DEVIATION][place],
-        "state_reason": misfit_words(standing, place, found),
+        "baseline_mean": 100.0 * float(model.first[place]) if model.first[place] >= 0.0 else None,
+        "state": model.state[place],
+        "state_reason": model.words(place) or None,
         "model_verdict": model_verdict(found),
     }
 

@@ -54,6 +54,8 @@ class Indicator:
         Nights behind it.
     allowance
         Relative ± that nights of one temperature share; 0 for none.
+    compared
+        Watched series where it is another one than the value: at the duty of the baseline.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Indicator:
     told: NDArray[np.bool_]
     n_nights: NDArray[np.int32]
     allowance: Array | float = 0.0
+    compared: Array | None = None
 
     def with_allowance(self, allowance: Array) -> Indicator:
         """The same with a relative ± that nights of one temperature share, in its interval, too."""
@@ -87,6 +90,11 @@ class Indicator:
     @property
     def watched(self) -> Array:
         """Watched series, shape (n,): positive; nan where gated."""
+        return self.trusted if self.compared is None else self.compared
+
+    @property
+    def trusted(self) -> Array:
+        """The value as absolute limits take it, shape (n,): positive; nan where gated."""
         counts = np.array([not reason for reason in self.gated], dtype=np.bool_)
         return np.where(counts, self.value + self.shift, np.nan)
 

@@ -74,7 +74,7 @@ class KeptMonth:
     until: str | None = None
 
     def encoded(self, key: str) -> bytes:
-        """Its file's content: a column a field, and all else with a digest in the metadata."""
+        """Its file's content."""
         head = {
             "key": key,
             "folders": self.folders,
@@ -84,31 +84,19 @@ class KeptMonth:
             "states": self.states,
             "until": self.until,
         }
-        text = json.dumps(head, separators=(",", ":"), sort_keys=True).encode()
-        columns = {name: _column(self.records[name]) for name in self.records.dtype.names or ()}
-        table = pa.table(columns)
-        digest = _digest(text, table)
-        sink = pa.BufferOutputStream()
-        pq.write_table(
-            table.replace_schema_metadata({HEAD: text, DIGEST: digest}),
-            sink,
-            # What is read every night is to be quick to read.
-            compression="lz4",
-            use_dictionary=False,
-            write_statistics=False,
+        return encoded_table(
+            head, {name: self.records[name] for name in self.records.dtype.names or ()}
         )
-        content: bytes = sink.getvalue().to_pybytes()
-        return content
 
     @classmethod
     def of(cls, table: pa.Table, key: str, layout: Layout) -> KeptMonth | None:
         """A month from its table; None where it was made by other settings."""
-        head = json.loads(table.schema.metadata[HEAD])
+        head = head_of(table)
         if head["key"] != key:
             return None
         records = np.zeros(table.num_rows, dtype=layout.dtype)
         for name in layout.dtype.names or ():
-            records[name] = _values(table[name]).reshape(records[name].shape)
+            records[name] = values_of(table[name]).reshape(records[name].shape)
         return cls(
             tuple(head["folders"]),
             head["files"],
@@ -118,6 +106,30 @@ class KeptMonth:
             records,
             head["until"],
         )
+
+
+def encoded_table(head: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> bytes:
+    """A kept file's content: a column an array, and all else with a digest in the metadata."""
+    text = json.dumps(head, separators=(",", ":"), sort_keys=True).encode()
+    table = pa.table({name: _column(values) for name, values in columns.items()})
+    digest = _digest(text, table)
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        table.replace_schema_metadata({HEAD: text, DIGEST: digest}),
+        sink,
+        # What is read every night is to be quick to read.
+        compression="lz4",
+        use_dictionary=False,
+        write_statistics=False,
+    )
+    content: bytes = sink.getvalue().to_pybytes()
+    return content
+
+
+def head_of(table: pa.Table) -> dict[str, Any]:
+    """All that a kept file says beside its columns."""
+    head: dict[str, Any] = json.loads(table.schema.metadata[HEAD])
+    return head
 
 
 def whole_table(content: bytes) -> pa.Table | None:
@@ -138,7 +150,7 @@ def _column(values: NDArray[Any]) -> pa.Array:
     return pa.FixedSizeListArray.from_arrays(flat, int(np.prod(values.shape[1:])))
 
 
-def _values(column: pa.ChunkedArray) -> NDArray[Any]:
+def values_of(column: pa.ChunkedArray) -> NDArray[Any]:
     """All numbers of a column, night by night."""
     whole = column.combine_chunks()
     flat = whole.flatten() if pa.types.is_fixed_size_list(whole.type) else whole
@@ -150,7 +162,7 @@ def _digest(head: bytes, table: pa.Table) -> bytes:
     """SHA-256 of all that a month says."""
     found = hashlib.sha256(head)
     for name in table.column_names:
-        values = _values(table[name])
+        values = values_of(table[name])
         found.update(name.encode())
         found.update(b"\0".join(values.tolist()) if values.dtype == object else values.tobytes())
     return found.hexdigest().encode()

@@ -1,12 +1,17 @@
-"""The model itself, night by night: its misfit over the last nights that tell it."""
+"""The model itself: its misfit over the last nights, and since when it is larger."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import datetime as dt
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from leakage.alarms import above_level
 from leakage.model_verdict import (
+    DISPROVED_OVER_TEN,
     NIGHTS_TOGETHER,
     Misfit,
     StructuredMisfit,
@@ -14,50 +19,98 @@ from leakage.model_verdict import (
     structured_misfit,
     verdict_in_words,
 )
-from pipeline.trends.standing import Standing
+from pipeline.trends.decisions import Decision
+from pipeline.trends.history import History
+from pipeline.trends.indicators import MODEL_MISFIT
+from pipeline.trends.segments import Segment, segments
+from pipeline.trends.words import day
+from pipeline.trends.zeros import nights_rule
 
-# Nights that are looked back for the first one that the model did not describe.
-LONGEST_LOOK = 30
+Array = NDArray[np.float64]
 
-
-def misfit_at(standing: Standing, place: int) -> StructuredMisfit | None:
-    """Misfit of the last ten nights that tell it, of the era of a night; None without one."""
-    known = _known(standing, place)[-NIGHTS_TOGETHER:]
-    rows = standing.history.records["misfit"][known]
-    return structured_misfit([Misfit.of(row) for row in rows]) if len(rows) else None
-
-
-def misfit_words(standing: Standing, place: int, found: StructuredMisfit) -> str | None:
-    """A model that is disproved, in words, with the night since when; None of another one."""
-    if model_verdict(found) != "disproved":
-        return None
-    night = _since(standing, place)
-    if night is None:
-        told = "the model does not describe this motor"
-    else:
-        told = f"the model no longer describes this motor since about {night}"
-    return f"{told}: {verdict_in_words(found, standing.history.spec.low_side)}"
+# A misfit is larger than the baseline's from this factor on, where what it is more by is as large
+# as what disproves a model.
+LARGER = 1.5
 
 
-def _known(standing: Standing, place: int) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
-    """Places up to a night, of its era, whose blocks tell of the model."""
-    first = standing.era(place).segment.first
-    rows = standing.history.records[first : place + 1]
+def with_misfit(history: History, decisions: Sequence[Decision], until: dt.date) -> History:
+    """A history whose nights from one on have their misfit over ten, those before as they are."""
+    records = history.records.copy()
+    begin = int(np.searchsorted(records["night"], np.datetime64(until)))
+    records["misfit_of_ten"][begin:] = np.nan
+    for part in segments(history, decisions):
+        for place in range(max(begin, part.first), part.end):
+            found = _misfit_at(records, part, place)
+            if found is not None and found.n_nights == NIGHTS_TOGETHER:
+                records["misfit_of_ten"][place] = found.share, found.noise_share
+    return replace(history, records=records)
+
+
+def _misfit_at(records: NDArray[np.void], part: Segment, place: int) -> StructuredMisfit | None:
+    """Misfit of the last ten nights of a segment that tell it; None without one."""
+    # A month is enough to find them, and a longer silence says nothing of now.
+    rows = records[max(part.first, place - 3 * NIGHTS_TOGETHER) : place + 1]
     told = np.isfinite(rows["misfit"]).all(axis=1) & (rows["model"] == rows["model"][-1])
-    places: np.ndarray[tuple[int], np.dtype[np.intp]] = first + np.flatnonzero(told)
-    return places
+    known = rows["misfit"][told][-NIGHTS_TOGETHER:]
+    return structured_misfit([Misfit.of(row) for row in known]) if len(known) else None
 
 
-def _since(standing: Standing, place: int) -> object | None:
-    """First night of those without a break that disprove the model; None where none did not."""
-    last = None
-    for one in _backwards(standing, place):
-        found = misfit_at(standing, one)
-        if found is not None and model_verdict(found) in ("supported", "doubtful"):
-            return None if last is None else standing.history.nights[last]
-        last = one
-    return None
+@dataclass(frozen=True, slots=True)
+class ModelCourse:
+    """Whether a motor's model still describes it; shape (n,) each.
+
+    Attributes
+    ----------
+    history, segments
+        Its nights, and those that one baseline serves.
+    first
+        Misfit of the first ten nights, over the mean leakage, from when it was known; else nan.
+    state
+        insufficient, ok or warning: it has grown by what disproves a model.
+    """
+
+    history: History
+    segments: tuple[Segment, ...]
+    first: Array
+    state: tuple[str, ...]
+
+    def at(self, place: int) -> StructuredMisfit | None:
+        """Misfit of the last ten nights that tell it; None without one."""
+        part = next(one for one in self.segments if place < one.end)
+        return _misfit_at(self.history.records, part, place)
+
+    def words(self, place: int) -> str:
+        """A model that is disproved, in words; with the night since when, if it once was not."""
+        found = self.at(place)
+        changed = self.state[place] == "warning"
+        if found is None or not (changed or model_verdict(found) == "disproved"):
+            return ""
+        told = "the model does not describe this motor"
+        if changed:
+            told = f"the model no longer describes this motor since about {self._since(place)}"
+        return f"{told}: {verdict_in_words(found, self.history.spec.low_side)}"
+
+    def _since(self, place: int) -> str:
+        before = [one for one in range(place) if self.state[one] != "warning"]
+        return day(self.history.nights[max(before, default=-1) + 1])
 
 
-def _backwards(standing: Standing, place: int) -> Iterator[int]:
-    yield from (int(one) for one in _known(standing, place)[-LONGEST_LOOK:][::-1])
+def model_course(history: History, decisions: Sequence[Decision]) -> ModelCourse:
+    """Misfit of a motor's model against that of its baseline."""
+    share, noise = history.records["misfit_of_ten"].T
+    first, state = np.full(len(history), np.nan), np.full(len(history), "insufficient", object)
+    parts = segments(history, decisions, MODEL_MISFIT)
+    for part in parts:
+        known = part.first + np.flatnonzero(np.isfinite(share[part.first : part.end]))
+        if not len(known):
+            continue
+        here, begin = slice(known[0], part.end), share[known[0]]
+        first[here] = begin
+        more = np.sqrt(np.maximum(share[here] ** 2 - begin**2, 0.0))
+        # Noise that would seem as large says nothing.
+        told = np.where(2.0 * noise[here] > share[here], 0.0, more)
+        told = np.where(share[here] < LARGER * begin, 0.0, told)
+        told = np.where(np.isfinite(share[here]), told, np.nan)
+        is_on = above_level(told, DISPROVED_OVER_TEN, 0.0, nights_rule(history.spec))
+        state[here] = np.where(is_on, "warning", "ok")
+    return ModelCourse(history, parts, first, tuple(state.tolist()))

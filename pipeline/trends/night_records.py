@@ -18,7 +18,8 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import Parametrisation
-from leakage.identifiability import OUTSIDE, TOLD
+from leakage.identifiability import OUTSIDE as OUTSIDE_THE_SAMPLES
+from leakage.identifiability import TOLD
 from leakage.model_verdict import MISFIT_NUMBERS
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import OK
@@ -30,6 +31,8 @@ Records = NDArray[Any]
 FLUSHING = "C_f"
 # A night alone tells a leakage where its statistical half-width is no wider; else the filter does.
 WIDEST_ALONE = 0.02
+# Duty of a night: that of its baseline, another one that the baseline has seen, or outside of it.
+AS_BASELINE, BALANCED, OUTSIDE = 0, 1, 2
 HISTOGRAMS = ("pressure_histogram", "temperature_histogram", "speed_histogram")
 BINS = (20, 28, 15)
 OPERATED = (
@@ -166,12 +169,23 @@ class Layout:
                 ("own", "f8", 3),
                 # What the blocks say of the model, as `Misfit.numbers`.
                 ("misfit", "f8", MISFIT_NUMBERS),
+                # τ and what noise explains, of ten nights over their mean leakage.
+                ("misfit_of_ten", "f8", 2),
                 *((name, "f8") for name in SINGLE),
                 *((name, "f8") for name in OPERATED),
                 *((name, "u4", bins) for name, bins in zip(HISTOGRAMS, BINS, strict=True)),
                 # Errors as the blocks see them, from which the filter has λ.
                 ("noise", "f8", theta),
                 ("freedom", "f8", theta),
+                # Against the baseline at the night's own duty: `AS_BASELINE` and so on, θ of both
+                # with the covariance of the baseline's, ln of the flow over what it says, and the
+                # share of the baseline's blocks behind it.
+                ("duty", "i1"),
+                ("duty_then", "f8", theta),
+                ("duty_now", "f8", theta),
+                ("duty_error", "f8", triangle(theta)),
+                ("duty_flow", "f8"),
+                ("duty_share", "f8"),
                 *self.filtered,
             ]
         )
@@ -360,7 +374,7 @@ def _fill_reference(spec: MotorSpec, records: Records, fits: pl.DataFrame) -> li
     before = np.column_stack([_numbers(fits, name) for name in REFERENCE_CONDITIONS])
     elsewhere = np.isfinite(before).all(axis=1) & (before != now).any(axis=1)
     verdicts, reasons = _texts(fits, "reference_verdict"), _texts(fits, "reference_reason")
-    records["outside"] = [verdict in OUTSIDE for verdict in verdicts]
+    records["outside"] = [verdict in OUTSIDE_THE_SAMPLES for verdict in verdicts]
     for place, column in enumerate(REFERENCE):
         records["reference"][:, place] = _numbers(fits, column)
     value, low, high = records["reference"].T

@@ -77,7 +77,7 @@ class OwnLeakage:
 def reference_leakage(history: History, effect: Effect) -> Indicator:
     """Leakage at the fleet's reference conditions, with the loss factors of T₀."""
     n = len(history)
-    at = _reference_conditions(history)
+    at = [reference_conditions(history, place) for place in range(n)]
     figures = _at_one_temperature(history, at, effect)
     alone = Indicator(
         REFERENCE,
@@ -111,18 +111,30 @@ def _at_one_temperature(history: History, at: Sequence[OwnConditions], effect: E
     return figures
 
 
-def _reference_conditions(history: History) -> list[OwnConditions]:
-    """The fleet's reference conditions, with each night's charge pressure."""
+def known_at_reference(history: History) -> Array:
+    """Known flow at the fleet's reference conditions in each night [l/min], shape (n,).
+
+    0 where the model does not hold there.
+    """
+    rows = (
+        regressor_row(history, place, reference_conditions(history, place))
+        for place in range(len(history))
+    )
+    return np.array([0.0 if isinstance(row, str) else float(row[-1]) for row in rows])
+
+
+def reference_conditions(history: History, place: int) -> OwnConditions:
+    """The fleet's reference conditions, with a night's charge pressure."""
+    if reference_conditions not in history.kept:
+        history.kept[reference_conditions] = _last_known(history.records["charge"])
     asked = history.spec.settings.reference
-    return [
-        OwnConditions(
-            asked.pressure_bar,
-            asked.temperature_c,
-            asked.speed_rpm,
-            None if np.isnan(charge) else charge,
-        )
-        for charge in _last_known(history.records["charge"]).tolist()
-    ]
+    charge = float(history.kept[reference_conditions][place])
+    return OwnConditions(
+        asked.pressure_bar,
+        asked.temperature_c,
+        asked.speed_rpm,
+        None if np.isnan(charge) else charge,
+    )
 
 
 def _last_known(values: Array) -> Array:

@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 from leakage.hypotheses import Posterior
 from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
+from pipeline.trends.attribution import why_not_named
+from pipeline.trends.duty import UNCERTAIN, duty_words
 from pipeline.trends.explanation_words import why_words
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 from pipeline.trends.night_records import FLUSHING
@@ -24,9 +26,11 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
     watched = standing.watched[name]
     segment, found, _ = watched.at(place)
     inside = place - segment.first
+    if state == "duty_outside":
+        return _outside_words(standing, place)
     if state == "stale":
         nights = int(found.own.since_good[inside])
-        return f"no trusted figure for {nights} nights: {watched.indicator.gated[place]}"
+        return f"no trusted figure for {nights} nights: {why_gated(standing, name, place)}"
     parts = [sensors_words(standing, place)]
     sudden = standing.sudden_at(place)
     told = found.own.severity[inside] > 0 or found.own.limit_severity[inside] > 0
@@ -37,13 +41,42 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
     if found.own.severity[inside]:
-        parts.append(why_words(standing.history, place, behind, watched.indicator.path))
+        parts.append(_cause(standing, place, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
         if not found.own.severity[inside]:
             behind = standing.why.at(place, sudden.place)
-            parts.append(why_words(standing.history, place, behind))
+            parts.append(_cause(standing, place, behind))
     return "; ".join(part for part in parts if part)
+
+
+def _cause(standing: Standing, place: int, found: Posterior | None, own: str = "") -> str:
+    """Cause of a change in words, or why none is named; empty if nothing can be said."""
+    why = "" if found is None else why_not_named(standing, place, found)
+    return why or why_words(standing.history, place, found, own)
+
+
+def why_gated(standing: Standing, name: str, place: int) -> str:
+    """Reason why a night of an indicator does not count; empty where it does."""
+    watched = standing.watched[name]
+    if not np.isnan(watched.series[place]) or watched.indicator.gated[place]:
+        return watched.indicator.gated[place]
+    return duty_words(standing.history, standing.era(place), place) or UNCERTAIN
+
+
+def _outside_words(standing: Standing, place: int) -> str:
+    """Duty that the baseline has not seen; where it lasts, the proposal of a new baseline."""
+    history, era = standing.history, standing.era(place)
+    words = duty_words(history, era, place)
+    known = era.segment.first + np.flatnonzero(history.fitted[era.segment.first : place + 1])
+    inside = known[~standing.is_outside[known]]
+    since = known[known > inside[-1]]
+    if len(since) < history.spec.settings.alarms.stale_after_nights:
+        return words
+    return (
+        f"{words}; so for {len(since)} nights: if this duty is to stay, begin a new baseline from "
+        f"{standing.label(int(since[0]))} (`motor-leakage baseline reset`)"
+    )
 
 
 def good_nights(standing: Standing, name: str, place: int) -> tuple[int, int]:

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.periods import ChosenPeriods
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
+
+Places = NDArray[np.intp]
 
 EVENT_WORDS = {
     "overhaul": "overhaul",
@@ -60,6 +63,16 @@ def segments(
     starts.setdefault(0, [FIRST_NIGHTS])
     borders = [*sorted(starts), len(history)]
     return tuple(Segment(first, end, "; ".join(starts[first])) for first, end in pairwise(borders))
+
+
+def first_good(history: History, segment: Segment) -> Places:
+    """Places of a segment's first nights that say something, as many as a provisional baseline has.
+
+    Empty while there are fewer.
+    """
+    needed = history.spec.settings.trend.provisional_nights
+    places = segment.first + np.flatnonzero(history.fitted[segment.first : segment.end])[:needed]
+    return places if len(places) == needed else places[:0]
 
 
 def _begin(starts: dict[int, list[str]], place: int | None, words: str) -> None:

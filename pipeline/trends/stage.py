@@ -26,15 +26,18 @@ from pipeline.logs.ledger import as_published
 from pipeline.schema import TREND_TABLES, TRENDS
 from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
+from pipeline.trends.baseline_blocks import BlockFiles
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.beginnings import earlier_views
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.decisions import Decision
+from pipeline.trends.duty import at_duty, with_duty, without_duty
 from pipeline.trends.eras import Era, eras_of, indicators_of
 from pipeline.trends.explanations import Explanations, OilCircuit, View, Why
 from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, Indicator
+from pipeline.trends.model import model_course, with_misfit
 from pipeline.trends.night_records import Records
 from pipeline.trends.peers import (
     Contribution,
@@ -150,8 +153,9 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         except StoreError as error:
             return TrendOutcome(failures=dict.fromkeys(said, _failure(error)))
         done = _Done(dict(task.given_up))
+        blocks = BlockFiles(task.output, list(said))
         for circuit in circuits:
-            _run_circuit(task, circuit, nights, done)
+            _run_circuit(task, circuit, nights, blocks, done)
         for motor_id, one in nights.items():
             one.keep(motor_id, done.filtered.get(motor_id))
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
@@ -182,7 +186,11 @@ class _Done:
 
 
 def _run_circuit(
-    task: TrendTask, circuit: Circuit, nights: Mapping[str, MotorNights], done: _Done
+    task: TrendTask,
+    circuit: Circuit,
+    nights: Mapping[str, MotorNights],
+    blocks: BlockFiles,
+    done: _Done,
 ) -> None:
     histories = {
         spec.motor_id: history
@@ -196,7 +204,7 @@ def _run_circuit(
         if motor_id not in done.failures:
             said, until = circuit.decisions[motor_id], nights[motor_id].filter_from
             seen = {} if alone else seen_from[motor_id]
-            part = done.guarded(motor_id, partial(_part, history, said, until, seen))
+            part = done.guarded(motor_id, partial(_part, history, said, until, seen, blocks))
             if part is not None:
                 parts[motor_id] = part
                 done.filtered[motor_id] = part.history.records
@@ -245,13 +253,15 @@ def _part(
     said: tuple[Decision, ...],
     until: dt.date,
     seen_from: Mapping[str, dt.date],
+    blocks: BlockFiles,
 ) -> Part:
     """A motor before comparison with the others, its nights from `until` on filtered anew."""
-    part = Part.of(with_filter(history, said, until), said)
+    filtered = with_misfit(with_filter(history, said, until), said, until)
+    part = Part.of(with_duty(filtered, said, until, blocks), said)
     for night, then, said_then in earlier_views(history, said, seen_from):
-        part = part.seen_before(
-            night, Part.of(with_filter(then, said_then, dt.date.min), said_then)
-        )
+        # By another baseline, which others hear of for some nights: not at its duty.
+        seen = without_duty(with_filter(then, said_then, dt.date.min))
+        part = part.seen_before(night, Part.of(seen, said_then))
     return part
 
 
@@ -281,7 +291,9 @@ class Part:
     @classmethod
     def of(cls, history: History, decisions: tuple[Decision, ...]) -> Part:
         eras = eras_of(history, decisions)
-        indicators = indicators_of(history, eras)
+        indicators = {
+            name: at_duty(history, eras, one) for name, one in indicators_of(history, eras).items()
+        }
         own = segments(history, decisions, DEVIATION)
         flow = contribution(history, log_change(history, indicators[DEVIATION], own))
         views = (View(None, Explanations(history, eras)),)
@@ -334,6 +346,7 @@ def standing_of(part: Part, neighbours: Neighbours | None) -> Standing:
         why,
         sudden_changes(part.history, part.decisions, part.indicators, why),
         sensor_zeros(part.history, part.decisions),
+        model_course(part.history, part.decisions),
     )
 
 

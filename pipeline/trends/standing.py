@@ -18,8 +18,9 @@ from pipeline.config.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, TEMPERATURE_EFFECT
-from pipeline.trends.night_records import FLUSHING
+from pipeline.trends.indicators import DEVIATION, MODEL_MISFIT, TEMPERATURE_EFFECT
+from pipeline.trends.model import ModelCourse
+from pipeline.trends.night_records import FLUSHING, OUTSIDE
 from pipeline.trends.peers import Peers
 from pipeline.trends.running import RunningHours, running_hours
 from pipeline.trends.sudden import Sudden
@@ -55,6 +56,8 @@ class Standing:
         Sudden changes that no event explains.
     zeros
         Zeros of its sensors.
+    model
+        Misfit of its model.
     """
 
     history: History
@@ -64,6 +67,7 @@ class Standing:
     why: Why
     sudden: tuple[Sudden, ...]
     zeros: Mapping[str, Zero]
+    model: ModelCourse
 
     @cached_property
     def hours(self) -> RunningHours:
@@ -76,11 +80,23 @@ class Standing:
         years: Array = self.history.numbers / DAYS_A_YEAR
         return years
 
+    @property
+    def is_outside(self) -> NDArray[np.bool_]:
+        """Nights whose duty the baseline has not seen, shape (n,)."""
+        outside: NDArray[np.bool_] = self.history.records["duty"] == OUTSIDE
+        return outside
+
     @cached_property
     def told(self) -> dict[str, tuple[str, ...]]:
         """State of each night, by indicator, whatever the other motors of the circuit did."""
-        sensors = {name: zero.state for name, zero in self.zeros.items()}
-        return {**self._told, **sensors, TEMPERATURE_EFFECT: self.temperature.state}
+        found = {name: list(states) for name, states in self._told.items()}
+        for name, watched in self.watched.items():
+            for place in np.flatnonzero(np.isnan(watched.series) & self.is_outside).tolist():
+                if found[name][place] in ("ok", "stale"):
+                    found[name][place] = "duty_outside"
+        return {name: tuple(states) for name, states in found.items()} | {
+            name: one.state for name, one in self.by_own_rules.items()
+        }
 
     @cached_property
     def temperature(self) -> TemperatureWatch:
@@ -102,6 +118,11 @@ class Standing:
                 if flow[place] == "ok":
                     flow[place] = "common_cause" if one.kind == "circuit" else "warning"
         return {name: tuple(states) for name, states in found.items()}
+
+    @cached_property
+    def by_own_rules(self) -> Mapping[str, Zero | ModelCourse | TemperatureWatch]:
+        """What is told by other rules than the watched indicators: sensors and the model."""
+        return {**self.zeros, MODEL_MISFIT: self.model, TEMPERATURE_EFFECT: self.temperature}
 
     @cached_property
     def states(self) -> dict[str, States]:

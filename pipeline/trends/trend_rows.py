@@ -14,7 +14,7 @@ from leakage.cusum import cusum_limit
 from leakage.hypotheses import Posterior
 from leakage.slope import Slope, fit_slope
 from leakage.time_to_limit import time_to_limit
-from pipeline.trends.attribution import path_behind, path_named
+from pipeline.trends.attribution import path_behind, path_named, why_not_named
 from pipeline.trends.explanation_words import cannot_be_told
 from pipeline.trends.first_rows import first_rows, reference_flows
 from pipeline.trends.indicators import (
@@ -24,7 +24,7 @@ from pipeline.trends.indicators import (
     gap_change,
     scaled,
 )
-from pipeline.trends.reasons import why_no_baseline, why_state
+from pipeline.trends.reasons import why_gated, why_no_baseline, why_state
 from pipeline.trends.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.zeros import HALF, NO_HALT, Zero
@@ -74,6 +74,8 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     state, indicator = standing.states[name][place], watched.indicator
     limits = watched.settings.limits
     row = _figures(indicator, place)
+    if indicator.told[place]:
+        row["gated_reason"] = why_gated(standing, name, place) or None
     row |= {"state": state, "state_reason": None}
     if state in CHANGED and (begin := standing.change_start(name, place)) is not None:
         row["change_start"] = standing.label(begin)
@@ -99,12 +101,12 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     if state != "ok":
         path = path_behind(standing, name, place)
         row["state_reason"] = why_state(standing, name, place, path)
-        row["path"] = path_named(standing, name, path)
-        row |= _explained(path, row["path"])
+        row["path"] = path_named(standing, name, place, path)
+        row |= _explained(standing, place, path, row["path"])
     return row | _line(standing, name, place, baseline)
 
 
-def _explained(found: Posterior | None, path: str | None) -> Row:
+def _explained(standing: Standing, place: int, found: Posterior | None, path: str | None) -> Row:
     """Columns of the probabilities of paths and of a common factor as causes of a change."""
     if found is None:
         return {}
@@ -112,6 +114,8 @@ def _explained(found: Posterior | None, path: str | None) -> Row:
     row: Row = {"common_probability": found.common, "common_origin": found.origin}
     if path:
         row["path_probability"] = min(found.paths[name] for name in path.split(" and "))
+    elif why := why_not_named(standing, place, found):
+        row["path_reason"] = why
     elif found.verdict == "cannot_be_told":
         row["path_reason"] = cannot_be_told(found)
     if found.is_common:

@@ -76,8 +76,9 @@ def _monitored(
     history: History, part: Segment, indicator: Indicator, settings: MonitorSettings
 ) -> Monitoring:
     here = slice(part.first, part.end)
-    allowance = np.broadcast_to(indicator.allowance, len(history))
-    return monitor(history.numbers[here], indicator.watched[here], settings, allowance[here])
+    series, limited = indicator.watched[here], indicator.trusted[here]
+    allowance = np.broadcast_to(indicator.allowance, len(history))[here]
+    return monitor(history.numbers[here], series, settings, allowance, limited)
 
 
 def monitor_settings(spec: MotorSpec, indicator: Indicator, n_indicators: int) -> MonitorSettings:

@@ -30,6 +30,7 @@ from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History, every_night, rows_by_night
+from pipeline.trends.model import with_misfit
 from pipeline.trends.stage import Part, neighbours_of, standing_of
 from pipeline.trends.standing import Standing
 from tests.pipeline.simulated import motor_toml, write_configs
@@ -350,7 +351,10 @@ def standings(
 ) -> dict[str, Standing]:
     """Standings of the motors of one oil circuit, or of one motor alone."""
     said = {name: tuple(d for d in decisions if d.motor_id == name) for name in found}
-    parts = {name: Part.of(change(one, said[name]), said[name]) for name, one in found.items()}
+    parts = {
+        name: Part.of(with_misfit(change(one, said[name]), said[name], dt.date.min), said[name])
+        for name, one in found.items()
+    }
     neighbours = neighbours_of(parts) if len(parts) > 1 else {}
     return {name: standing_of(part, neighbours.get(name)) for name, part in parts.items()}
 

@@ -106,7 +106,7 @@ def test_an_indicator_that_is_ok_has_no_path() -> None:
     found = standing(Nights(motor(), N))
     for name in found.watched:
         assert path_behind(found, name, N - 1) is None
-        assert path_named(found, name, None) is None
+        assert path_named(found, name, N - 1, None) is None
 
 
 def test_a_wear_that_goes_on_is_told_by_its_latest_nights() -> None:

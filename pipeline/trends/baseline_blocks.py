@@ -1,0 +1,101 @@
+"""Blocks of a motor's nights for comparisons at another duty; those of its baseline are kept.
+
+What is kept only saves the reading of the baseline's nights, and is made anew where their files
+are not those that it was read from.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from leakage.balanced_baseline import DutyBlocks
+from pipeline.config.hashes import hash_of
+from pipeline.errors import StoreError
+from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.schema import BLOCK_STATISTICS
+from pipeline.store.atomic_files import put
+from pipeline.store.sealed import read_if_whole
+from pipeline.store.tables import night_stamps, read_rows
+from pipeline.trends.kept_nights import (
+    encoded_table,
+    head_of,
+    kept_folder,
+    values_of,
+    whole_table,
+)
+from pipeline.trends.night_records import Layout
+
+log = logging.getLogger(__name__)
+
+FILE = "baseline"
+COLUMNS = ("factors", "conditions", "nights")
+
+
+@dataclass(slots=True)
+class BlockFiles:
+    """Blocks of some motors' nights; each file is read once.
+
+    Parameters
+    ----------
+    output, motor_ids
+        Output folder, and the motors.
+    """
+
+    output: Path
+    motor_ids: Sequence[str]
+    _rows: dict[dt.date, pl.DataFrame] = field(default_factory=dict)
+
+    def of(
+        self, motor_id: str, layout: Layout, nights: Sequence[dt.date], model: str
+    ) -> DutyBlocks | None:
+        """Blocks of a model; None where there are none, or some are of another one."""
+        for night in nights:
+            if night not in self._rows:
+                self._rows[night] = read_rows(
+                    self.output,
+                    BLOCK_STATISTICS,
+                    self.motor_ids,
+                    BLOCK_COLUMNS,
+                    nights=[night],
+                )
+        rows = pl.concat([self._rows[night].filter(motor_id=motor_id) for night in nights])
+        stored = StoredBlocks.of(rows.sort("block_start"), layout.columns)
+        if rows.is_empty() or stored is None or set(rows["model_hash"]) != {model}:
+            return None
+        label = stored.rows["night"].to_numpy().astype("M8[D]").astype(np.int64)
+        return DutyBlocks(stored.factors, stored.block_means(), label)
+
+    def of_baseline(
+        self, motor_id: str, layout: Layout, nights: Sequence[dt.date], model: str
+    ) -> DutyBlocks | None:
+        """The same of a baseline's nights, as kept by a run before where that still holds."""
+        path, size = kept_folder(self.output) / motor_id / FILE, len(layout.columns)
+        key = hash_of({"records": layout.digest, "model": model, "files": self._stamps(nights)})
+        table = read_if_whole(path, whole_table)
+        if table is not None and head_of(table)["key"] == key:
+            factors, conditions, labels = (values_of(table[name]) for name in COLUMNS)
+            return DutyBlocks(factors.reshape(-1, size, size), conditions.reshape(-1, 3), labels)
+        found = self.of(motor_id, layout, nights, model)
+        if found is not None:
+            columns = {name: getattr(found, name) for name in COLUMNS}
+            try:
+                put(path, encoded_table({"key": key}, columns), durable=False)
+            except StoreError as error:
+                log.warning("%s; the next run reads the nights again", error)
+        return found
+
+    def _stamps(self, nights: Sequence[dt.date]) -> list[tuple[str, str]]:
+        """The files of some nights, as they are now."""
+        labels = [night.isoformat() for night in nights]
+        of_month = {
+            month: night_stamps(self.output, BLOCK_STATISTICS, month)
+            for month in {one[:7] for one in labels}
+        }
+        return [(label, of_month[label[:7]].get(label, "")) for label in labels]
