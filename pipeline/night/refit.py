@@ -15,6 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import EstimationError
+from leakage.block_statistics import merge
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, fit_stored_blocks
 from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
@@ -30,6 +31,7 @@ from pipeline.night.rows import (
     previous_model_columns,
     search_columns,
     start_rows,
+    upper_triangle,
 )
 from pipeline.night.stored_blocks import StoredBlocks
 
@@ -88,9 +90,20 @@ def refit(
         return None
     if any(row["status"] != OK or row["sample_period_s"] is None for row in fits.values()):
         return None
-    blocks = StoredBlocks.of(night.blocks, spec.motor(night.label, primary).columns)
+    blocks = StoredBlocks.of(spec, night.blocks, spec.motor(night.label, primary).columns)
     if blocks is None:
         return None
+    is_squared = spec.settings.estimation.loss == "squared"
+    was_measured = fits[primary].get("viscosity_ratio") is not None
+    if was_measured or blocks.viscosity_ratio is not None:
+        # Weighted blocks do not have the plain factor of the night.
+        if not is_squared:
+            return None
+        as_measured = {
+            "viscosity_ratio": blocks.viscosity_ratio,
+            "night_factor": upper_triangle(merge(blocks.factors)),
+        }
+        fits = {mode: row | as_measured for mode, row in fits.items()}
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
     rows: Rows = {name: [] for name in tables}
     model = {}

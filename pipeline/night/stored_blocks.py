@@ -1,4 +1,4 @@
-"""Blocks of samples as `block_statistics` holds them: tonight's, or those of nights before."""
+"""Blocks of samples of `block_statistics`, with the oil as measured: tonight's, or older ones."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from leakage.block_statistics import merge
 from leakage.slow_errors import ShortBlocks, short_blocks
+from pipeline.config import MotorSpec
+from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
 from pipeline.schema import BLOCK_STATISTICS
 
 Array = NDArray[np.float64]
@@ -29,6 +31,7 @@ BLOCK_COLUMNS = (
     "statistics",
     "model_hash",
     "short_means",
+    "viscosity_ratio",
     *(f"{end}_{name}" for name in CHANNELS for end in ("mean", "minimum", "maximum")),
 )
 
@@ -43,14 +46,22 @@ class StoredBlocks:
         Their `BLOCK_COLUMNS`.
     factors
         Their triangular factors, shape (b, c, c).
+    viscosity_ratios
+        Measured viscosity over the data sheet's, shape (b,); None where it is the data sheet's.
+    scale
+        What that makes of the stored columns, shape (b, c).
     """
 
     rows: pl.DataFrame
     factors: Array
+    viscosity_ratios: Array | None
+    scale: Array
 
     @classmethod
-    def of(cls, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
-        """Blocks of rows; None where one is of a model with other columns."""
+    def of(
+        cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]
+    ) -> StoredBlocks | None:
+        """Blocks of a night's rows; None where one is of a model with other columns."""
         names = "\0".join(columns)
         if not (rows["columns"].list.join("\0") == names).all():
             return None
@@ -59,19 +70,41 @@ class StoredBlocks:
         if rows.height:
             upper = rows["statistics"].explode().to_numpy().reshape(rows.height, -1)
             factors[(slice(None), *np.triu_indices(size))] = upper
-        return cls(rows, factors)
+        return cls._scaled(spec, rows, factors, columns)
 
     @classmethod
-    def of_tonight(cls, rows: Sequence[dict[str, Any]], factors: Array) -> StoredBlocks:
+    def of_tonight(
+        cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
+    ) -> StoredBlocks:
         """Blocks that are about to be stored."""
         schema = BLOCK_STATISTICS.schema
         wanted = {name: schema[name] for name in BLOCK_COLUMNS}
-        return cls(pl.DataFrame(rows, schema=wanted), factors)
+        return cls._scaled(spec, pl.DataFrame(rows, schema=wanted), factors, rows[0]["columns"])
+
+    @classmethod
+    def _scaled(
+        cls, spec: MotorSpec, rows: pl.DataFrame, factors: Array, columns: Sequence[str]
+    ) -> StoredBlocks:
+        ratios, scale = None, np.ones((rows.height, len(columns)))
+        if rows.height:
+            by_sensor = rows["viscosity_ratio"].cast(pl.Float64).to_numpy()
+            celsius = rows["mean_temperature_c"].to_numpy()
+            ratios = viscosity_ratios(spec, rows["night"][0], celsius, by_sensor)
+        if ratios is not None:
+            scale = np.where(driven(columns), 1.0 / ratios[:, None], scale)
+            factors = factors * scale[:, None, :]
+        return cls(rows, factors, ratios, scale)
 
     def part(self, part: str) -> StoredBlocks:
         """Blocks of the training or the validation samples."""
-        chosen = self.rows["part"] == part
-        return StoredBlocks(self.rows.filter(chosen), self.factors[chosen.to_numpy()])
+        chosen = (self.rows["part"] == part).to_numpy()
+        ratios = self.viscosity_ratios
+        return StoredBlocks(
+            self.rows.filter(chosen),
+            self.factors[chosen],
+            None if ratios is None else ratios[chosen],
+            self.scale[chosen],
+        )
 
     def factor_of(self, part: str) -> Array:
         """Factor of all blocks of a part, shape (c, c)."""
@@ -97,6 +130,7 @@ class StoredBlocks:
             if values:
                 part = np.reshape(values, (-1, size)).astype(np.float64)
                 part[:, 0] += number[place]
+                part[:, 2:] *= np.delete(self.scale[place], -3)
             else:
                 means = np.delete(whole.means[place], -3)
                 part = np.array([[number[place], whole.n[place], *means]])
@@ -108,6 +142,11 @@ class StoredBlocks:
             table[:, 0].astype(np.int64),
             np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
         )
+
+    @property
+    def viscosity_ratio(self) -> float | None:
+        """Mean of the measured viscosity over the data sheet's; None where that holds."""
+        return mean_ratio(self.viscosity_ratios, self.rows["n"].to_list())
 
     @property
     def n_samples(self) -> int:

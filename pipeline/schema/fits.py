@@ -374,6 +374,13 @@ FITS = Table(
         ),
         Column("model_noise_percent", pl.Float64, "%", "What noise alone would make of it"),
         Column("model_reason", pl.String, "", "Likely causes in order, and what to try"),
+        Column(
+            "viscosity_ratio",
+            pl.Float64,
+            "1",
+            "Viscosity as measured, by the log or by analyses, over that of the data sheet: what "
+            "the fit went by; null where the data sheet holds",
+        ),
     ),
 )
 

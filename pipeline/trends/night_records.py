@@ -47,6 +47,7 @@ OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
 SINGLE = {
     "charge": "mean_charge_over_case_bar",
     "blocks": "n_interval_blocks",
+    "viscosity": "viscosity_ratio",
 }
 FIT_COLUMNS = (
     "motor_id",
