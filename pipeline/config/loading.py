@@ -325,9 +325,7 @@ def _if_there(folder: Path | None) -> Path | None:
     return folder if folder is not None and folder.is_dir() else None
 
 
-def _shared_samples(
-    motor: MotorFile, circuits: Folder[OilCircuitFile]
-) -> tuple[OilSample, ...]:
+def _shared_samples(motor: MotorFile, circuits: Folder[OilCircuitFile]) -> tuple[OilSample, ...]:
     circuit = circuits.parsed.get(motor.oil_circuit)
     return () if circuit is None else circuit.oil_samples
 

@@ -58,9 +58,7 @@ class StoredBlocks:
     scale: Array
 
     @classmethod
-    def of(
-        cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]
-    ) -> StoredBlocks | None:
+    def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
         """Blocks of a night's rows; None where one is of a model with other columns."""
         names = "\0".join(columns)
         if not (rows["columns"].list.join("\0") == names).all():

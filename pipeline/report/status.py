@@ -32,6 +32,7 @@ REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_fl
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
 TEMPERATURE_EFFECT, MODEL_MISFIT = "temperature_effect", "model_misfit"
+OIL_VISCOSITY = "oil_viscosity"
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
@@ -77,6 +78,8 @@ class MotorState:
         That loss factors change with temperature, in words; empty where they do not.
     model_misfit
         That the model does not describe the motor, in words; empty where it does.
+    oil
+        The oil as measured, in words; empty where its data sheet holds.
     """
 
     motor_id: str
@@ -102,6 +105,7 @@ class MotorState:
     limit_dates: str = ""
     temperature_effect: str = ""
     model_misfit: str = ""
+    oil: str = ""
 
     @property
     def why(self) -> str:
@@ -109,7 +113,8 @@ class MotorState:
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         reason = self.reason or "no change of external leakage"
         beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
-        parts = (reason, dates, *beside)
+        oil = "" if self.oil in reason else self.oil
+        parts = (reason, dates, *beside, oil)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -228,6 +233,7 @@ def motor_state(
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
     misfits = tonight.filter(indicator=MODEL_MISFIT)["state_reason"]
+    oils = tonight.filter(indicator=OIL_VISCOSITY)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
     leakage_night, leakage = _leakage(trends, began)
@@ -252,6 +258,7 @@ def motor_state(
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
         model_misfit=next(iter(misfits), None) or "",
+        oil=next(iter(oils), None) or "",
     )
 
 

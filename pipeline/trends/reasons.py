@@ -37,12 +37,13 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
     if found.own.severity[inside]:
-        parts.append(why_words(standing.history, place, behind, watched.indicator.path))
+        begin = standing.earliest_onset(place)
+        parts.append(why_words(standing.history, place, begin, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
         if not found.own.severity[inside]:
             behind = standing.why.at(place, sudden.place)
-            parts.append(why_words(standing.history, place, behind))
+            parts.append(why_words(standing.history, place, sudden.place, behind))
     return "; ".join(part for part in parts if part)
 
 
