@@ -19,12 +19,10 @@ from leakage.walther import walther_through
 
 # Classes of ISO 3448: the viscosity at 40 °C [mm²/s].
 ISO_VG = (10, 15, 22, 32, 46, 68, 100, 150, 220, 320, 460)
-# ISO 3448 allows 10 % on either side, evenly: as a standard deviation.
-GRADE_SD = 0.1 / math.sqrt(3.0)
+# ISO 3448 allows 10 % on either side.
+WITHIN_GRADE = math.log(1.1)
 # Standard deviation of the change with temperature between oils of one grade [1/K].
 SLOPE_SD = 6e-4
-# Weighted squares above which a grade does not explain the change: 95 % of two.
-WORST_FIT = 6.0
 
 
 def curve_between(
@@ -74,8 +72,8 @@ def likely_grade(
 ) -> int | None:
     r"""ISO grade whose filling would change all flows by a factor.
 
-    .. math:: \chi^2 = \frac{(\ln s - \ln \nu_{oil} / \nu_g)^2}{\sigma_s^2 + \sigma_g^2}
-        + \frac{(\beta - d \ln (\nu_{oil} / \nu_g) / dT)^2}{\sigma_\beta^2 + \sigma_b^2}
+    .. math:: |\ln s - \ln r| \le \ln 1.1 + 2 \sigma_s, \quad
+        |\beta - d \ln r / dT| \le 2 \sqrt{\sigma_\beta^2 + \sigma_b^2}, \quad r = \nu / \nu_g
 
     with the grade's viscosity at 40 °C, and the slope B of the oil.
 
@@ -93,7 +91,7 @@ def likely_grade(
     Returns
     -------
     int or None
-        The grade; None if the oil itself fits best, or no grade does.
+        The grade; None if no other grade than the oil's own would.
 
     Examples
     --------
@@ -106,21 +104,18 @@ def likely_grade(
     """
     at = temperature_c + np.array([-1.0, 0.0, 1.0])
     own = np.log(kinematic_viscosity_mm2_per_s(at, oil.walther_a, oil.walther_b))
-
-    def misfit(walther_a: float, tolerance: float) -> float:
+    nominal = float(kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b))
+    log_s, error = log_factor
+    for grade in ISO_VG:
+        walther_a = walther_through(40.0, grade, oil.walther_b)
         ratio = own - np.log(kinematic_viscosity_mm2_per_s(at, walther_a, oil.walther_b))
-        found = (log_factor[0] - ratio[1]) ** 2 / (log_factor[1] ** 2 + tolerance**2)
-        if with_temperature is not None:
-            slope = (ratio[2] - ratio[0]) / 2.0
-            beta, error = with_temperature
-            found += (beta - slope) ** 2 / (error**2 + SLOPE_SD**2)
-        return float(found)
-
-    grades = {one: walther_through(40.0, one, oil.walther_b) for one in ISO_VG}
-    nominal = kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b)
-    # The oil's own grade is the oil.
-    own_grade = min(ISO_VG, key=lambda one: abs(math.log(one / float(nominal))))
-    fits = {one: misfit(a, GRADE_SD) for one, a in grades.items() if one != own_grade}
-    best = min(fits, key=lambda one: fits[one])
-    is_likely = fits[best] <= WORST_FIT and fits[best] < misfit(oil.walther_a, GRADE_SD)
-    return best if is_likely else None
+        if abs(math.log(grade / nominal)) <= WITHIN_GRADE:
+            continue
+        if abs(log_s - ratio[1]) > WITHIN_GRADE + 2.0 * error:
+            continue
+        if with_temperature is None:
+            return grade
+        beta, of_beta = with_temperature
+        if abs(beta - (ratio[2] - ratio[0]) / 2.0) <= 2.0 * math.hypot(of_beta, SLOPE_SD):
+            return grade
+    return None

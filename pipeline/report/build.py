@@ -15,6 +15,7 @@ import polars as pl
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report.encoding import script_json
+from pipeline.report.findings import scores
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
@@ -32,7 +33,7 @@ from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import motor_states
-from pipeline.schema import FITS, SCHEMA_VERSION
+from pipeline.schema import FITS, SCHEMA_VERSION, TRENDS
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.workers.local import run_tasks
@@ -308,7 +309,10 @@ def _make_pages(
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
     _write_chart_library(request.folder, before, now)
-    write(INDEX, fleet_html(facts, rows).encode())
+    by_type = {row.state.motor_id: row.motor_type for row in rows}
+    trends = history.trends.get(TRENDS.name)
+    parts = {} if trends is None else scores(history.decisions, trends, by_type)
+    write(INDEX, fleet_html(facts, rows, parts).encode())
     by_id = {row.state.motor_id: row for row in rows}
     for motor in motors:
         name = names[motor.motor_id]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from leakage.validation import is_poor
 from pipeline.report.encoding import script_json
+from pipeline.report.findings import Score
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
@@ -42,7 +43,7 @@ class FleetFacts:
     faults: tuple[str, ...]
 
 
-def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow]) -> str:
+def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow], parts: Mapping[str, Score]) -> str:
     """The fleet's page."""
     found = Counter(row.state.state for row in rows)
     return (
@@ -53,6 +54,7 @@ def fleet_html(facts: FleetFacts, rows: Sequence[FleetRow]) -> str:
             rows=rows,
             counts=[(code, found[code]) for code in ORDER if found[code]],
             types=sorted({row.motor_type for row in rows if row.motor_type}),
+            parts=parts,
         )
     )
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import polars as pl
 from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.report.explain import FITS_OF_A_NIGHT, fit_words
+from pipeline.report.findings import Score, scores
 from pipeline.schema import ALARMS, FITS, TRENDS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.manifest import manifest_keys
@@ -131,6 +132,8 @@ class FleetStatus:
         When the last run ended that went through all motors; None where none did.
     findings_confirmed, findings
         Alarms with wear found at the inspection, and all inspected alarms.
+    parts
+        Parts named by alarms against those that inspections found worn, by motor type.
     beat
         Heartbeat of the current or the last run; None before the first.
     receivers
@@ -143,6 +146,7 @@ class FleetStatus:
     last_good_run: dt.datetime | None
     findings_confirmed: int
     findings: int
+    parts: Mapping[str, Score] = field(default_factory=dict)
     beat: Beat | None = None
     receivers: tuple[Backlog, ...] = ()
     damage: tuple[TableFault, ...] = ()
@@ -160,7 +164,7 @@ def fleet_status(
     """
     trends = read_rows(output, TRENDS, motor_ids)
     keys = ("motor_id", "night", "status", "reason", "is_primary")
-    columns = (*keys, "reference_verdict", *TONIGHTS_FITS)
+    columns = (*keys, "motor_type", "reference_verdict", *TONIGHTS_FITS)
     fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
     motors = [
@@ -173,11 +177,13 @@ def fleet_status(
         for motor_id in motor_ids
     ]
     findings = last_findings(decisions)
+    types = dict(fits.sort("night").select("motor_id", "motor_type").iter_rows())
     return FleetStatus(
         tuple(sorted(motors, key=urgency)),
         last_good_run(output),
         findings.count("confirmed"),
         len(findings),
+        scores(decisions, trends, types),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
         compare_published(output, manifest_keys(output), lambda _: False).faults,

@@ -253,5 +253,7 @@ DECISIONS = Table(
         Column("finding", pl.String, "", "confirmed or not_confirmed; null: no finding"),
         Column("note", pl.String, "", "In words"),
         RUN_ID,
+        Column("worn", pl.String, "", "Parts found worn, separated by commas; null: none"),
+        Column("sound", pl.String, "", "Parts found sound, separated by commas; null: none"),
     ),
 )

@@ -28,8 +28,22 @@ def oil_as_measured(history: History, place: int, begin: int = 0) -> str:
     size = f"{abs(percent):.0f} % {'thinner' if percent < 0 else 'thicker'} than its data sheet"
     words = "as its data sheet" if abs(percent) < 0.5 else size
     source = "by the log" if by_log or sample is None else f"on {day(sample.date)}"
-    water = water_in_oil(history, place)
-    return f"oil as measured {source}: {words}{', ' if water else ''}{water}"
+    parts = [words, _since_then(history, place, by_log), water_in_oil(history, place)]
+    return f"oil as measured {source}: {', '.join(part for part in parts if part)}"
+
+
+def _since_then(history: History, place: int, by_log: bool) -> str:
+    """That nights before the first analysis went by the data sheet; empty where none did."""
+    night = history.nights[place]
+    dates = [
+        one.date
+        for one in history.spec.samples_of(night)
+        if one.viscosity_40_c_mm2_per_s is not None
+    ]
+    is_dated = history.spec.file.filled_on(night) is not None
+    if by_log or is_dated or not dates or dates[0] <= history.nights[0]:
+        return ""
+    return f"by which the nights before {day(dates[0])} went"
 
 
 def viscosity_ratio(history: History, place: int, begin: int) -> float | None:
