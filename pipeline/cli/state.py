@@ -98,7 +98,8 @@ def ack(
     if opened or any(parts):
         found = _opened(motor, opened, parts, note, is_alone=not indicator and not finding)
         record_decision(fleet.output, found)
-        typer.echo(f"{motor}: opened on {found.night}: worn {found.worn}, sound {found.sound}")
+        said = (f"worn: {found.worn or 'none'}", f"sound: {found.sound or 'none'}")
+        typer.echo(f"{motor}: opened on {found.night}; {'; '.join(said)}")
         return
     if not indicator:
         message = "expected the indicator of an alarm, or --opened with --worn or --sound"

@@ -22,7 +22,7 @@ FURTHEST = 3.0
 
 
 class OilSample(Section):
-    """`[[oil_samples]]`: an analysis of the oil in use, by date."""
+    """An analysis of the oil in use."""
 
     date: dt.date = Field(description="Day on which it was drawn: the first night's label")
     viscosity_40_c_mm2_per_s: Annotated[float, Field(ge=2, le=2000)] | None = Field(
