@@ -83,7 +83,19 @@ def walther_coefficients(
             " temperature; check the data sheet",
         )
     walther_b = (double_log_1 - double_log_2) / (log_temperature_2 - log_temperature_1)
-    return double_log_1 + walther_b * log_temperature_1, walther_b
+    return walther_through(temperature_1_c, viscosity_1_mm2_per_s, walther_b), walther_b
+
+
+def walther_through(temperature_c: float, viscosity_mm2_per_s: float, walther_b: float) -> float:
+    """Walther constant A of the curve of slope B through one viscosity; raises as `_walther_z`.
+
+    Examples
+    --------
+    >>> round(walther_through(40.0, 46.0, 3.6844), 3)
+    9.418
+    """
+    double_log = math.log10(math.log10(_walther_z(viscosity_mm2_per_s)))
+    return double_log + walther_b * math.log10(temperature_c + CELSIUS_ZERO_K)
 
 
 def kinematic_viscosity_mm2_per_s(

@@ -1,8 +1,8 @@
 """Names and units of the channels, and the one place where a reading becomes a canonical one.
 
-Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min, h. The factors
-are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811, appendix B, for
-inch, pound-force and the gallons).
+Every channel has one name and one unit from here to the tables: bar, °C, rpm, l/min, h, mm²/s,
+mPa·s. The factors are exact by definition of the units (BIPM SI brochure, 9th ed., and NIST SP 811,
+appendix B, for inch, pound-force and the gallons).
 """
 
 from __future__ import annotations
@@ -86,6 +86,20 @@ UNITS: Mapping[str, Mapping[str, Conversion]] = MappingProxyType(
                 "d": Conversion(24.0),
             }
         ),
+        "kinematic viscosity": _table(
+            {
+                "mm2/s": Conversion(1.0),
+                "cSt": Conversion(1.0),
+                "m2/s": Conversion(1e6),
+            }
+        ),
+        "dynamic viscosity": _table(
+            {
+                "mPa.s": Conversion(1.0),
+                "cP": Conversion(1.0),
+                "Pa.s": Conversion(1000.0),
+            }
+        ),
     }
 )
 """Units that a log may be in, by quantity; the first of each is the canonical one."""
@@ -101,6 +115,8 @@ QUANTITIES: Mapping[str, str] = MappingProxyType(
         "speed": "speed",
         "leakage_flow": "flow",
         "running_hours": "time",
+        "kinematic_viscosity": "kinematic viscosity",
+        "dynamic_viscosity": "dynamic viscosity",
     }
 )
 """Quantity of each channel."""

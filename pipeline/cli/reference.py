@@ -17,6 +17,7 @@ import polars as pl
 from pipeline.config import MotorFile, Settings
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FALLBACK_VALID_RANGE
+from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.settings import FleetFile, Section
 from pipeline.schema import (
     DATA_DICTIONARY,
@@ -42,9 +43,11 @@ FILES: Final[Mapping[str, type[Section]]] = {
     "motor_types/CB560.toml": MotorTypeFile,
     "oils/vg68.toml": OilFile,
     "motors/CB560-07.toml": MotorFile,
+    "oil_circuits/mill 1.toml": OilCircuitFile,
 }
 # Endings of keys and what they stand for; the first that fits counts, so the longer come first.
 UNIT_ENDINGS: Final[Mapping[str, str]] = {
+    "_mg_per_kg": "mg/kg",
     "_kg_per_m3": "kg/m³",
     "_mm2_per_s": "mm²/s",
     "_bar_per_s": "bar/s",
@@ -86,7 +89,8 @@ def config_reference() -> str:
     lines = [
         "# Config files",
         NOTE,
-        "Config is TOML. A fleet file names the folders in which motors, motor types and oils lie, "
+        "Config is TOML. A fleet file names the folders in which motors, motor types, oils and oil "
+        "circuits lie, "
         "one file each; a file's name without its ending is the name by which others call it. "
         "A key that is not listed here is an error, and so is a value of another type. "
         "`motor-leakage check` reports every fault of every file at once.",
@@ -177,7 +181,10 @@ def _model_lines(schema: Schema) -> Iterator[str]:
     """A file's own keys first, then a part for each of its tables."""
     tables = {name: list(_tables(name, field, schema)) for name, field in _fields(schema).items()}
     own = [name for name, parts in tables.items() if not parts]
-    yield _key_grid({**schema, "properties": {name: _fields(schema)[name] for name in own}}, schema)
+    if own:
+        yield _key_grid(
+            {**schema, "properties": {name: _fields(schema)[name] for name in own}}, schema
+        )
     for heading, prefix, part in (one for parts in tables.values() for one in parts):
         yield f"### {heading}"
         yield _paragraph(part["description"])

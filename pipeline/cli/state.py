@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -18,6 +19,10 @@ from pipeline.cli.arguments import (
     night_label,
 )
 from pipeline.errors import UsageError
+
+if TYPE_CHECKING:
+    from pipeline.config import MotorSpec
+    from pipeline.trends.decisions import Decision
 
 
 def status(
@@ -54,21 +59,32 @@ def status(
 def ack(
     config: ConfigFile,
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
+    note: Annotated[str, typer.Option(help="Note in words.")],
     indicator: Annotated[
         str,
         typer.Argument(help="The indicator: K_piston_ring, or the words of `status` in quotes."),
-    ],
-    note: Annotated[str, typer.Option(help="Note in words.")],
-    finding: Annotated[
-        str, typer.Option(help="confirmed or not_confirmed, after an inspection.")
     ] = "",
+    finding: Annotated[
+        str, typer.Option(help="confirmed or not_confirmed, after an inspection of the alarm.")
+    ] = "",
+    opened: Annotated[str, typer.Option(help="Day on which the motor was opened.")] = "",
+    worn: Annotated[
+        list[str] | None, typer.Option(help="Part found worn; may be repeated.")
+    ] = None,
+    sound: Annotated[
+        list[str] | None, typer.Option(help="Part found sound; may be repeated.")
+    ] = None,
     output: Output = None,
 ) -> None:
     """Acknowledge an alarm, or record the finding of an inspection.
 
     Example: motor-leakage ack configs/fleet.toml CB400-02 K_piston_ring --note "rings ordered"
 
-    After an inspection add --finding confirmed or --finding not_confirmed.
+    After an inspection of one alarm add --finding confirmed or --finding not_confirmed. For a motor
+    that was opened, with or without an alarm, name the parts instead of an indicator:
+
+    motor-leakage ack configs/fleet.toml CB400-02 --opened 2026-05-12 --worn piston_ring
+    --sound balance_sleeve --note "rings scored"
     """
     from pipeline.report.status import RAISED, TOLD, last_alarm
     from pipeline.trends.decisions import FINDINGS, Decision, record_decision
@@ -77,6 +93,17 @@ def ack(
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
     fleet = load(config, output, None, logs=False)
     known_motors([motor], fleet)
+    spec = next(one for one in fleet.motors if one.motor_id == motor)
+    parts = (_parts(spec, worn or ()), _parts(spec, sound or ()))
+    if opened or any(parts):
+        found = _opened(motor, opened, parts, note, is_alone=not indicator and not finding)
+        record_decision(fleet.output, found)
+        said = (f"worn: {found.worn or 'none'}", f"sound: {found.sound or 'none'}")
+        typer.echo(f"{motor}: opened on {found.night}; {'; '.join(said)}")
+        return
+    if not indicator:
+        message = "expected the indicator of an alarm, or --opened with --worn or --sound"
+        raise UsageError("finding", message)
     indicator, night = last_alarm(fleet.output, motor, indicator, RAISED if finding else TOLD)
     decision = Decision(
         motor_id=motor,
@@ -89,6 +116,55 @@ def ack(
     )
     record_decision(fleet.output, decision)
     typer.echo(f"{motor}: {indicator}, raised last on {night}: {decision.kind}")
+
+
+def _parts(spec: MotorSpec, names: Sequence[str]) -> tuple[str, ...]:
+    """Parts of a motor by name or in words.
+
+    Raises
+    ------
+    UsageError
+        ``finding_part``.
+    """
+    known = {path.name for path in spec.motor_type.path}
+    parts = [name.strip().lower().removeprefix("the ").replace(" ", "_") for name in names]
+    for name, part in zip(names, parts, strict=True):
+        if part not in known:
+            raise UsageError(
+                "finding_part",
+                f"{spec.motor_id} has no part {name!r}; it has {', '.join(sorted(known))}",
+            )
+    return tuple(dict.fromkeys(parts))
+
+
+def _opened(
+    motor_id: str,
+    opened: str,
+    parts: tuple[Sequence[str], Sequence[str]],
+    note: str,
+    *,
+    is_alone: bool,
+) -> Decision:
+    """Finding on the parts of a motor that was opened.
+
+    Raises
+    ------
+    UsageError
+        ``finding``, ``date`` or ``finding_part``.
+    """
+    from pipeline.trends.decisions import Decision
+
+    now, day = dt.datetime.now(dt.UTC), night_label(opened or None, "--opened")
+    if day is None or not any(parts) or not is_alone:
+        message = "expected --opened with --worn or --sound, and no indicator or --finding"
+        raise UsageError("finding", message)
+    if day > now.date() + dt.timedelta(days=1):
+        raise UsageError("finding", f"--opened: got {day}, which has not come")
+    worn, sound = parts
+    if both := sorted({*worn} & {*sound}):
+        raise UsageError("finding_part", f"{', '.join(both)}: expected worn or sound, not both")
+    named = (", ".join(one) or None for one in parts)
+    return Decision(motor_id, "", now, "finding", day, None, note, *named)
 
 
 def baseline_reset(

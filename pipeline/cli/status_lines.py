@@ -13,6 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from pipeline.errors import one_line
+from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus, MotorState
 from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.telling.outbox import Backlog
@@ -59,6 +60,7 @@ def _print_json(found: FleetStatus, *, too_old: bool) -> None:
         "too_old": too_old,
         "findings": found.findings,
         "findings_confirmed": found.findings_confirmed,
+        "parts": {name: asdict(one) for name, one in found.parts.items()},
         "run": None if found.beat is None else asdict(found.beat),
         "receivers": [asdict(one) for one in found.receivers],
         "changed_by_rules": found.n_by_rules,
@@ -87,6 +89,12 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
         yield (
             f"inspections that confirmed an alarm: {found.findings_confirmed} of "
             f"{found.findings} ({share:.0f} %)"
+        )
+    if found.parts:
+        one = total(found.parts.values())
+        yield (
+            f"parts named by alarms, after inspections: {one.named_right} right, {one.named_wrong} "
+            f"wrong, {one.cannot_be_told} cannot be told, {one.missed} missed"
         )
 
 

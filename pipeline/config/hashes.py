@@ -121,11 +121,15 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
             exclude={
                 "override": True,
                 "events": {"__all__": {"note"}},
+                "oil_samples": {"__all__": {"note"}},
                 "logs": {"settle_s"},
             },
         ),
         "type": spec.motor_type.model_dump(mode="json"),
         "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
+        "circuit_samples": [
+            one.model_dump(mode="json", exclude={"note"}) for one in spec.circuit_samples
+        ],
         "settings": spec.settings.model_dump(mode="json", exclude=UNSHAPING),
         **_roller(spec),
     }
@@ -163,7 +167,7 @@ class SettingsHashes:
 
     spec: MotorSpec
     _statistics: dict[object, str] = field(default_factory=dict)
-    _figures: dict[str, str] = field(default_factory=dict)
+    _figures: dict[object, str] = field(default_factory=dict)
 
     def statistics(self, night: dt.date) -> str:
         """Hash of all that shapes a night's statistics, from its samples on."""
@@ -187,10 +191,11 @@ class SettingsHashes:
     def figures(self, night: dt.date) -> str:
         """Hash of all that shapes the figures that are made from a night's statistics."""
         spec = self.spec
-        oil = spec.file.oil_on(night)
-        if oil not in self._figures:
+        measured = spec.measured_curve(night)
+        key = (spec.file.oil_on(night), measured)
+        if key not in self._figures:
             settings = spec.settings
-            self._figures[oil] = hash_of(
+            self._figures[key] = hash_of(
                 {
                     "version": FIGURES_VERSION,
                     "type": spec.motor_type.model_dump(mode="json", exclude={"limits"}),
@@ -210,8 +215,9 @@ class SettingsHashes:
                     "model": settings.model.model_dump(mode="json"),
                     **_roller(spec),
                 }
+                | ({} if measured is None else {"measured_oil": measured})
             )
-        return self._figures[oil]
+        return self._figures[key]
 
 
 def model_hash(spec: MotorSpec, motor: Motor, night: dt.date) -> str:

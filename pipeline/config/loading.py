@@ -14,11 +14,19 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
+from leakage import (
+    FilmPressure,
+    LeakageError,
+    Motor,
+    OperatingConditions,
+    kinematic_viscosity_mm2_per_s,
+    leakage_l_per_min,
+)
 from leakage.model_verdict import LowSide
-from pipeline.config.faults import ConfigError, Fault, fault_at, faults_of
+from pipeline.config.faults import ConfigError, Fault, Place, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
+from pipeline.config.oil_samples import FURTHEST, OilCircuitFile, OilSample, Walther, measured_curve
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -55,7 +63,8 @@ class MotorSpec:
     """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
 
     Its logs lie below `log_root`, or below `log_url` where that is not empty. `roller_is_free`: the
-    scale of the rollers' curve is estimated, as the motor's own nights decide.
+    scale of the rollers' curve is estimated, as the motor's own nights decide. `circuit_samples`
+    are those of its oil circuit's file.
     """
 
     file: MotorFile
@@ -65,6 +74,7 @@ class MotorSpec:
     log_root: Path
     log_url: str = ""
     roller_is_free: bool = False
+    circuit_samples: tuple[OilSample, ...] = ()
 
     @property
     def stated(self) -> MotorSpec:
@@ -88,8 +98,21 @@ class MotorSpec:
             return "modelled"
         return "known" if is_logged or model.charge_pressure_bar > 0.0 else "unknown"
 
+    def samples_of(self, night: dt.date) -> tuple[OilSample, ...]:
+        """Analyses of the filling of a night, later ones too."""
+        filled = self.file.filled_on(night)
+        samples = self.file.oil_samples or self.circuit_samples
+        return tuple(one for one in samples if self.file.filled_on(one.date) == filled)
+
+    def measured_curve(self, night: dt.date) -> Walther | None:
+        """Walther constants of a night's oil by its analyses; None: by the data sheet."""
+        samples = self.samples_of(night)
+        if not samples:
+            return None
+        return measured_curve(samples, self.oil_on(night), self.file.filled_on(night), night)
+
     def motor(self, night: dt.date, flushing_mode: str) -> Motor:
-        """The motor as the physics knows it, on a night and under one mode of flushing."""
+        """The motor on a night and under one mode of flushing, with the data sheet's oil."""
         model = self.settings.model
         motor = Motor(
             motor_type=self.motor_type.motor_type,
@@ -156,12 +179,15 @@ def load_fleet(path: Path) -> Fleet:
     types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
     oils = _read_folder(places.get("oils"), OilFile, faults)
     motors = _read_folder(places.get("motors"), MotorFile, faults)
+    circuits = _read_folder(_if_there(places.get("oil_circuits")), OilCircuitFile, faults)
     faults += _misnamed("motor_types", "motor_type", types.documents)
     specs = [
         spec
         for name in sorted(motors.documents)
         if (spec := _resolve(name, motors, types, oils, shared, log_root, faults)) is not None
     ]
+    specs = [replace(one, circuit_samples=_shared_samples(one.file, circuits)) for one in specs]
+    faults += _oil_faults(specs, motors.documents.values(), circuits)
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
@@ -221,7 +247,7 @@ def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
 
 def _places(path: Path, folders: Folders, faults: list[Fault]) -> Iterator[tuple[str, Path]]:
     """The folders of a fleet file by key, without those that cannot be."""
-    for key in ("motors", "motor_types", "oils", "logs", "output"):
+    for key in ("motors", "motor_types", "oils", "oil_circuits", "logs", "output"):
         given = getattr(folders, key)
         place = Path("out") if given is None else path.parent / given
         if key == "logs" and is_url(given):
@@ -318,14 +344,64 @@ def _strangers(
             yield Fault(file, key, f"got {json.dumps(given)}; expected one of {choice}")
 
 
+def _if_there(folder: Path | None) -> Path | None:
+    return folder if folder is not None and folder.is_dir() else None
+
+
+def _shared_samples(motor: MotorFile, circuits: Folder[OilCircuitFile]) -> tuple[OilSample, ...]:
+    circuit = circuits.parsed.get(motor.oil_circuit)
+    return () if circuit is None else circuit.oil_samples
+
+
+def _oil_faults(
+    specs: Iterable[MotorSpec],
+    motors: Iterable[Document],
+    circuits: Folder[OilCircuitFile],
+) -> Iterator[Fault]:
+    """Faults of analyses that only show beside the oil, the date, or the other file."""
+    named = {document.get("oil_circuit") for document in motors}
+    for name in circuits.documents:
+        if name not in named:
+            message = "no motor is of this oil circuit; expected the name that a motor's file has"
+            yield Fault(f"oil_circuits/{name}.toml", "", message)
+    for spec in specs:
+        own, shared = spec.file.oil_samples, spec.circuit_samples
+        file = f"motors/{spec.motor_id}.toml"
+        if own and shared:
+            message = "expected the analyses in this file or in that of the oil circuit, not both"
+            yield Fault(file, "oil_samples", message)
+        if shared:
+            file = f"oil_circuits/{spec.file.oil_circuit}.toml"
+        for index, sample in enumerate(own or shared):
+            yield from _faults_of_sample(file, ("oil_samples", index), sample, spec)
+
+
+def _faults_of_sample(
+    file: str, place: Place, sample: OilSample, spec: MotorSpec
+) -> Iterator[Fault]:
+    if sample.date > dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1):
+        message = "expected a day that has come: an analysis holds from its date on"
+        yield fault_at(file, (*place, "date"), message, sample.date.isoformat())
+    oil, at_40 = spec.oil_on(sample.date).oil(), sample.viscosity_40_c_mm2_per_s
+    sheet = float(kinematic_viscosity_mm2_per_s(40.0, oil.walther_a, oil.walther_b))
+    if at_40 is not None and not 1.0 / FURTHEST <= at_40 / sheet <= FURTHEST:
+        message = (
+            f"expected {sheet / FURTHEST:.3g} to {FURTHEST * sheet:.3g}, as {oil.name} has "
+            f"{sheet:.3g}; another oil is an event"
+        )
+        yield fault_at(file, (*place, "viscosity_40_c_mm2_per_s"), message, at_40)
+
+
 def _texts_for_times(file: str, document: Document) -> Iterator[Fault]:
     """Dates and times in quotation marks: TOML has types of its own for them."""
-    events, periods = document.get("events"), document.get("periods")
-    for index, event in enumerate(events if isinstance(events, list) else ()):
-        given = event.get("date") if isinstance(event, dict) else None
-        if _is_time(given):
-            message = "expected a date without quotation marks, such as 2026-09-01"
-            yield fault_at(file, ("events", index, "date"), message, given)
+    periods = document.get("periods")
+    for key in ("events", "oil_samples"):
+        dated = document.get(key)
+        for index, one in enumerate(dated if isinstance(dated, list) else ()):
+            given = one.get("date") if isinstance(one, dict) else None
+            if _is_time(given):
+                message = "expected a date without quotation marks, such as 2026-09-01"
+                yield fault_at(file, (key, index, "date"), message, given)
     for name, pairs in periods.items() if isinstance(periods, dict) else ():
         for index, pair in enumerate(pairs if isinstance(pairs, list) else ()):
             for end, given in enumerate(pair if isinstance(pair, list) else ()):

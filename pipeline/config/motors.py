@@ -14,6 +14,7 @@ from leakage import Constant, Parameter
 from pipeline.config.faults import Place, refuse
 from pipeline.config.field_paths import field_path
 from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
+from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.config.time_formats import require_time_format
 from pipeline.units import QUANTITIES, UNITS
@@ -29,6 +30,8 @@ ChannelName = Literal[
     "speed",
     "leakage_flow",
     "running_hours",
+    "kinematic_viscosity",
+    "dynamic_viscosity",
 ]
 LogFormat = Literal["csv", "parquet", "mcap"]
 LogLayout = Literal["wide", "long", "file_per_channel"]
@@ -55,14 +58,16 @@ FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
     "speed": (-500.0, 500.0),
     "leakage_flow": (0.0, 200.0),
     "running_hours": (0.0, 1e6),
+    "kinematic_viscosity": (1.0, 5000.0),
+    "dynamic_viscosity": (1.0, 5000.0),
 }
 
 
 class Channel(Section):
     """One channel of the log: where it stands, its unit, and what its sensor can say.
 
-    Limits, resolution and tolerance are in the unit of the tables (bar, °C, rpm, l/min), whatever
-    the log's.
+    Limits, resolution and tolerance are in the unit of the tables (bar, °C, rpm, l/min, mm2/s,
+    mPa.s), whatever the log's.
     """
 
     source: str = Field(
@@ -453,6 +458,10 @@ class MotorFile(Section):
         default_factory=lambda: Periods(), description="Training and validation set by hand"
     )
     events: tuple[Event, ...] = Field((), description="Dated events; they start a new baseline")
+    oil_samples: tuple[OilSample, ...] = Field(
+        (),
+        description="Analyses of the oil, by date; those of a shared oil are in its circuit's file",
+    )
     override: dict[str, Any] = Field(
         default_factory=dict, description="Any section of the fleet file, for this motor alone"
     )
@@ -462,12 +471,22 @@ class MotorFile(Section):
         refuse("motor", channel_faults({name: part.unit for name, part in self.channels.items()}))
         if self.logs.format == "mcap":
             refuse("motor", _quality_paths(self.channels))
+        refuse("motor", order_faults(self.oil_samples))
         return self
 
     def oil_on(self, night: dt.date) -> str:
         """Name of the oil that the motor runs on in a night."""
+        change = self._filling(night)
+        return self.oil if change is None else change.oil or self.oil
+
+    def filled_on(self, night: dt.date) -> dt.date | None:
+        """Date on which the oil of a night was filled in; None where no event tells it."""
+        change = self._filling(night)
+        return None if change is None else change.date
+
+    def _filling(self, night: dt.date) -> Event | None:
         changes = [event for event in self.events if event.oil and event.date <= night]
-        return max(changes, key=lambda event: event.date).oil or self.oil if changes else self.oil
+        return max(changes, key=lambda event: event.date, default=None)
 
 
 def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Place, str, object]]:
@@ -491,6 +510,8 @@ def channel_faults(units: Mapping[str, object]) -> Iterator[tuple[Place, str, ob
     absent = {"oil_temperature", "speed", "leakage_flow"} - names
     if absent:
         yield ("channels",), f"expected also {', '.join(sorted(absent))}", given
+    if {"kinematic_viscosity", "dynamic_viscosity"} <= names:
+        yield ("channels",), "expected kinematic_viscosity or dynamic_viscosity, not both", given
     for name, unit in units.items():
         known = UNITS[QUANTITIES[name]] if name in QUANTITIES else {}
         if name == COUNTED and unit == COUNT:

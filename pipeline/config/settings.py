@@ -42,6 +42,9 @@ class Folders(Section):
     )
     motor_types: RelativeFolder = Field("motor_types", description="Folder of the motor types")
     oils: RelativeFolder = Field("oils", description="Folder of the oils")
+    oil_circuits: RelativeFolder = Field(
+        "oil_circuits", description="Folder of the oil circuits; it may be absent"
+    )
     logs: RelativeFolder = Field(
         "../logs",
         description="Root of the logs, a folder or a URL such as s3://bucket/logs; the paths in "

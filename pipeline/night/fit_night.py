@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from leakage import EstimationError, LeakageError
+from leakage import EstimationError, LeakageError, Motor
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
@@ -37,6 +37,7 @@ from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
+from pipeline.night.viscosity import sensor_ratio
 from pipeline.night.windows import TRAINING, left_out, too_uniform
 from pipeline.units import RUNNING_HOURS
 
@@ -128,10 +129,14 @@ def fit_night(
         with _timed(seconds, "statistics_s"):
             motor = spec.motor(night.date, spec.file.flushing.mode)
             statistics = night_statistics(spec, motor, night, samples)
-            rows["block_statistics"] = statistics_rows(spec.motor_id, night.date, motor, statistics)
+            ratio = _sensor_ratio(motor, samples)
+            rows["block_statistics"] = statistics_rows(
+                spec.motor_id, night.date, motor, statistics, ratio
+            )
         with _timed(seconds, "fit_s"):
             _require_training(statistics, spec)
-            blocks = StoredBlocks.of_tonight(rows["block_statistics"], statistics.factors)
+            blocks = StoredBlocks.of_tonight(spec, rows["block_statistics"], statistics.factors)
+            statistics = statistics.with_viscosity(blocks.viscosity_ratios, motor.columns)
             modes, sensitivities = fit_modes(spec, night.date, statistics, blocks)
         with _timed(seconds, "residuals_s"):
             modes = with_residuals(spec, statistics, modes)
@@ -293,6 +298,15 @@ def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
         INSUFFICIENT_DATA,
         f"no part of the night is good enough to fit ({causes} of the kept samples)",
     )
+
+
+def _sensor_ratio(motor: Motor, samples: Samples) -> float | None:
+    """Viscosity by the log over the data sheet's; None where it has none."""
+    ratio = sensor_ratio(motor.oil, samples)
+    if isinstance(ratio, str):
+        why = f"{ratio}; without this channel in the motor's file the data sheet holds"
+        raise Insufficient(INSUFFICIENT_DATA, why)
+    return ratio
 
 
 def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:

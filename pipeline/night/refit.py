@@ -15,7 +15,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import EstimationError
-from leakage.block_statistics import with_free_known, with_path_known
+from leakage.block_statistics import merge, with_free_known, with_path_known
 from leakage.model_verdict import Misfit
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, fit_stored_blocks
@@ -93,9 +93,21 @@ def refit(
         return None
     if any(row["status"] != OK or row["sample_period_s"] is None for row in fits.values()):
         return None
-    blocks = StoredBlocks.of(night.blocks, motor.columns)
+    blocks = StoredBlocks.of(spec, night.blocks, motor.columns)
     if blocks is None:
         return None
+    is_squared = spec.settings.estimation.loss == "squared"
+    was_measured = fits[primary].get("viscosity_ratio") is not None
+    if was_measured or blocks.viscosity_ratio is not None:
+        # Weighted blocks do not have the plain factor of the night.
+        if not is_squared:
+            return None
+        as_measured = {
+            "viscosity_ratio": blocks.viscosity_ratio,
+            "columns": list(motor.columns),
+            "night_factor": upper_triangle(merge(blocks.factors)),
+        }
+        fits = {mode: row | as_measured for mode, row in fits.items()}
     if spec.roller_is_free and motor.standard is not None:
         place = spec.motor(night.label, primary).columns.index(motor.standard.name)
         blocks = blocks.with_free_known(place, motor.standard.configured_coefficient)

@@ -28,6 +28,7 @@ from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.time_base import Quality
+from pipeline.night.viscosity import mean_ratio
 from pipeline.night.windows import TRAINING, VALIDATION
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.thinning import keep_extremes
@@ -74,9 +75,13 @@ def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> lis
 
 
 def statistics_rows(
-    motor_id: str, night: dt.date, motor: Motor, statistics: NightStatistics
+    motor_id: str,
+    night: dt.date,
+    motor: Motor,
+    statistics: NightStatistics,
+    viscosity_ratio: float | None = None,
 ) -> list[Row]:
-    """Rows of `block_statistics`."""
+    """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
     samples = statistics.samples
     beyond = speed_beyond_curve(motor, samples.speed_rpm)
     channels = {
@@ -102,6 +107,7 @@ def statistics_rows(
             "n_beyond_curve": int(beyond[part].sum()),
             "model_hash": statistics.model_hash,
             "short_means": means,
+            "viscosity_ratio": viscosity_ratio,
         }
         for name, (unit, values, edges) in channels.items():
             row |= _spread(name, unit, values[part], edges)
@@ -184,6 +190,9 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "mean_charge_over_case_bar": mean_charge_bar(spec, samples),
         "weight_inflation": statistics.inflation,
         "is_refitted": False,
+        "viscosity_ratio": mean_ratio(
+            statistics.viscosity_ratios, [block.n for block in statistics.blocks]
+        ),
     }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
 from pipeline.night.smoothing import smooth
 from pipeline.night.time_base import Samples
+from pipeline.night.viscosity import driven
 from pipeline.night.windows import TRAINING, Block, merge_neighbours, split_into_blocks
 
 Array = NDArray[np.float64]
@@ -52,6 +53,8 @@ class NightStatistics:
         Factor on standard errors that robust weights ask for; 1 without them.
     model_hash
         Hash of all that shaped them.
+    viscosity_ratios
+        Measured viscosity over the data sheet's by block; None where it is the data sheet's.
     """
 
     samples: Samples
@@ -65,6 +68,23 @@ class NightStatistics:
     short_means: tuple[list[float] | None, ...]
     inflation: float
     model_hash: str
+    viscosity_ratios: Array | None = None
+
+    def with_viscosity(self, ratios: Array | None, columns: Sequence[str]) -> NightStatistics:
+        """The same with the oil as measured, by block; None: as on its data sheet."""
+        if ratios is None:
+            return self
+        scale = np.where(driven(columns), 1.0 / ratios[:, None], 1.0)
+        of_samples = np.repeat(scale, [block.n for block in self.blocks], axis=0)
+        z = self.z * of_samples
+        return replace(
+            self,
+            z=z,
+            unsmoothed=z if self.unsmoothed is self.z else self.unsmoothed * of_samples,
+            factors=self.factors * scale[:, None, :],
+            plain_factors=self.plain_factors * scale[:, None, :],
+            viscosity_ratios=ratios,
+        )
 
     def judged_on(self, part: str | None = None) -> Array:
         """Factor of the samples of a part as they are, or of the whole night."""

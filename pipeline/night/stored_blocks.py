@@ -1,9 +1,9 @@
-"""Blocks of samples as `block_statistics` holds them: tonight's, or those of nights before."""
+"""Blocks of samples of `block_statistics`, with the oil as measured: tonight's, or older ones."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from leakage.block_statistics import merge, with_free_known
 from leakage.slow_errors import ShortBlocks, short_blocks
+from pipeline.config import MotorSpec
+from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
 from pipeline.schema import BLOCK_STATISTICS
 
 Array = NDArray[np.float64]
@@ -29,6 +31,7 @@ BLOCK_COLUMNS = (
     "statistics",
     "model_hash",
     "short_means",
+    "viscosity_ratio",
     *(f"{end}_{name}" for name in CHANNELS for end in ("mean", "minimum", "maximum")),
 )
 
@@ -43,14 +46,20 @@ class StoredBlocks:
         Their `BLOCK_COLUMNS`.
     factors
         Their triangular factors, shape (b, c, c).
+    viscosity_ratios
+        Measured viscosity over the data sheet's, shape (b,); None where it is the data sheet's.
+    scale
+        What that makes of the stored columns, shape (b, c).
     """
 
     rows: pl.DataFrame
     factors: Array
+    viscosity_ratios: Array | None
+    scale: Array
 
     @classmethod
-    def of(cls, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
-        """Blocks of rows; None where one is of a model with other columns."""
+    def of(cls, spec: MotorSpec, rows: pl.DataFrame, columns: Sequence[str]) -> StoredBlocks | None:
+        """Blocks of a night's rows; None where one is of a model with other columns."""
         if rows["columns"].to_list() != [list(columns)] * rows.height:
             return None
         size = len(columns)
@@ -58,14 +67,30 @@ class StoredBlocks:
         if rows.height:
             upper = rows["statistics"].explode().to_numpy().reshape(rows.height, -1)
             factors[(slice(None), *np.triu_indices(size))] = upper
-        return cls(rows, factors)
+        return cls._scaled(spec, rows, factors, columns)
 
     @classmethod
-    def of_tonight(cls, rows: Sequence[dict[str, Any]], factors: Array) -> StoredBlocks:
+    def of_tonight(
+        cls, spec: MotorSpec, rows: Sequence[dict[str, Any]], factors: Array
+    ) -> StoredBlocks:
         """Blocks that are about to be stored."""
         schema = BLOCK_STATISTICS.schema
         wanted = {name: schema[name] for name in BLOCK_COLUMNS}
-        return cls(pl.DataFrame(rows, schema=wanted), factors)
+        return cls._scaled(spec, pl.DataFrame(rows, schema=wanted), factors, rows[0]["columns"])
+
+    @classmethod
+    def _scaled(
+        cls, spec: MotorSpec, rows: pl.DataFrame, factors: Array, columns: Sequence[str]
+    ) -> StoredBlocks:
+        ratios, scale = None, np.ones((rows.height, len(columns)))
+        if rows.height:
+            by_sensor = rows["viscosity_ratio"].cast(pl.Float64).to_numpy()
+            celsius = rows["mean_temperature_c"].to_numpy()
+            ratios = viscosity_ratios(spec, rows["night"][0], celsius, by_sensor)
+        if ratios is not None:
+            scale = np.where(driven(columns), 1.0 / ratios[:, None], scale)
+            factors = factors * scale[:, None, :]
+        return cls(rows, factors, ratios, scale)
 
     def with_free_known(self, place: int, coefficient: float) -> StoredBlocks:
         """The blocks with the known flow as a path of its own, the same to the bit each time."""
@@ -78,8 +103,12 @@ class StoredBlocks:
             part[:, -2] = 0.0
             shorts.append(part.ravel().tolist() or None)
         column = pl.Series("short_means", shorts, dtype=self.rows.schema["short_means"])
-        moved = with_free_known(self.factors, place, coefficient)
-        return StoredBlocks(self.rows.with_columns(column), moved)
+        return replace(
+            self,
+            rows=self.rows.with_columns(column),
+            factors=with_free_known(self.factors, place, coefficient),
+            scale=np.insert(self.scale, place, self.scale[:, -2], axis=1),
+        )
 
     def factor_of(self, part: str) -> Array:
         """Factor of all blocks of the training or the validation samples, shape (c, c)."""
@@ -105,6 +134,7 @@ class StoredBlocks:
             if values:
                 part = np.reshape(values, (-1, size)).astype(np.float64)
                 part[:, 0] += number[place]
+                part[:, 2:] *= np.delete(self.scale[place], -3)
             else:
                 means = np.delete(whole.means[place], -3)
                 part = np.array([[number[place], whole.n[place], *means]])
@@ -116,6 +146,11 @@ class StoredBlocks:
             table[:, 0].astype(np.int64),
             np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
         )
+
+    @property
+    def viscosity_ratio(self) -> float | None:
+        """Mean of the measured viscosity over the data sheet's; None where that holds."""
+        return mean_ratio(self.viscosity_ratios, self.rows["n"].to_list())
 
     @property
     def n_samples(self) -> int:

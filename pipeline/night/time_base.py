@@ -8,7 +8,7 @@ averaged over a cell of the grid. An on-change channel begins with its last samp
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import ceil
 from typing import NamedTuple
 
@@ -33,6 +33,8 @@ NO_HALTS = Halts()
 INPUTS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 # Pressures against which a two-sided motor leaks; a sample needs those that are logged.
 LOW_PRESSURES = ("charge_pressure", "low_port_pressure", "case_pressure")
+# The oil's own measurement: no sample needs it.
+VISCOSITIES = ("kinematic_viscosity", "dynamic_viscosity")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +62,8 @@ class Samples:
         Shape (n,); pressure and speed with their sign.
     low_pressures_bar
         Those of charge, low port and case that are logged, shape (n,) each.
+    viscosities
+        Kinematic [mm²/s] or dynamic [mPa·s] viscosity if logged, nan where not known; (n,) each.
     period_us
         Period of the grid.
     n_grid
@@ -92,6 +96,7 @@ class Samples:
     n_logged: int = 0
     n_turning: int = 0
     halts: Halts = NO_HALTS
+    viscosities: Mapping[str, Values] = field(default_factory=dict)
 
     def only(self, chosen: Mask) -> Samples:
         """These samples without those that are not chosen; the night stays as long as it was."""
@@ -106,6 +111,7 @@ class Samples:
             low_pressures_bar={
                 name: value[chosen] for name, value in self.low_pressures_bar.items()
             },
+            viscosities={name: value[chosen] for name, value in self.viscosities.items()},
         )
 
     @property
@@ -282,6 +288,8 @@ def bring_together(
     sensor_health: SensorHealth | None = None,
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """All channels on one time base, and the joint rules: gap, standstill, guard, transient."""
+    measured = {name: channel for name, channel in channels.items() if name in VISCOSITIES}
+    channels = {name: channel for name, channel in channels.items() if name not in VISCOSITIES}
     period = grid_period_us(channels, time_base)
     last = max(int(channel.time_us[-1]) for channel in channels.values())
     begin = max(-(-(_first_us(channels, night_start_us) - night_start_us) // period), 0)
@@ -340,6 +348,9 @@ def bring_together(
             halts=settled_halts(
                 masks["standstill"], grid, channels, sensor_health or SensorHealth()
             ),
+            viscosities={
+                name: on_grid(channel, grid, period)[0][kept] for name, channel in measured.items()
+            },
         ),
         tuple(found),
     )

@@ -15,6 +15,7 @@ import polars as pl
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report.encoding import script_json
+from pipeline.report.findings import scores
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
@@ -33,7 +34,7 @@ from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
 from pipeline.report.status import changed_by_rules
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import motor_states
-from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, frame
+from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS, frame
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.workers.local import run_tasks
@@ -312,7 +313,10 @@ def _make_pages(
     alarms = history.trends.get(ALARMS.name, frame(ALARMS, []))
     by_rules = changed_by_rules(alarms).filter(pl.col("motor_id").is_in(list(names)))
     told = by_rules.sort(ALARMS.key).with_columns(page=pl.col("motor_id").replace(names))
-    write(INDEX, fleet_html(facts, rows, told.to_dicts()).encode())
+    by_type = {row.state.motor_id: row.motor_type for row in rows}
+    trends = history.trends.get(TRENDS.name)
+    parts = {} if trends is None else scores(history.decisions, trends, by_type)
+    write(INDEX, fleet_html(facts, rows, parts, told.to_dicts()).encode())
     by_id = {row.state.motor_id: row for row in rows}
     for motor in motors:
         name = names[motor.motor_id]

@@ -14,6 +14,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
 from leakage.validation import is_poor
 from pipeline.report.encoding import script_json
+from pipeline.report.findings import Score
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
@@ -44,7 +45,10 @@ class FleetFacts:
 
 
 def fleet_html(
-    facts: FleetFacts, rows: Sequence[FleetRow], by_rules: Sequence[Mapping[str, Any]] = ()
+    facts: FleetFacts,
+    rows: Sequence[FleetRow],
+    parts: Mapping[str, Score],
+    by_rules: Sequence[Mapping[str, Any]] = (),
 ) -> str:
     """The fleet's page; `by_rules`: rows of `alarms` that a change of rules made."""
     found = Counter(row.state.state for row in rows)
@@ -57,6 +61,7 @@ def fleet_html(
             by_rules=by_rules,
             counts=[(code, found[code]) for code in ORDER if found[code]],
             types=sorted({row.motor_type for row in rows if row.motor_type}),
+            parts=parts,
         )
     )
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import polars as pl
 from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.report.explain import FITS_OF_A_NIGHT, fit_words
+from pipeline.report.findings import Score, scores
 from pipeline.schema import ALARMS, FITS, TRENDS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
 from pipeline.store.manifest import manifest_keys
@@ -32,6 +33,7 @@ REFERENCES = ("reference_leakage", "own_reference_leakage", "comparable_drain_fl
 GAP = "gap_change_"
 SENSORS = ("pressure_zero", "flow_zero")
 TEMPERATURE_EFFECT, MODEL_MISFIT = "temperature_effect", "model_misfit"
+OIL_VISCOSITY = "oil_viscosity"
 TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
@@ -77,6 +79,8 @@ class MotorState:
         That loss factors change with temperature, in words; empty where they do not.
     model_misfit
         That the model does not describe the motor, in words; empty where it does.
+    oil
+        The oil as measured, in words; empty where its data sheet holds.
     """
 
     motor_id: str
@@ -102,6 +106,7 @@ class MotorState:
     limit_dates: str = ""
     temperature_effect: str = ""
     model_misfit: str = ""
+    oil: str = ""
 
     @property
     def why(self) -> str:
@@ -109,7 +114,8 @@ class MotorState:
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         reason = self.reason or "no change of external leakage"
         beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
-        parts = (reason, dates, *beside)
+        oil = "" if self.oil in reason else self.oil
+        parts = (reason, dates, *beside, oil)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -126,6 +132,8 @@ class FleetStatus:
         When the last run ended that went through all motors; None where none did.
     findings_confirmed, findings
         Alarms with wear found at the inspection, and all inspected alarms.
+    parts
+        Parts named by alarms against those that inspections found worn, by motor type.
     beat
         Heartbeat of the current or the last run; None before the first.
     receivers
@@ -140,6 +148,7 @@ class FleetStatus:
     last_good_run: dt.datetime | None
     findings_confirmed: int
     findings: int
+    parts: Mapping[str, Score] = field(default_factory=dict)
     beat: Beat | None = None
     receivers: tuple[Backlog, ...] = ()
     n_by_rules: int = 0
@@ -158,7 +167,7 @@ def fleet_status(
     """
     trends = read_rows(output, TRENDS, motor_ids)
     keys = ("motor_id", "night", "status", "reason", "is_primary")
-    columns = (*keys, "reference_verdict", *TONIGHTS_FITS)
+    columns = (*keys, "motor_type", "reference_verdict", *TONIGHTS_FITS)
     fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
     motors = [
@@ -172,11 +181,13 @@ def fleet_status(
     ]
     findings = last_findings(decisions)
     alarms = read_rows(output, ALARMS, motor_ids, ("rules", "state_before_rules", "to_state"))
+    types = dict(fits.sort("night").select("motor_id", "motor_type").iter_rows())
     return FleetStatus(
         tuple(sorted(motors, key=urgency)),
         last_good_run(output),
         findings.count("confirmed"),
         len(findings),
+        scores(decisions, trends, types),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
         changed_by_rules(alarms).height,
@@ -240,6 +251,7 @@ def motor_state(
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
     misfits = tonight.filter(indicator=MODEL_MISFIT)["state_reason"]
+    oils = tonight.filter(indicator=OIL_VISCOSITY)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
     leakage_night, leakage = _leakage(trends, began)
@@ -264,6 +276,7 @@ def motor_state(
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
         model_misfit=next(iter(misfits), None) or "",
+        oil=next(iter(oils), None) or "",
     )
 
 

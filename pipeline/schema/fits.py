@@ -403,6 +403,13 @@ FITS = Table(
             "Half-width of its 95 % interval; null unless identified",
         ),
         Column("roller_verdict", pl.String, "", "As `verdict` in `parameters`"),
+        Column(
+            "viscosity_ratio",
+            pl.Float64,
+            "1",
+            "Viscosity as measured, by the log or by analyses, over that of the data sheet: what "
+            "the fit went by; null where the data sheet holds",
+        ),
     ),
 )
 

@@ -161,6 +161,13 @@ BLOCK_STATISTICS = Table(
             "counted from the start in such blocks, its samples, and the means of the columns but "
             "one; null where none was merged, and in rows of before version 6",
         ),
+        Column(
+            "viscosity_ratio",
+            pl.Float64,
+            "1",
+            "Viscosity by the log over that of the data sheet, median of the night; null without "
+            "such a channel. The statistics are of the data sheet's oil",
+        ),
     ),
 )
 

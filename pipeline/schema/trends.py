@@ -31,7 +31,7 @@ INDICATOR = Column(
     "",
     "reference_leakage, own_reference_leakage, baseline_deviation, peer_deviation, K_, leakage_ "
     "and gap_change_ with the path's name, C_f, pressure_zero, flow_zero, drain_flow, "
-    "comparable_drain_flow, baseline_progress, temperature_effect or model_misfit",
+    "comparable_drain_flow, baseline_progress, temperature_effect, model_misfit or oil_viscosity",
 )
 
 TRENDS = Table(
@@ -164,6 +164,13 @@ TRENDS = Table(
             "Of model_misfit, over the last ten nights that tell it: supported, doubtful (above "
             "0.59 %) or disproved (above 1 %; 1.5 % before there are ten); else null",
         ),
+        Column(
+            "likely_iso_vg",
+            pl.Int64,
+            "mm²/s",
+            "ISO grade whose filling would explain common_factor; a proposal for an oil_change, "
+            "null where the oil's own or no grade does",
+        ),
     ),
 )
 
@@ -263,5 +270,7 @@ DECISIONS = Table(
         Column("finding", pl.String, "", "confirmed or not_confirmed; null: no finding"),
         Column("note", pl.String, "", "In words"),
         RUN_ID,
+        Column("worn", pl.String, "", "Parts found worn, separated by commas; null: none"),
+        Column("sound", pl.String, "", "Parts found sound, separated by commas; null: none"),
     ),
 )

@@ -16,6 +16,7 @@ import numpy as np
 import polars as pl
 
 from leakage.balanced_baseline import DutyBlocks
+from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of
 from pipeline.errors import StoreError
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
@@ -53,36 +54,47 @@ class BlockFiles:
     _rows: dict[dt.date, pl.DataFrame] = field(default_factory=dict)
 
     def of(
-        self, motor_id: str, layout: Layout, nights: Sequence[dt.date], model: str
+        self, spec: MotorSpec, layout: Layout, nights: Sequence[dt.date], model: str
     ) -> DutyBlocks | None:
         """Blocks of a model; None where there are none, or some are of another one."""
+        told = []
         for night in nights:
-            if night not in self._rows:
-                self._rows[night] = read_rows(
-                    self.output,
-                    BLOCK_STATISTICS,
-                    self.motor_ids,
-                    BLOCK_COLUMNS,
-                    nights=[night],
-                )
-        rows = pl.concat([self._rows[night].filter(motor_id=motor_id) for night in nights])
-        stored = StoredBlocks.of(rows.sort("block_start"), layout.columns)
-        if rows.is_empty() or stored is None or set(rows["model_hash"]) != {model}:
+            found = self._night(spec, layout, night, model)
+            if found is None:
+                return None
+            if found.rows.height:
+                told.append(found)
+        if not told:
             return None
-        label = stored.rows["night"].to_numpy().astype("M8[D]").astype(np.int64)
-        return DutyBlocks(stored.factors, stored.block_means(), label)
+        labels = [one.rows["night"].to_numpy().astype("M8[D]").astype(np.int64) for one in told]
+        return DutyBlocks(
+            np.concatenate([one.factors for one in told]),
+            np.concatenate([one.block_means() for one in told]),
+            np.concatenate(labels),
+        )
+
+    def _night(
+        self, spec: MotorSpec, layout: Layout, night: dt.date, model: str
+    ) -> StoredBlocks | None:
+        if night not in self._rows:
+            self._rows[night] = read_rows(
+                self.output, BLOCK_STATISTICS, self.motor_ids, BLOCK_COLUMNS, nights=[night]
+            )
+        rows = self._rows[night].filter(motor_id=spec.motor_id)
+        return layout.blocks(spec, rows) if set(rows["model_hash"]) <= {model} else None
 
     def of_baseline(
-        self, motor_id: str, layout: Layout, nights: Sequence[dt.date], model: str
+        self, spec: MotorSpec, layout: Layout, nights: Sequence[dt.date], model: str
     ) -> DutyBlocks | None:
         """The same of a baseline's nights, as kept by a run before where that still holds."""
-        path, size = kept_folder(self.output) / motor_id / FILE, len(layout.columns)
-        key = hash_of({"records": layout.digest, "model": model, "files": self._stamps(nights)})
+        path, size = kept_folder(self.output) / spec.motor_id / FILE, len(layout.columns)
+        of_what = {"records": layout.digest, "model": model, "files": self._stamps(nights)}
+        key = hash_of(of_what | {"oil": [spec.measured_curve(night) for night in nights]})
         table = read_if_whole(path, whole_table)
         if table is not None and head_of(table)["key"] == key:
             factors, conditions, labels = (values_of(table[name]) for name in COLUMNS)
             return DutyBlocks(factors.reshape(-1, size, size), conditions.reshape(-1, 3), labels)
-        found = self.of(motor_id, layout, nights, model)
+        found = self.of(spec, layout, nights, model)
         if found is not None:
             columns = {name: getattr(found, name) for name in COLUMNS}
             try:

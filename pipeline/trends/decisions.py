@@ -37,11 +37,14 @@ class Decision:
     kind
         An alarm acknowledged, the finding of an inspection, or a baseline reset.
     night
-        The night that it refers to; of a reset the first night of the new baseline.
+        The night that it refers to: of a reset the first night of the new baseline, of a finding
+        on parts the day on which the motor was opened.
     finding
         Result of an inspection; None without one.
     note
         In words.
+    worn, sound
+        Parts that an inspection found so, separated by commas; None without any.
     """
 
     motor_id: str
@@ -51,6 +54,18 @@ class Decision:
     night: dt.date
     finding: Finding | None = None
     note: str = ""
+    worn: str | None = None
+    sound: str | None = None
+
+    @property
+    def worn_parts(self) -> tuple[str, ...]:
+        """Parts that were found worn."""
+        return tuple(self.worn.split(", ")) if self.worn else ()
+
+    @property
+    def sound_parts(self) -> tuple[str, ...]:
+        """Parts that were found sound."""
+        return tuple(self.sound.split(", ")) if self.sound else ()
 
 
 def journal_file(output: Path) -> Path:

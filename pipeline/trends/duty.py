@@ -86,14 +86,14 @@ def _compare(
     history: History, records: Any, first: Places, elsewhere: Places, blocks: BlockFiles
 ) -> None:
     """Fill the records of nights of another duty; those without stored blocks stay as they are."""
-    layout, motor_id = history.layout, history.spec.motor_id
+    layout, spec = history.layout, history.spec
     model = records["model"][first[-1]].decode()
     nights = [history.nights[place] for place in first.tolist()]
-    before = blocks.of_baseline(motor_id, layout, nights, model)
-    motor = history.spec.motor(nights[-1], history.spec.file.flushing.mode)
+    before = blocks.of_baseline(spec, layout, nights, model)
+    motor = spec.motor(nights[-1], spec.file.flushing.mode)
     bounds = Parametrisation.of(motor).coefficient_bounds()
     for place in elsewhere.tolist():
-        now = blocks.of(motor_id, layout, [history.nights[place]], model)
+        now = blocks.of(spec, layout, [history.nights[place]], model)
         if before is not None and now is not None:
             _keep(records[place], _compared(before, now, bounds))
 

@@ -9,40 +9,45 @@ import numpy as np
 from leakage.hypotheses import PROBABLE, Posterior
 from leakage.oil import dynamic_viscosity_pa_s
 from pipeline.trends.history import History
+from pipeline.trends.oil import (
+    grade_of,
+    mean_temperature_c,
+    oil_as_measured,
+    water_in_oil,
+)
 
-# Taken where a night has no mean temperature.
-USUAL_C = 50.0
 # Standard error up to which a change with temperature says something [1/K].
 WIDEST_BETA = 0.001
 LEAST_TOLD = 0.02
 
 
-def why_words(history: History, place: int, found: Posterior | None, own: str = "") -> str:
-    """Cause of the change of a motor's flows, in words; empty if nothing can be said.
+def why_words(
+    history: History, place: int, begin: int, found: Posterior | None, own: str = ""
+) -> str:
+    """Cause of the change of a motor's flows since a place, in words; empty if none can be told.
 
     For a loss factor whose own path has grown, only the other causes.
     """
     if found is None:
         return ""
+    factor = _factor(history, place, begin, found) if found.is_common else ""
     if own and own in found.named:
-        return f"besides, {_factor(history, place, found)}" if found.is_common else ""
+        return f"besides, {factor}" if factor else ""
     if found.verdict == "path":
         percent = probable_words(min(found.paths[name] for name in found.named))
         names = " and ".join(_plain(name) for name in found.named)
         grown = ", which have all grown" if len(found.named) > 1 else ""
         by = "by" if grown else "mostly by"
         words = f"{by} {names}{grown} ({percent} probable)"
-        return f"{words}; and {_factor(history, place, found)}" if found.is_common else words
+        return f"{words}; and {factor}" if factor else words
     if found.verdict == "common":
         no_path = probable_words(1.0 - found.any_path)
-        return f"{_factor(history, place, found)}; no path ({no_path})"
+        return f"{factor}; no path ({no_path})"
     if found.verdict == "no_change":
         no_path = probable_words(1.0 - found.any_path)
         return f"no path ({no_path}), and no common change of all flows is certain"
-    if found.is_common:
-        besides = cannot_be_told(found)
-        return f"{_factor(history, place, found)}; whether a path has grown besides {besides}"
-    return cannot_be_told(found)
+    besides = cannot_be_told(found, oil_as_measured(history, place, begin))
+    return f"{factor}; whether a path has grown besides {besides}" if factor else besides
 
 
 def probable_words(probability: float) -> str:
@@ -60,15 +65,31 @@ def _plain(name: str) -> str:
     return f"the {name.replace('_', ' ')}"
 
 
-def _factor(history: History, place: int, found: Posterior) -> str:
+def _factor(history: History, place: int, begin: int, found: Posterior) -> str:
     """The common change of all flows, in words, and the causes that look like it."""
+    measured = oil_as_measured(history, place, begin)
+    told = measured or water_in_oil(history, place)
+    grade = grade_of(history, place, begin, found)
+    parts = [_causes(history, place, found, measured), told]
+    if grade is not None:
+        parts.append(
+            f"ISO VG {grade} would do so: if it was filled in, enter an oil_change with its date "
+            "in the motor's file"
+        )
+    return "; ".join(part for part in parts if part)
+
+
+def _causes(history: History, place: int, found: Posterior, measured: str) -> str:
     log, sd = found.factor.log, found.factor.sd
     factor = math.exp(log)
     words = f"all flows × {factor:.2f} ± {1.96 * sd * factor:.2f}"
     thinner = 100.0 * (1.0 - 1.0 / factor)
     oil = f"the oil were {abs(thinner):.0f} % {'thinner' if thinner > 0 else 'thicker'}"
     if found.is_of_tank:
-        return f"{words}, as in the other motors of the oil circuit: as if {oil}, not this motor"
+        words += ", as in the other motors of the oil circuit"
+        if measured:
+            return f"{words}: the oil's temperature or the charge pressure, not this motor"
+        return f"{words}: as if {oil}, not this motor"
     kelvin, beta = _as_temperature(history, place, log)
     sensor = (
         f"the temperature sensor read {abs(kelvin):.0f} °C {'low' if kelvin > 0 else 'high'}, or "
@@ -77,15 +98,14 @@ def _factor(history: History, place: int, found: Posterior) -> str:
     if found.own_sensor is not None and found.own_sensor >= PROBABLE:
         words += f", unlike the other motors of the oil circuit: its own sensor, as if {sensor}"
     else:
-        words += f": as if {oil}, or {sensor}"
+        words += f": as if {sensor}" if measured else f": as if {oil}, or {sensor}"
     return words + _hint(found, beta)
 
 
 def _as_temperature(history: History, place: int, log: float) -> tuple[float, float]:
     """Error of the temperature that looks like a factor [K], and its change with it [1/K]."""
     oil = history.spec.oil_on(history.nights[place]).oil()
-    mean = float(history.records["mean_temperature_c"][place])
-    at = np.array([-1.0, 0.0, 1.0]) + (mean if math.isfinite(mean) else USUAL_C)
+    at = np.array([-1.0, 0.0, 1.0]) + mean_temperature_c(history, place)
     below, here, above = np.log(dynamic_viscosity_pa_s(at, 0.0, oil)).tolist()
     kelvin = -2.0 * log / (above - below)
     return kelvin, -kelvin * (above - 2.0 * here + below)
@@ -107,7 +127,7 @@ def _hint(found: Posterior, of_sensor: float) -> str:
     return f" (it changes by {1000 * beta:+.1f} ± {2000 * error:.1f} % per 10 K, as by {says})"
 
 
-def cannot_be_told(found: Posterior) -> str:
+def cannot_be_told(found: Posterior, measured_oil: str = "") -> str:
     """Possible causes of a change, and the data that would decide between them."""
     some = [f"{_plain(name)} ({100 * found.paths[name]:.0f} %)" for name in found.candidates]
     is_path = found.any_path >= PROBABLE
@@ -121,7 +141,7 @@ def cannot_be_told(found: Posterior) -> str:
         tells.append("varying speed")
     if not is_path and found.tank is None:
         tells.append("a second motor on the tank")
-    if not is_path and not found.is_common:
+    if not is_path and not found.is_common and not measured_oil:
         tells.append("an oil sample")
     what = "which path cannot be told" if is_path else "cannot be told"
     may_be = f": {' or '.join(some)}" if some else ""

@@ -25,8 +25,8 @@ from leakage.night_filter import (
     night_information,
 )
 from leakage.temperature_correction import TemperatureCorrection
+from pipeline.config import MotorSpec
 from pipeline.night.rows import upper_triangle
-from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History
 from pipeline.trends.night_records import Layout, Records, whole_matrix
@@ -52,19 +52,19 @@ def without_fit(records: Records) -> Mask:
     return found
 
 
-def add_blocks(layout: Layout, records: Records, blocks: pl.DataFrame) -> None:
+def add_blocks(spec: MotorSpec, layout: Layout, records: Records, blocks: pl.DataFrame) -> None:
     """Put what the blocks of nights without a fit tell into their records."""
     free = np.array(layout.free)
     for (label,), rows in blocks.partition_by("night", as_dict=True).items():
         record = records[int(np.searchsorted(records["night"], np.datetime64(label)))]
         hashes = set(rows["model_hash"].to_list())
-        stored = StoredBlocks.of(rows.sort("block_start"), layout.stated_columns)
+        stored = layout.blocks(spec, rows)
         if len(hashes) != 1 or stored is None:
             continue
-        if layout.standard is not None:
-            stored = stored.with_free_known(*layout.standard)
         record["model"], record["own"] = hashes.pop(), stored.means()
         record["factor"] = upper_triangle(merge(stored.factors))
+        if stored.viscosity_ratio is not None:
+            record["viscosity"] = stored.viscosity_ratio
         told = night_information(stored.factors, np.array(layout.configured), free)
         record["noise"][free], record["freedom"][free] = told.noise, told.freedom
 

@@ -1,4 +1,4 @@
-"""Rows of `trends` that are told and not watched: drain flow, baseline, effect of temperature."""
+"""Rows of `trends` that are told and not watched: drain flow, baseline, temperature, model, oil."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from pipeline.trends.indicators import (
     DEVIATION,
     DRAIN_FLOW,
     MODEL_MISFIT,
+    OIL_VISCOSITY,
 )
+from pipeline.trends.oil import oil_as_measured, viscosity_ratio
 from pipeline.trends.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.reasons import good_nights, why_no_baseline
 from pipeline.trends.standing import Standing
@@ -44,6 +46,9 @@ def first_rows(standing: Standing, place: int) -> Iterator[Row]:
         yield effect
     if (misfit := model_row(standing, place)) is not None:
         yield misfit
+    if (ratio := viscosity_ratio(standing.history, place, place)) is not None:
+        words = oil_as_measured(standing.history, place)
+        yield _row(OIL_VISCOSITY, "%", 100.0 * (ratio - 1.0)) | state | {"state_reason": words}
 
 
 def model_row(standing: Standing, place: int) -> Row | None:

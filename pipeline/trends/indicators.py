@@ -21,7 +21,7 @@ DEVIATION, PEER_DEVIATION = "baseline_deviation", "peer_deviation"
 # Told from the first night on, and not watched.
 DRAIN_FLOW, COMPARABLE_FLOW = "drain_flow", "comparable_drain_flow"
 BASELINE_PROGRESS, TEMPERATURE_EFFECT = "baseline_progress", "temperature_effect"
-MODEL_MISFIT = "model_misfit"
+MODEL_MISFIT, OIL_VISCOSITY = "model_misfit", "oil_viscosity"
 # An indicator around 0 is watched as a ratio around 1.
 SHIFTS = {DEVIATION: 1.0}
 NO_BASELINE = "no baseline yet"

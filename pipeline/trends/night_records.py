@@ -23,6 +23,7 @@ from leakage.identifiability import TOLD
 from leakage.model_verdict import MISFIT_NUMBERS
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import OK
+from pipeline.night.stored_blocks import StoredBlocks
 
 Array = NDArray[np.float64]
 # A structured array, one record a night.
@@ -50,6 +51,7 @@ OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
 SINGLE = {
     "charge": "mean_charge_over_case_bar",
     "blocks": "n_interval_blocks",
+    "viscosity": "viscosity_ratio",
 }
 FIT_COLUMNS = (
     "motor_id",
@@ -146,6 +148,13 @@ class Layout:
         """Columns of the statistics as stored, the cam rollers in the known flow."""
         rollers = None if self.standard is None else self.standard[0]
         return tuple(name for place, name in enumerate(self.columns) if place != rollers)
+
+    def blocks(self, spec: MotorSpec, rows: pl.DataFrame) -> StoredBlocks | None:
+        """Blocks of a night's rows, in their columns; None where they are of another model."""
+        stored = StoredBlocks.of(spec, rows.sort("block_start"), self.stated_columns)
+        if stored is None or self.standard is None:
+            return stored
+        return stored.with_free_known(*self.standard)
 
     @property
     def dtype(self) -> np.dtype[Any]:

@@ -107,7 +107,8 @@ def _add_blocks(
     rows = read_rows(output, BLOCK_STATISTICS, list(wanted), BLOCK_COLUMNS, nights=labels)
     for motor_id, nights in wanted.items():
         own = rows.filter((pl.col("motor_id") == motor_id) & pl.col("night").is_in(nights.tolist()))
-        add_blocks(motors[motor_id].layout, made[motor_id].records, own)
+        history = made[motor_id]
+        add_blocks(history.spec, motors[motor_id].layout, history.records, own)
 
 
 @dataclass(slots=True)

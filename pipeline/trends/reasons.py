@@ -41,19 +41,22 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
     if state in RAISED and told:
         parts += _moved_with_it(standing, name, place)
     if found.own.severity[inside]:
-        parts.append(_cause(standing, place, behind, watched.indicator.path))
+        begin = standing.earliest_onset(place)
+        parts.append(_cause(standing, place, begin, behind, watched.indicator.path))
     if sudden is not None and (told or name == DEVIATION):
         parts.append(sudden.words)
         if not found.own.severity[inside]:
             behind = standing.why.at(place, sudden.place)
-            parts.append(_cause(standing, place, behind))
+            parts.append(_cause(standing, place, sudden.place, behind))
     return "; ".join(part for part in parts if part)
 
 
-def _cause(standing: Standing, place: int, found: Posterior | None, own: str = "") -> str:
-    """Cause of a change in words, or why none is named; empty if nothing can be said."""
+def _cause(
+    standing: Standing, place: int, begin: int, found: Posterior | None, own: str = ""
+) -> str:
+    """Cause of a change since a place, or why none is named; empty if nothing can be said."""
     why = "" if found is None else why_not_named(standing, place, found)
-    return why or why_words(standing.history, place, found, own)
+    return why or why_words(standing.history, place, begin, found, own)
 
 
 def why_gated(standing: Standing, name: str, place: int) -> str:

@@ -24,6 +24,7 @@ from pipeline.trends.indicators import (
     gap_change,
     scaled,
 )
+from pipeline.trends.oil import grade_of, oil_as_measured
 from pipeline.trends.reasons import why_gated, why_no_baseline, why_state
 from pipeline.trends.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
@@ -110,6 +111,7 @@ def _explained(standing: Standing, place: int, found: Posterior | None, path: st
     """Columns of the probabilities of paths and of a common factor as causes of a change."""
     if found is None:
         return {}
+    history, begin = standing.history, standing.earliest_onset(place)
     factor = found.factor
     row: Row = {"common_probability": found.common, "common_origin": found.origin}
     if path:
@@ -117,13 +119,14 @@ def _explained(standing: Standing, place: int, found: Posterior | None, path: st
     elif why := why_not_named(standing, place, found):
         row["path_reason"] = why
     elif found.verdict == "cannot_be_told":
-        row["path_reason"] = cannot_be_told(found)
+        row["path_reason"] = cannot_be_told(found, oil_as_measured(history, place, begin))
     if found.is_common:
         half = HALF * factor.sd
         row |= {
             "common_factor": math.exp(factor.log),
             "common_factor_lower": math.exp(factor.log - half),
             "common_factor_upper": math.exp(factor.log + half),
+            "likely_iso_vg": grade_of(history, place, begin, found),
         }
     return row
 

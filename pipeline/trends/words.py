@@ -19,6 +19,7 @@ NAMES = {
     "temperature_effect": "effect of temperature on the loss factors",
     "comparable_drain_flow": "drain flow at the reference conditions",
     "baseline_progress": "progress towards a baseline",
+    "oil_viscosity": "viscosity as measured against the data sheet",
     "C_f": "flushing",
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",

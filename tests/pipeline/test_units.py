@@ -60,6 +60,8 @@ def test_canonical_units_are_those_of_the_tables() -> None:
         "speed": "rpm",
         "leakage_flow": "l/min",
         "running_hours": "h",
+        "kinematic_viscosity": "mm2/s",
+        "dynamic_viscosity": "mPa.s",
     }
 
 

@@ -84,7 +84,7 @@ def with_blocks(found: History, blocks: pl.DataFrame) -> History:
     """A history whose nights without a fit know their blocks."""
     records = found.records.copy()
     wanted = records["night"][without_fit(records)].tolist()
-    add_blocks(found.layout, records, blocks.filter(pl.col("night").is_in(wanted)))
+    add_blocks(found.spec, found.layout, records, blocks.filter(pl.col("night").is_in(wanted)))
     return replace(found, records=records)
 
 

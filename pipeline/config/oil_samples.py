@@ -1,0 +1,98 @@
+"""Oil samples as a laboratory reports them, and the file of an oil circuit, which holds its own."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import Annotated
+
+from pydantic import Field, model_validator
+
+from leakage import walther_coefficients
+from leakage.oil_in_use import curve_between
+from leakage.walther import walther_through
+from pipeline.config.faults import Place, refuse
+from pipeline.config.motor_types import OilFile
+from pipeline.config.settings import Section
+
+Walther = tuple[float, float]
+# A viscosity further from the data sheet, by this factor, is a slip or another oil.
+FURTHEST = 3.0
+
+
+class OilSample(Section):
+    """An analysis of the oil in use."""
+
+    date: dt.date = Field(description="Day on which it was drawn: the first night's label")
+    viscosity_40_c_mm2_per_s: Annotated[float, Field(ge=2, le=2000)] | None = Field(
+        None, description="Kinematic viscosity at 40 °C"
+    )
+    viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = Field(
+        None, description="Kinematic viscosity at 100 °C; without it the data sheet's slope holds"
+    )
+    water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000)] | None = Field(
+        None, description="Water content; it changes no figure, and is told beside the viscosity"
+    )
+    note: str = Field("", description="In words")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> OilSample:
+        refuse("oil_samples", self._faults())
+        return self
+
+    def _faults(self) -> Iterator[tuple[Place, str, object]]:
+        at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
+        if at_40 is None and self.water_mg_per_kg is None:
+            yield (), "expected viscosity_40_c_mm2_per_s or water_mg_per_kg", None
+        if at_100 is not None and (at_40 is None or at_100 >= at_40):
+            message = "expected viscosity_40_c_mm2_per_s beside it, and less than that"
+            yield ("viscosity_100_c_mm2_per_s",), message, at_100
+
+    def curve(self, oil: OilFile) -> Walther | None:
+        """Walther constants of the sample; None without a viscosity."""
+        at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
+        if at_40 is None:
+            return None
+        if at_100 is not None:
+            return walther_coefficients(40.0, at_40, 100.0, at_100)
+        slope = oil.oil().walther_b
+        return walther_through(40.0, at_40, slope), slope
+
+
+class OilCircuitFile(Section):
+    """`oil_circuits/<oil_circuit>.toml`: samples of the oil that motors share."""
+
+    oil_samples: tuple[OilSample, ...] = Field((), description="Analyses of the oil, by date")
+
+    @model_validator(mode="after")
+    def _in_order(self) -> OilCircuitFile:
+        refuse("oil circuit", order_faults(self.oil_samples))
+        return self
+
+
+def order_faults(samples: Sequence[OilSample]) -> Iterator[tuple[Place, str, object]]:
+    """Samples that are not in order of their dates."""
+    for index, (before, after) in enumerate(pairwise(samples), start=1):
+        if after.date <= before.date:
+            message = f"expected a date after {before.date}, that of the sample before"
+            yield ("oil_samples", index, "date"), message, after.date.isoformat()
+
+
+def measured_curve(
+    samples: Sequence[OilSample], oil: OilFile, filled: dt.date | None, night: dt.date
+) -> Walther | None:
+    """Walther constants in a night by the samples of a filling; None: by the data sheet.
+
+    Between two samples they are interpolated, after the last they hold. A filling with a date
+    begins as the data sheet has it; without one the data sheet holds until the first sample.
+    """
+    known = [(one.date, curve) for one in samples if (curve := one.curve(oil)) is not None]
+    if known and filled is not None and filled < known[0][0]:
+        sheet = oil.oil()
+        known.insert(0, (filled, (sheet.walther_a, sheet.walther_b)))
+    if not known or night < known[0][0]:
+        return None
+    return curve_between(
+        night.toordinal(), [date.toordinal() for date, _ in known], [one for _, one in known]
+    )

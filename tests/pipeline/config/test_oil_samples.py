@@ -1,0 +1,136 @@
+"""Analyses of the oil: which curve holds in a night, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from leakage import kinematic_viscosity_mm2_per_s
+from pipeline.config import MotorSpec
+from pipeline.config.hashes import SettingsHashes, config_hash
+from pipeline.config.oil_samples import OilSample
+from tests.pipeline.config.test_config import Path, add, faults, load
+from tests.pipeline.config.test_config import configs as configs  # a fixture
+from tests.pipeline.trends.nights import FIRST, event, motor, named, night_of
+
+MOTOR = "motors/CB400-01.toml"
+SAMPLE = "\n[[oil_samples]]\ndate = 2020-01-05\nviscosity_40_c_mm2_per_s = 46.0\n"
+
+
+def sample(place: int, at_40: float | None = None, **more: float) -> OilSample:
+    return OilSample(date=night_of(place), viscosity_40_c_mm2_per_s=at_40, **more)
+
+
+def with_samples(spec: MotorSpec, *samples: OilSample) -> MotorSpec:
+    return replace(spec, file=spec.file.model_copy(update={"oil_samples": samples}))
+
+
+def at_40(spec: MotorSpec, place: int) -> float | None:
+    curve = spec.measured_curve(night_of(place))
+    return None if curve is None else float(kinematic_viscosity_mm2_per_s(40.0, *curve))
+
+
+def test_a_curve_holds_from_its_first_analysis_on() -> None:
+    spec = with_samples(motor(), sample(10, 60.0), sample(20, 50.0), sample(30, water_mg_per_kg=90))
+    assert (at_40(spec, 0), at_40(spec, 9)) == (None, None)
+    assert at_40(spec, 10) == pytest.approx(60.0)
+    assert 54.0 < (at_40(spec, 15) or 0.0) < 55.5
+    assert at_40(spec, 20) == at_40(spec, 400) == pytest.approx(50.0)
+
+
+def test_a_dated_filling_begins_as_its_data_sheet_has_it() -> None:
+    """VG 68 from the 10th night on, analysed in the 20th; from the 30th on fresh oil again."""
+    changes = [event(place, "oil_change", oil="vg68") for place in (10, 30)]
+    spec = with_samples(named(motor(), "M1", events=changes), sample(20, 60.0))
+    assert at_40(spec, 9) is None
+    assert at_40(spec, 10) == pytest.approx(68.0)
+    assert 63.5 < (at_40(spec, 15) or 0.0) < 64.5
+    assert at_40(spec, 29) == pytest.approx(60.0)
+    assert at_40(spec, 30) is None
+
+
+def test_one_viscosity_keeps_the_slope_of_the_data_sheet() -> None:
+    oil = motor().oil_on(FIRST).oil()
+    assert sample(1, 54.4).curve(motor().oil_on(FIRST)) == (
+        pytest.approx(oil.walther_a, abs=0.1),
+        oil.walther_b,
+    )
+
+
+def test_only_the_figures_of_nights_with_another_curve_are_made_anew() -> None:
+    before, after = motor(), with_samples(motor(), sample(10, 60.0))
+    hashes = SettingsHashes(before), SettingsHashes(after)
+    for place, same in ((9, True), (10, False)):
+        first, second = (one.figures(night_of(place)) for one in hashes)
+        assert (first == second) == same
+        first, second = (one.statistics(night_of(place)) for one in hashes)
+        assert first == second
+    assert config_hash(before) != config_hash(after)
+
+
+def test_motors_of_a_circuit_share_its_file(configs: Path) -> None:
+    (configs / "oil_circuits").mkdir()
+    add(configs, "oil_circuits/winch.toml", SAMPLE)
+    found = {one.motor_id: one.circuit_samples for one in load(configs).motors}
+    assert {name for name, samples in found.items() if samples} == {"CB1120-01", "CB1120-02"}
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "words"),
+    [
+        (SAMPLE.replace("46.0", "0.5"), "viscosity_40_c_mm2_per_s", "greater than or equal to 2"),
+        (SAMPLE.replace("46.0", "440.0"), "viscosity_40_c_mm2_per_s", "another oil is an event"),
+        (SAMPLE + "viscosity_100_c_mm2_per_s = 46.0\n", "viscosity_100_c_mm2_per_s", "less than"),
+        (SAMPLE.replace("2020", "9998"), "date", "a day that has come"),
+        (SAMPLE.replace("2020-01-05", '"2020-01-05"'), "date", "without quotation marks"),
+        ("\n[[oil_samples]]\ndate = 2020-01-05\n", "", "or water_mg_per_kg"),
+        (SAMPLE + "water_mg_per_kg = -1.0\n", "water_mg_per_kg", "greater than or equal to 0"),
+    ],
+)
+def test_an_analysis_that_cannot_be_is_refused(
+    configs: Path, text: str, key: str, words: str
+) -> None:
+    add(configs, MOTOR, text)
+    (fault,) = faults(configs)
+    assert (fault.file, fault.key) == (MOTOR, f"oil_samples.0.{key}".rstrip("."))
+    assert words in fault.message
+
+
+def test_analyses_stand_in_order_of_their_dates(configs: Path) -> None:
+    add(configs, MOTOR, SAMPLE + SAMPLE)
+    (fault,) = faults(configs)
+    assert fault.key == "oil_samples.1.date"
+    assert "expected a date after 2020-01-05" in fault.message
+
+
+def test_a_circuit_is_one_of_a_motor_and_has_the_only_analyses(configs: Path) -> None:
+    (configs / "oil_circuits").mkdir()
+    for name in ("winch", "wench"):
+        add(configs, f"oil_circuits/{name}.toml", SAMPLE)
+    add(configs, "motors/CB1120-01.toml", SAMPLE)
+    assert {(one.file, one.key) for one in faults(configs)} == {
+        ("oil_circuits/wench.toml", ""),
+        ("motors/CB1120-01.toml", "oil_samples"),
+    }
+
+
+@pytest.mark.parametrize(
+    ("lines", "words"),
+    [
+        ('[channels.kinematic_viscosity]\nsource = "nu"\n', "is missing"),
+        ('[channels.kinematic_viscosity]\nsource = "nu"\nunit = "cP"\n', "expected one of mm2/s"),
+    ],
+)
+def test_a_viscosity_has_a_unit_of_its_kind(configs: Path, lines: str, words: str) -> None:
+    add(configs, MOTOR, f"\n{lines}")
+    (fault,) = faults(configs)
+    assert fault.key == "channels.kinematic_viscosity.unit"
+    assert words in fault.message
+
+
+def test_a_log_has_one_viscosity(configs: Path) -> None:
+    for name, unit in (("kinematic_viscosity", "cSt"), ("dynamic_viscosity", "cP")):
+        add(configs, MOTOR, f'\n[channels.{name}]\nsource = "{name}"\nunit = "{unit}"\n')
+    (fault,) = faults(configs)
+    assert "not both" in fault.message
