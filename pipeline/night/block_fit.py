@@ -311,13 +311,15 @@ def _errors(
     intervals |= {
         name: identification.coefficients[place].information for name, place in paths.items()
     }
-    reach = model_errors(factors, fixed, np.array([*contrasts.values()]), 1.0)
+    model: list[float | None] = [None] * len(contrasts)
     taus = [misfits[0]] * len(rows) + [misfits[1]] * len(paths)
-    factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
-    model = [
-        None if tau is None else float(scale * tau.l_per_min)
-        for scale, tau in zip(factor * reach, taus, strict=True)
-    ]
+    if any(taus):
+        reach = model_errors(factors, fixed, np.array([*contrasts.values()]), 1.0)
+        factor = np.repeat((LEAKAGE_FACTOR, COEFFICIENT_FACTOR), (len(rows), len(paths)))
+        model = [
+            None if tau is None else float(size * tau.l_per_min)
+            for size, tau in zip(factor * reach, taus, strict=True)
+        ]
     return {
         name: ErrorParts(
             None if interval is None else interval.half_width,
