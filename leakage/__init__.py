@@ -15,6 +15,7 @@ from leakage.block_statistics import (
     merge_blocks,
     normal_matrix,
     sample_count,
+    with_free_known,
 )
 from leakage.certificate import Certificate, certify
 from leakage.change_points import Changes, Step, find_changes
@@ -187,5 +188,6 @@ __all__ = [
     "track",
     "walther_coefficients",
     "whitened",
+    "with_free_known",
     "zero_drift",
 ]

@@ -60,7 +60,7 @@ CAUSES = {
     "check the grade and take a sample",
     "load": 'another film law, or a sensor\'s zero; try film_pressure "slot", check zeros',
     "speed": "the cam roller's curve or count, or all other flows on another scale (oil, film "
-    "law); check them, or free the roller's scale",
+    "law); check them, roller_scale says by how much",
 }
 # The likeliest of load, by what is known of the low-pressure side.
 LOW_SIDES: dict[LowSide, str] = {

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from leakage.block_statistics import with_free_known
+from pipeline.night.rows import upper_triangle
 from pipeline.trends.attribution import path_behind, path_named
+from pipeline.trends.eras import Era
+from pipeline.trends.explanations import Explanations
 from pipeline.trends.first_rows import reference_flows
-from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
+from pipeline.trends.history import History
+from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE, coefficients
+from pipeline.trends.night_records import Layout, blank_records, whole_matrix
 from pipeline.trends.reasons import why_state
+from pipeline.trends.segments import Segment
 from pipeline.trends.standing import RAISED, Standing
 from pipeline.trends.trend_rows import trend_rows
 from tests.pipeline.trends.nights import (
@@ -50,6 +58,35 @@ def test_the_path_that_wears_is_named(path: str, name: str) -> None:
     assert row(found, name)["path_probability"] > 0.99
     assert row(found, name)["common_probability"] < 0.9
     assert "common_factor" not in row(found, name)
+
+
+def with_free_rollers(of: History) -> History:
+    """The same nights as they are published where the scale of the rollers is estimated."""
+    spec = replace(of.spec, roller_is_free=True)
+    layout = Layout.of(spec, of.nights[0])
+    assert layout.stated_columns == of.layout.columns
+    assert layout.standard is not None
+    records = blank_records(layout, of.nights)
+    stated = whole_matrix(of.records["factor"], len(of.layout.columns))
+    free = with_free_known(stated, *layout.standard)
+    records["factor"] = [upper_triangle(one) for one in free]
+    records["mean_temperature_c"] = of.records["mean_temperature_c"]
+    return History(spec, layout, records, {})
+
+
+@pytest.mark.parametrize("wear", [{"balance_sleeve": 0.5}, {OIL: 0.25}])
+def test_explanations_do_not_hang_on_the_form_of_the_rollers(wear: dict[str, float]) -> None:
+    stated = histories(Nights(motor(), N, {name: step(N, AT, by) for name, by in wear.items()}))
+    forms = [stated["M1"], with_free_rollers(stated["M1"])]
+    era = Era(Segment(0, N, "first nights"), 30, None, None)
+    before, after = (Explanations(form, (era,)).at(N - 1, AT) for form in forms)
+    assert before is not None
+    assert after is not None
+    assert after.verdict == before.verdict == ("common" if OIL in wear else "path")
+    assert after.paths == pytest.approx(before.paths, abs=1e-6)
+    # The rollers are no indicator: alarms share one rate, whichever form a motor has.
+    names = [[one.name for one in coefficients(form)] for form in forms]
+    assert names[0] == names[1]
 
 
 def test_a_worn_ring_is_named_where_it_shows() -> None:
