@@ -37,7 +37,7 @@ from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
-from pipeline.night.viscosity import sensor_ratio
+from pipeline.night.viscosity import SensorRatio, sensor_ratio
 from pipeline.night.windows import TRAINING, left_out, too_uniform
 from pipeline.units import RUNNING_HOURS
 
@@ -300,7 +300,7 @@ def _require_parts(samples: Samples, outside: tuple[Quality, ...]) -> None:
     )
 
 
-def _sensor_ratio(motor: Motor, samples: Samples) -> float | None:
+def _sensor_ratio(motor: Motor, samples: Samples) -> SensorRatio | None:
     """Viscosity by the log over the data sheet's; None where it has none."""
     ratio = sensor_ratio(motor.oil, samples)
     if isinstance(ratio, str):

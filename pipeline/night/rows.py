@@ -28,7 +28,7 @@ from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.time_base import Quality
-from pipeline.night.viscosity import mean_ratio
+from pipeline.night.viscosity import SensorRatio, mean_ratio
 from pipeline.night.windows import TRAINING, VALIDATION
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.thinning import keep_extremes
@@ -79,7 +79,7 @@ def statistics_rows(
     night: dt.date,
     motor: Motor,
     statistics: NightStatistics,
-    viscosity_ratio: float | None = None,
+    viscosity: SensorRatio | None = None,
 ) -> list[Row]:
     """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
     samples = statistics.samples
@@ -107,10 +107,11 @@ def statistics_rows(
             "n_beyond_curve": int(beyond[part].sum()),
             "model_hash": statistics.model_hash,
             "short_means": means,
-            "viscosity_ratio": viscosity_ratio,
         }
         for name, (unit, values, edges) in channels.items():
             row |= _spread(name, unit, values[part], edges)
+        if viscosity is not None:
+            row["viscosity_ratio"] = viscosity.at(row["mean_temperature_c"])
         rows.append(row)
     return rows
 

@@ -8,7 +8,9 @@ that is entered late needs no log.
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,14 +27,29 @@ Mask = NDArray[np.bool_]
 UNDRIVEN = ("one", "measured")
 # Share of the kept samples that need a credible viscosity.
 LEAST_SHARE = 0.1
+# Standard deviation of the temperature below which no change with it is told [K].
+LEAST_SPREAD_K = 1.0
 # A sensor further from the data sheet, by this factor, does not measure this oil.
 FURTHEST = 3.0
 
 
-def sensor_ratio(oil: Oil, samples: Samples) -> float | str | None:
-    """Median of the logged viscosity over the data sheet's at the logged temperature.
+class SensorRatio(NamedTuple):
+    """Logged viscosity over the data sheet's in a night: its median, and its change with heat."""
 
-    None where no channel has it; a text says why a channel cannot tell it.
+    log_median: float
+    per_kelvin: float
+    median_c: float
+
+    def at(self, temperature_c: float) -> float:
+        """The ratio at a temperature."""
+        return math.exp(self.log_median + self.per_kelvin * (temperature_c - self.median_c))
+
+
+def sensor_ratio(oil: Oil, samples: Samples) -> SensorRatio | str | None:
+    """Logged viscosity over the data sheet's at the logged temperature.
+
+    None where no channel has it; a text says why a channel cannot tell it. The change with
+    temperature is that of least squares, drawn to 0 where the night's temperatures hardly differ.
     """
     for name in VISCOSITIES:
         if name not in samples.viscosities:
@@ -45,10 +62,15 @@ def sensor_ratio(oil: Oil, samples: Samples) -> float | str | None:
         if name == "dynamic_viscosity":
             value = 1000.0 * value / density_kg_per_m3(celsius, oil)
         sheet = kinematic_viscosity_mm2_per_s(celsius, oil.walther_a, oil.walther_b)
-        ratio = float(np.median(value / sheet))
-        if not 1.0 / FURTHEST <= ratio <= FURTHEST:
-            return f"{name} is {ratio:.3g} times that of {oil.name}: another unit, oil or place"
-        return ratio
+        log, middle = np.log(value / sheet), float(np.median(celsius))
+        median = float(np.median(log))
+        if abs(median) > math.log(FURTHEST):
+            return (
+                f"{name} is {math.exp(median):.3g} times that of {oil.name}: another unit, oil or "
+                "place"
+            )
+        slope = np.cov(log, celsius, bias=True)[0, 1] / (np.var(celsius) + LEAST_SPREAD_K**2)
+        return SensorRatio(median, float(slope), middle)
     return None
 
 

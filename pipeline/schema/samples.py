@@ -165,8 +165,8 @@ BLOCK_STATISTICS = Table(
             "viscosity_ratio",
             pl.Float64,
             "1",
-            "Viscosity by the log over that of the data sheet, median of the night; null without "
-            "such a channel. The statistics are of the data sheet's oil",
+            "Viscosity by the log over that of the data sheet, by the whole night's readings; null "
+            "without such a channel. The statistics are those of the data sheet's oil",
         ),
     ),
 )

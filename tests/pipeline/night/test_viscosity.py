@@ -1,0 +1,153 @@
+"""The oil as measured: a channel of the log, or analyses, in place of the data sheet."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from leakage import density_kg_per_m3, kinematic_viscosity_mm2_per_s, walther_coefficients
+from pipeline.config import Channel, MotorSpec
+from pipeline.config.oil_samples import OilSample
+from pipeline.night.fit_night import NightOutcome, fit_night
+from pipeline.night.refit import PublishedNight, refit
+from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, frame
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
+
+# 20 % thinner than VG 68 (68 and 8.7 mm²/s), 15 % at 100 °C.
+THIN = walther_coefficients(40.0, 54.4, 100.0, 7.4)
+SAMPLE = OilSample(date=NIGHT, viscosity_40_c_mm2_per_s=54.4, viscosity_100_c_mm2_per_s=7.4)
+UNITS = {"kinematic_viscosity": "cSt", "dynamic_viscosity": "mPa.s"}
+OPERATION = operate(minutes=60.0)
+Array = NDArray[np.float64]
+
+
+@pytest.fixture(scope="module")
+def spec(tmp_path_factory: pytest.TempPathFactory) -> MotorSpec:
+    folder: Path = tmp_path_factory.mktemp("configs")
+    return load_motor(folder, motor_toml("M1"))
+
+
+def thin_flow(spec: MotorSpec) -> Array:
+    motor = spec.motor(NIGHT, "none")
+    oil = replace(motor.oil, walther_a=THIN[0], walther_b=THIN[1])
+    return OPERATION.flow(replace(motor, oil=oil))
+
+
+def with_sample(spec: MotorSpec) -> MotorSpec:
+    return replace(spec, file=spec.file.model_copy(update={"oil_samples": (SAMPLE,)}))
+
+
+def with_sensor(spec: MotorSpec, name: str) -> MotorSpec:
+    channels = {**spec.file.channels, name: Channel(source=name, unit=UNITS[name])}
+    return replace(spec, file=spec.file.model_copy(update={"channels": channels}))
+
+
+def readings(spec: MotorSpec, name: str) -> Array:
+    """What a sensor without error reads."""
+    value = kinematic_viscosity_mm2_per_s(OPERATION.temperature_c, *THIN)
+    if name == "dynamic_viscosity":
+        value = value * density_kg_per_m3(OPERATION.temperature_c, spec.oil_on(NIGHT).oil()) / 1e3
+    return value
+
+
+def night(spec: MotorSpec, **more: Array) -> NightOutcome:
+    values = OPERATION.channels(thin_flow(spec)) | more
+    return fit_night(spec, night_of(), raw(OPERATION.time_us, values), {})
+
+
+def off(spec: MotorSpec, found: NightOutcome) -> Array:
+    """Relative errors of the loss factors."""
+    (row,) = found.rows["fits"]
+    paths = spec.motor(NIGHT, "none").column_paths
+    true = np.array([path.configured_coefficient for path in paths])
+    estimates: Array = np.array(row["coefficients"][: len(true)])
+    return np.abs(estimates / true - 1.0)
+
+
+def test_thin_oil_is_taken_for_wear_without_a_measurement(spec: MotorSpec) -> None:
+    found = night(spec)
+    assert off(spec, found).min() > 0.1
+    assert found.rows["fits"][0]["viscosity_ratio"] is None
+
+
+def test_with_an_analysis_the_loss_factors_are_the_true_ones(spec: MotorSpec) -> None:
+    found = night(with_sample(spec))
+    assert off(spec, found).max() < 1e-3
+    (row,) = found.rows["fits"]
+    assert row["viscosity_ratio"] == pytest.approx(0.81, abs=0.01)
+    # One factor a block, in which the temperature moves by up to 5 K here.
+    assert row["training_fit_percent"] > 99.5
+    # At the reference conditions, with the data sheet's oil: model.md, section 3.
+    assert row["reference_leakage_l_per_min"] == pytest.approx(1.371423, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_a_viscosity_in_the_log_does_the_same(spec: MotorSpec, name: str) -> None:
+    found = night(with_sensor(spec, name), **{name: readings(spec, name)})
+    assert off(spec, found).max() < 0.02
+    assert found.rows["block_statistics"][0]["viscosity_ratio"] == pytest.approx(0.81, abs=0.01)
+
+
+def test_an_analysis_that_comes_late_needs_no_log(spec: MotorSpec) -> None:
+    before, after = night(spec), night(with_sample(spec))
+    blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
+    fits = frame(FITS, before.rows["fits"]).to_dicts()
+    parameters = frame(PARAMETERS, before.rows["parameters"]).to_dicts()
+    published = PublishedNight(NIGHT, fits, parameters, (), blocks)
+    anew = refit(with_sample(spec), published, {})
+    assert anew is not None
+    for column in ("coefficients", "night_factor", "viscosity_ratio", "training_fit_percent"):
+        (made,), (read,) = anew.rows["fits"], after.rows["fits"]
+        assert made[column] == pytest.approx(read[column], rel=1e-9, abs=1e-12)
+    # Blocks are those of the data sheet, whatever was measured.
+    assert after.rows["block_statistics"] == before.rows["block_statistics"]
+
+
+def test_a_late_analysis_of_robust_blocks_needs_the_log(spec: MotorSpec) -> None:
+    before = night(spec)
+    estimation = spec.settings.estimation.model_copy(update={"loss": "huber"})
+    robust = replace(spec, settings=spec.settings.model_copy(update={"estimation": estimation}))
+    blocks = frame(BLOCK_STATISTICS, before.rows["block_statistics"])
+    fits = frame(FITS, before.rows["fits"]).to_dicts()
+    parameters = frame(PARAMETERS, before.rows["parameters"]).to_dicts()
+    published = PublishedNight(NIGHT, fits, parameters, (), blocks)
+    assert refit(with_sample(robust), published, {}) is None
+
+
+@pytest.mark.parametrize(
+    ("reading", "words"),
+    [
+        (np.nan, "kinematic_viscosity is credible in only 0 % of the kept samples"),
+        (31.0, "kinematic_viscosity is credible in only"),  # frozen
+        (0.3, "kinematic_viscosity is credible in only 0 %"),  # below any oil
+    ],
+)
+def test_a_sensor_that_tells_nothing_makes_no_figure(
+    spec: MotorSpec, reading: float, words: str
+) -> None:
+    name = "kinematic_viscosity"
+    value = np.full(len(OPERATION.time_us), reading)
+    found = night(with_sensor(spec, name), **{name: value})
+    assert (found.status, words in (found.reason or "")) == ("insufficient_data", True)
+    assert "the data sheet holds" in (found.reason or "")
+
+
+def test_a_viscosity_of_another_oil_or_unit_makes_no_figure(spec: MotorSpec) -> None:
+    name = "kinematic_viscosity"
+    found = night(with_sensor(spec, name), **{name: 10.0 * readings(spec, name)})
+    assert found.status == "insufficient_data"
+    assert "times that of ISO VG 68 hydraulic oil: another unit, oil or place" in (
+        found.reason or ""
+    )
+
+
+def test_samples_without_a_viscosity_are_kept(spec: MotorSpec) -> None:
+    name = "kinematic_viscosity"
+    value = np.where(np.arange(len(OPERATION.time_us)) % 1000 < 500, readings(spec, name), np.nan)
+    found = night(with_sensor(spec, name), **{name: value})
+    assert found.status == "ok"
+    assert found.rows["fits"][0]["kept_share"] == 1.0
