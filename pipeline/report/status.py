@@ -249,7 +249,7 @@ def motor_state(
         worst = worst | {"state_reason": next(iter(progress), worst["state_reason"])}
     is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
-    effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
+    effects = tonight.filter(indicator=TEMPERATURE_EFFECT, state="ok")["state_reason"]
     misfits = tonight.filter(indicator=MODEL_MISFIT)["state_reason"]
     oils = tonight.filter(indicator=OIL_VISCOSITY)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()

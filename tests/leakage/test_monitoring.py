@@ -208,3 +208,17 @@ def test_the_levels_of_a_widely_scattering_indicator_wait_for_more() -> None:
 def test_series_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(ShapeError):
         monitor(np.arange(10), np.ones(9))
+
+
+def test_only_what_a_night_deviates_by_beyond_its_allowance_counts() -> None:
+    generator = np.random.default_rng(11)
+    nights = np.arange(120)
+    values = 1.0 + 0.002 * generator.standard_normal(120) + 0.05 * (nights >= 90)
+    allowance = np.where(nights >= 90, 0.08, 0.0)
+    assert monitor(nights, values).states[-1] == "warning"
+    found = monitor(nights, values, allowance=allowance)
+    assert set(found.states[60:]) == {"ok"}
+    # The deviation that is shown is the whole one.
+    assert found.own.deviation[-1] == pytest.approx(0.05, abs=0.01)
+    larger = monitor(nights, values + 0.2 * (nights >= 90), allowance=allowance)
+    assert larger.states[-1] == "warning"

@@ -14,7 +14,13 @@ from leakage.block_statistics import factors, merge
 from leakage.certificate import certify
 from leakage.motor import Motor, OperatingConditions, regressors
 from leakage.multi_start import Parametrisation
-from leakage.temperature_correction import TemperatureCorrection, temperature_correction
+from leakage.temperature_correction import (
+    NIGHTS_OF_NOW,
+    TemperatureCorrection,
+    latest_slopes,
+    temperature_correction,
+    temperature_response,
+)
 from leakage.walther import kinematic_viscosity_mm2_per_s
 from tests.leakage.made_nights import autoregression
 from tests.leakage.made_samples import true_coefficients
@@ -118,3 +124,64 @@ def test_where_temperature_does_not_vary_nothing_is_said() -> None:
     theta = true_coefficients(MOTOR)
     same = np.full_like(temperature, 50.0)
     assert temperature_correction(blocks, same, nights, theta, theta > 0.0) is None
+
+
+def test_wear_in_a_spell_that_warms_is_no_effect_of_temperature() -> None:
+    generator = np.random.default_rng(6)
+    blocks, temperature, nights = nights_of(12, generator, lambda sensor: sensor)
+    theta, warmer = true_coefficients(MOTOR), temperature + nights
+    gaps = blocks[:, :, :-3] @ theta[:-1]
+    blocks[:, :, -1] = (1.0 + 0.01 * nights)[:, None] * gaps + blocks[:, :, -2]
+    time = nights.astype(np.float64)
+    worn = temperature_correction(blocks, warmer, nights, theta, theta > 0.0)
+    told = temperature_correction(blocks, warmer, nights, theta, theta > 0.0, time)
+    assert worn is not None
+    assert told is not None
+    assert worn.per_kelvin > 0.003
+    assert told.per_kelvin == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_night_is_brought_to_its_mean_temperature() -> None:
+    """A night that warms by 20 K under b = −1 % a kelvin, without noise: θ + b dθ/db is θ."""
+    generator = np.random.default_rng(7)
+    blocks, _, nights = nights_of(1, generator, lambda sensor: sensor)
+    theta = true_coefficients(MOTOR)
+    above = np.linspace(-10.0, 10.0, len(nights))
+    gaps = blocks[:, :, :-3] @ theta[:-1]
+    blocks[:, :, -1] = (1.0 - 0.01 * above)[:, None] * gaps + blocks[:, :, -2]
+    free = theta > 0.0
+    found = certify(merge(blocks), *Parametrisation.of(MOTOR).coefficient_bounds()).coefficients
+    moved = found - 0.01 * temperature_response(blocks, found, free, above)
+    before, after = (np.abs(one[free] / theta[free] - 1.0).max() for one in (found, moved))
+    assert before > 0.01
+    assert after < 0.2 * before
+
+
+def test_the_slope_over_temperature_is_that_of_the_latest_nights() -> None:
+    generator = np.random.default_rng(8)
+    nights = np.arange(100)
+    warm = 50.0 + 2.0 * generator.standard_normal(100)
+    line = 1.0 + 0.001 * nights
+    ratio = line + np.where(nights < 50, 0.0, -0.01) * (warm - 50.0)
+    ratio[10] = np.nan
+    slope, half = latest_slopes(nights, ratio, warm)
+    # One night lacks a ratio; the wander of a sensor stays in the ± of what has no noise.
+    assert np.flatnonzero(np.isfinite(slope))[0] == NIGHTS_OF_NOW
+    assert np.abs(slope[NIGHTS_OF_NOW:50]).max() < 1e-10
+    assert slope[-1] == pytest.approx(-0.01)
+    assert half[-1] == pytest.approx(0.07 * 0.3**2 / 4.0, rel=0.5)
+    nothing, _ = latest_slopes(nights, ratio, np.full(100, 50.0))
+    assert np.isnan(nothing).all()
+
+
+def test_what_is_left_of_an_effect_is_its_interval() -> None:
+    certain, small = (
+        TemperatureCorrection(-0.01, 0.004, 50.0),
+        TemperatureCorrection(1e-3, 0.002, 50.0),
+    )
+    unknown = TemperatureCorrection(0.001, 0.008, 50.0)
+    assert (certain.taken_off, certain.left) == (-0.01, 0.004)
+    assert (small.taken_off, small.left) == (0.0, 0.003)
+    assert (certain.is_known, small.is_known, unknown.is_known) == (True, True, False)
+    # Nights that differ by 0.3 K, as much as a sensor wanders, tell nothing.
+    assert certain.with_wander(0.3**2).half_width == pytest.approx(0.07, rel=0.01)
