@@ -7,17 +7,15 @@ one and the same setting: one false alarm in ten motor-years, shared by the moto
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from benchmarks.night_kinds import CYCLES_S, ERRORS, KIND_HEADER, STEPS_S, Kind
-from benchmarks.results_file import RESULTS, Part, write_parts
+from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_fleets import (
     INDICATORS,
     PATHS,
@@ -47,7 +45,6 @@ KINDS = (
     *(Kind(90, 1.0, 0.9, CYCLES_S, errors) for errors in ERRORS if errors != "wander"),
 )
 WATCHED_SLOPES = ("reference_leakage", "baseline_deviation")
-STORED = RESULTS / "alarms.json"
 USUAL = Kind(60, 1.0, 0.9)
 
 
@@ -263,14 +260,7 @@ PARTS: dict[str, Callable[[], Part]] = {
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure all parts or some, and write `benchmarks/results/alarms.md`."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks alarms")
-    parser.add_argument("--only", default=",".join(PARTS))
-    stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
-    for name in parser.parse_args(list(options)).only.split(","):
-        stored[name] = asdict(PARTS[name]())
-        STORED.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
     text = (
         "Nights by length, rate, φ of the short errors, load and other errors, as in `coverage.md`."
     )
-    parts = [Part(**stored[name]) for name in PARTS if name in stored]
-    write_parts("alarms", "Alarms on simulated fleets", text, parts)
+    write_stored("alarms", "Alarms on simulated fleets", text, PARTS, options)

@@ -8,13 +8,14 @@ its own load, and with the wander of the noise library: 0.3 °C and 0.3 % of gai
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.results_file import Part, write_parts
+from benchmarks.other_duty import false_alarms, wear_told
+from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
 from leakage.hypotheses import Blocks, Growth, Posterior, growth, mean_factor, weigh
@@ -38,13 +39,24 @@ SEED = 180
 
 @dataclass(frozen=True)
 class Change:
-    """What is otherwise now: factors on viscosity, gain and K, the sensor's error [°C], the oil."""
+    """What is otherwise now.
+
+    Factors on viscosity, gain and K; errors of the temperature sensor [°C] and of the meter's zero
+    [l/min]; the oil; lags of the temperature sensor and of the drain, which begin then; the flow
+    below which the meter stands still; and the highest pressure and speed.
+    """
 
     viscosity: float = 1.0
     gain: float = 1.0
     reads_low_c: float = 0.0
     paths: Mapping[str, float] = field(default_factory=dict)
     oil: Oil | None = None
+    zero_l_per_min: float = 0.0
+    temperature_lag_s: float = 0.0
+    drain_lag_s: float = 0.0
+    dead_below_l_per_min: float = 0.0
+    top_bar: float = 300.0
+    top_rpm: float = 110.0
 
     @property
     def is_common(self) -> bool:
@@ -83,6 +95,33 @@ CHANGES = {
 }
 
 
+SENSORS_AND_DUTY = {
+    "load halved": Change(top_bar=157.0),
+    "speed cut": Change(top_rpm=55.0),
+    "load halved, oil −20 %": Change(viscosity=0.8, top_bar=157.0),
+    **{
+        f"{words}, {name.replace('_', ' ')} +30 %": Change(paths={name: 1.3}, **duty)
+        for words, duty in (("load halved", {"top_bar": 157.0}), ("speed cut", {"top_rpm": 55.0}))
+        for name in NAMES
+    },
+    "meter's zero +0.02 l/min": Change(zero_l_per_min=0.02),
+    "meter's zero +0.06 l/min": Change(zero_l_per_min=0.06),
+    "temperature lag 60 s": Change(temperature_lag_s=60.0),
+    "temperature lag 600 s": Change(temperature_lag_s=600.0),
+    "drain lag 20 s": Change(drain_lag_s=20.0),
+    "dead band 0.3 l/min": Change(dead_below_l_per_min=0.3),
+}
+ONE_PRESSURE = {
+    name: CHANGES[name]
+    for name in (
+        "none",
+        "oil −20 %",
+        "meter +6 %",
+        *(f"{name.replace('_', ' ')} +{percent} %" for name in NAMES for percent in (30, 100)),
+    )
+}
+
+
 @dataclass(frozen=True)
 class Nights:
     """Channels of some nights as logged, shape (n, nights) each, and the sensors' wander."""
@@ -93,7 +132,13 @@ class Nights:
     wander: noise.NightWander
 
     @classmethod
-    def drawn(cls, nights: int, minutes: int, generator: np.random.Generator) -> Nights:
+    def drawn(
+        cls,
+        nights: int,
+        minutes: int,
+        generator: np.random.Generator,
+        span_bar: tuple[float, float] = (15.0, 300.0),
+    ) -> Nights:
         """Load steps of a minute, at 1 Hz."""
         n = 60 * minutes
 
@@ -102,7 +147,7 @@ class Nights:
             return noise.lagging(np.repeat(levels, hold, axis=0)[:n], 1.0, lag_s)
 
         return cls(
-            steps(15.0, 300.0, 60, 3.0),
+            steps(*span_bar, 60, 3.0),
             steps(40.0, 60.0, 600, 200.0),
             steps(3.0, 110.0, 90, 3.0),
             noise.night_wander(generator, (nights,)),
@@ -122,25 +167,34 @@ class Nights:
         """Statistics of their samples under a change."""
         n, nights = self.pressure_bar.shape
         wander = self.wander
+        pressure = 15.0 + (self.pressure_bar - 15.0) * (change.top_bar - 15.0) / 285.0
+        speed = 3.0 + (self.speed_rpm - 3.0) * (change.top_rpm - 3.0) / 107.0
+        read_c = _lagging(self.temperature_c, change.temperature_lag_s)
         truth = OperatingConditions.from_bar(
-            (self.pressure_bar - wander.pressure_bar).T.ravel(),
+            (pressure - wander.pressure_bar).T.ravel(),
             (self.temperature_c - wander.temperature_c + change.reads_low_c).T.ravel(),
-            self.speed_rpm.T.ravel(),
+            speed.T.ravel(),
         )
         of: Motor = MOTOR if change.oil is None else replace(MOTOR, oil=change.oil)
         theta = THETA * [*(change.paths.get(name, 1.0) for name in NAMES), 1.0]
         flow = regressors(of, truth) @ np.append(theta, 1.0) / change.viscosity
+        flow = _lagging(flow.reshape(nights, n).T, change.drain_lag_s).T.ravel()
         errors = noise.autoregression(generator.standard_normal((n, nights)), NOISE_PHI)
         flow *= change.gain * np.repeat(1.0 + wander.gain, n) * (1.0 + NOISE * errors.T.ravel())
-        logged = (self.pressure_bar, self.temperature_c, self.speed_rpm)
+        flow = np.where(flow < change.dead_below_l_per_min, 0.0, flow) + change.zero_l_per_min
+        logged = (pressure, read_c, speed)
         seen = OperatingConditions.from_bar(*(one.T.ravel() for one in logged))
         columns = np.column_stack([regressors(MOTOR, seen), flow])
-        means = self.temperature_c.T.reshape(-1, BLOCK).mean(axis=1)
+        means = read_c.T.reshape(-1, BLOCK).mean(axis=1)
         return Blocks(
             np.linalg.qr(columns.reshape(len(means), BLOCK, -1), mode="r"),
             np.repeat(np.arange(nights), n // BLOCK),
             means,
         )
+
+
+def _lagging(values: Array, lag_s: float) -> Array:
+    return noise.lagging(values, 1.0, lag_s) if lag_s else values
 
 
 def outcome(found: Posterior, change: Change) -> str:
@@ -165,15 +219,21 @@ def grown(before: Blocks, now: Blocks) -> Growth:
     return found
 
 
-def alone(minutes: int, nights_of_now: int, motors: int = MOTORS) -> dict[str, Counter[str]]:
+def alone(
+    minutes: int,
+    nights_of_now: int,
+    changes: Mapping[str, Change],
+    motors: int = MOTORS,
+    span_bar: tuple[float, float] = (15.0, 300.0),
+) -> dict[str, Counter[str]]:
     """Outcomes of motors on their own, by change."""
-    found: dict[str, Counter[str]] = {name: Counter() for name in CHANGES}
+    found: dict[str, Counter[str]] = {name: Counter() for name in changes}
     for number in range(motors):
         generator = np.random.default_rng([SEED, minutes, nights_of_now, number])
-        nights = Nights.drawn(NIGHTS_BEFORE + nights_of_now, minutes, generator)
+        nights = Nights.drawn(NIGHTS_BEFORE + nights_of_now, minutes, generator, span_bar)
         before = nights.part(slice(NIGHTS_BEFORE)).blocks(Change(), generator)
         later = nights.part(slice(NIGHTS_BEFORE, None))
-        for name, change in CHANGES.items():
+        for name, change in changes.items():
             told = weigh(grown(before, later.blocks(change, generator)))
             found[name][outcome(told, change)] += 1
     return found
@@ -213,11 +273,14 @@ def tanks(minutes: int, nights_of_now: int, number_of: int = MOTORS) -> dict[str
     return found
 
 
-def main(arguments: Sequence[str] = ()) -> None:
-    """Write `benchmarks/results/attribution.md`; the number of motors a cell may be given."""
-    motors = int(arguments[0].lstrip("-")) if arguments else MOTORS
-    cells = ((60, 10), (30, 10), (60, 3), (30, 3))
-    found = {cell: alone(*cell, motors) for cell in cells}
+def _alone_part(
+    heading: str,
+    text: str,
+    changes: Mapping[str, Change],
+    cells: Sequence[tuple[int, int]],
+    span_bar: tuple[float, float] = (15.0, 300.0),
+) -> Part:
+    found = {cell: alone(*cell, changes, MOTORS, span_bar) for cell in cells}
     rows = [
         [
             name,
@@ -226,29 +289,50 @@ def main(arguments: Sequence[str] = ()) -> None:
                 for cell in cells
             ),
         ]
-        for name in CHANGES
+        for name in changes
     ]
-    of_tanks = tanks(60, 5, motors)
-    tank_rows = [
+    header = ("change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells))
+    return Part(heading, f"Right / cannot be told / wrong. {text}", header, rows)
+
+
+def _tanks_part() -> Part:
+    rows = [
         [name, ", ".join(f"{words} {number}" for words, number in counts.most_common())]
-        for name, counts in of_tanks.items()
+        for name, counts in tanks(60, 5).items()
     ]
-    write_parts(
-        "attribution",
-        "Common factor or paths",
-        f"{motors} motors a cell; 0 of {motors} bounds a share by {300 / motors:.1f} % (95 %).",
-        [
-            Part(
-                "Motors on their own",
-                "Right / cannot be told / wrong, by minutes a night and nights since the change.",
-                ("change", *(f"{minutes} min, {nights} nights" for minutes, nights in cells)),
-                rows,
-            ),
-            Part(
-                "Three motors on a tank",
-                "What is told of the first, 60 minutes a night, five nights since the change.",
-                ("change", "told"),
-                tank_rows,
-            ),
-        ],
-    )
+    text = "What is told of the first, 60 minutes a night, five nights since the change."
+    return Part("Three motors on a tank", text, ("change", "told"), rows)
+
+
+PARTS: dict[str, Callable[[], Part]] = {
+    "false_alarms": false_alarms,
+    "wear_at_another_duty": wear_told,
+    "alone": lambda: _alone_part(
+        "Motors on their own",
+        "By minutes a night and nights since the change.",
+        CHANGES,
+        ((90, 10), (60, 10), (30, 10), (60, 3), (30, 3)),
+    ),
+    "sensors_and_duty": lambda: _alone_part(
+        "Sensors and duty",
+        "By the explanation alone: a zero that moves is told at halts, and a lag of the drain by "
+        "the model's misfit, before a path is named. A common change that is told of a zero, a lag "
+        "or a dead band counts as wrong.",
+        SENSORS_AND_DUTY,
+        ((60, 10), (60, 3)),
+    ),
+    "one_pressure": lambda: _alone_part(
+        "Motors at one pressure",
+        "Always at 200 bar, where the paths look alike.",
+        ONE_PRESSURE,
+        ((60, 10), (60, 3)),
+        (200.0, 200.0),
+    ),
+    "tanks": _tanks_part,
+}
+
+
+def main(options: Sequence[str] = ()) -> None:
+    """Measure all parts or some, and write `benchmarks/results/attribution.md`."""
+    text = f"{MOTORS} motors a cell; 0 of {MOTORS} bounds a share by {300 / MOTORS:.1f} % (95 %)."
+    write_stored("attribution", "Common factor or paths, and duty", text, PARTS, options)

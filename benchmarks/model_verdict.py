@@ -166,20 +166,49 @@ class Night:
 def course(case: Case, seed: int) -> list[Night]:
     """Ten nights of a motor."""
     generator = np.random.default_rng(seed)
-    temperature_c, gain = autoregression(generator.standard_normal((NIGHTS, 2)), 0.6).T * (
+    return [night(case, one, generator) for one in wander(NIGHTS, generator)]
+
+
+def wander(nights: int, generator: np.random.Generator) -> list[tuple[float, float, float]]:
+    """Errors of temperature [K], gain and pressure [bar] of some nights."""
+    temperature_c, gain = autoregression(generator.standard_normal((nights, 2)), 0.6).T * (
         (0.3,),
         (0.003,),
     )
-    pressure_bar = 0.3 * generator.standard_normal(NIGHTS)
-    wander = zip(temperature_c, gain, pressure_bar, strict=True)
-    return [night(case, one, generator) for one in wander]
+    pressure_bar = 0.3 * generator.standard_normal(nights)
+    return list(zip(temperature_c.tolist(), gain.tolist(), pressure_bar.tolist(), strict=True))
 
 
-def night(case: Case, wander: tuple[float, float, float], generator: np.random.Generator) -> Night:
-    """Simulate and fit a night."""
+@dataclass(frozen=True, slots=True)
+class Logged:
+    """A night as logged: factors of its blocks, and its channels at 1 Hz, shape (n,) each."""
+
+    factors: Array
+    temperature_c: Array
+    pressure_bar: Array
+    speed_rpm: Array
+    flow_l_per_min: Array
+
+    @property
+    def means(self) -> Array:
+        """Mean temperature, pressure and speed of each block, shape (b, 3)."""
+        channels = np.column_stack([self.temperature_c, self.pressure_bar, self.speed_rpm])
+        means: Array = channels.reshape(-1, BLOCK, 3).mean(axis=1)
+        return means
+
+
+def logged(
+    case: Case,
+    wander: tuple[float, float, float],
+    generator: np.random.Generator,
+    top_bar: float = 300.0,
+    top_rpm: float = 110.0,
+    wear: Sequence[float] = (1.0, 1.0, 1.0),
+) -> Logged:
+    """Simulate a night, up to some pressure and speed, with factors on the gaps' K."""
     n = 60 * MINUTES
-    pressure, temperature, speed = _duty(n, generator)
-    theta = true_coefficients(case.motor)
+    pressure, temperature, speed = _duty(n, generator, top_bar, top_rpm)
+    theta = true_coefficients(case.motor) * [*wear, 1.0]
     at = OperatingConditions.from_bar(pressure, temperature, speed, case.charge_bar)
     flow = _lagged(regressors(case.motor, at) @ np.append(theta, 1.0), case.drain_lag_s)
     level = case.noise * NOISE_L_PER_MIN
@@ -197,11 +226,19 @@ def night(case: Case, wander: tuple[float, float, float], generator: np.random.G
     seen = OperatingConditions.from_bar(read_bar, read_c, speed)
     z = np.column_stack([regressors(MODEL, seen), flow])
     blocks = factors(z, np.arange(0, n + 1, BLOCK))
-    channels = np.column_stack([read_c, read_bar, speed])
-    means = channels.reshape(-1, BLOCK, 3).mean(axis=1)
+    return Logged(blocks, read_c, read_bar, speed, flow)
+
+
+def night(case: Case, wander: tuple[float, float, float], generator: np.random.Generator) -> Night:
+    """Simulate and fit a night."""
+    seen = logged(case, wander, generator)
+    theta = true_coefficients(case.motor)
+    n = len(seen.flow_l_per_min)
     thin = np.linspace(0, n - 1, SENSOR_SAMPLES).round().astype(np.int64)
-    few = OperatingConditions.from_bar(read_bar[thin], read_c[thin], speed[thin])
-    budget = error_budget(MODEL, few, flow[thin], STATED, [REFERENCE])
+    few = OperatingConditions.from_bar(
+        seen.pressure_bar[thin], seen.temperature_c[thin], seen.speed_rpm[thin]
+    )
+    budget = error_budget(MODEL, few, seen.flow_l_per_min[thin], STATED, [REFERENCE])
     leakage_there = OperatingConditions.from_bar(200.0, 50.0, 30.0, case.charge_bar)
     row = regressors(case.motor, leakage_there)[0]
     truth = np.append(row[:-2] @ theta[:-1] + row[-1], theta[:3])
@@ -209,9 +246,9 @@ def night(case: Case, wander: tuple[float, float, float], generator: np.random.G
     assert leakages is not None
     assert coefficients is not None
     sensors = np.append(leakages, coefficients[:3])
-    fixed, misfit_of_stated = _fitted(MODEL, blocks, means, sensors)
-    moved = with_free_known(blocks, ROLLER, 1.0)
-    free, _ = _fitted(FREE, moved, means, sensors, misfit_of_stated)
+    fixed, misfit_of_stated = _fitted(MODEL, seen.factors, seen.means, sensors)
+    moved = with_free_known(seen.factors, ROLLER, 1.0)
+    free, _ = _fitted(FREE, moved, seen.means, sensors, misfit_of_stated)
     parts = np.stack([fixed, free], axis=1)
     parts[0] -= truth
     return Night(misfit_of_stated, *parts / truth)
@@ -242,13 +279,15 @@ def _fitted(
     return np.array([estimate, statistical, total]), own
 
 
-def _duty(n: int, generator: np.random.Generator) -> tuple[Array, Array, Array]:
+def _duty(
+    n: int, generator: np.random.Generator, top_bar: float, top_rpm: float
+) -> tuple[Array, Array, Array]:
     """Pressure [bar], temperature [°C] and speed [rpm]: a warm-up under steps of load."""
     warm_c, cold_k = generator.uniform(54.0, 60.0), generator.uniform(8.0, 16.0)
     temperature = warm_c - cold_k * np.exp(-np.arange(n) / generator.uniform(1200.0, 2400.0))
     temperature += _steps(n, -1.5, 1.5, 600, 200.0, generator)
-    pressure = _steps(n, 15.0, 300.0, 60, 3.0, generator)
-    return pressure, temperature, _steps(n, 3.0, 110.0, 90, 3.0, generator)
+    pressure = _steps(n, 15.0, top_bar, 60, 3.0, generator)
+    return pressure, temperature, _steps(n, 3.0, top_rpm, 90, 3.0, generator)
 
 
 def _steps(

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import argparse
+import json
 import platform
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
@@ -34,6 +36,24 @@ def write_parts(name: str, title: str, text: str, parts: Sequence[Part]) -> None
     for part in parts:
         lines += [f"## {part.heading}", "", part.text, "", *_table(part.header, part.rows)]
     _write(name, title, lines)
+
+
+def write_stored(
+    name: str,
+    title: str,
+    text: str,
+    makers: Mapping[str, Callable[[], Part]],
+    options: Sequence[str],
+) -> None:
+    """Measure all parts or some (`--only A,B`); the others are as they were stored."""
+    parser = argparse.ArgumentParser(prog=f"python -m benchmarks {name}")
+    parser.add_argument("--only", default=",".join(makers))
+    file = RESULTS / f"{name}.json"
+    stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    for one in parser.parse_args(list(options)).only.split(","):
+        stored[one] = asdict(makers[one]())
+        file.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
+    write_parts(name, title, text, [Part(**stored[one]) for one in makers if one in stored])
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -130,6 +130,8 @@ class Posterior:
     ----------
     paths
         That a path, or the known flow by itself, has grown, by name.
+    apart
+        Those of them that the nights of the baseline tell apart from all others.
     unjudged
         Paths of which the nights of the baseline tell too little.
     any_path
@@ -150,6 +152,7 @@ class Posterior:
     """
 
     paths: dict[str, float]
+    apart: tuple[str, ...]
     unjudged: tuple[str, ...]
     any_path: float
     common: float
@@ -162,8 +165,8 @@ class Posterior:
 
     @property
     def named(self) -> tuple[str, ...]:
-        """Paths that have probably grown."""
-        return tuple(name for name, one in self.paths.items() if one >= PROBABLE)
+        """Paths that have probably grown; one that looks like others is never named alone."""
+        return tuple(name for name in self.apart if self.paths[name] >= PROBABLE)
 
     @property
     def candidates(self) -> tuple[str, ...]:
@@ -480,6 +483,7 @@ def _posterior(
             for at, name in enumerate(growth.names)
             if told[at] >= LEAST_PART
         },
+        apart=tuple(np.array(growth.names)[told >= PROBABLE].tolist()),
         unjudged=tuple(np.array(growth.names)[told < LEAST_PART].tolist()),
         any_path=probability([bool(one.grown) for one in hypotheses]),
         common=probability(is_common),

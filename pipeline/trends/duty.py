@@ -133,9 +133,8 @@ def at_duty(history: History, eras: Sequence[Era], own: Indicator) -> Indicator:
         if len(balanced):
             found = _rises(history, era, own, balanced)
             level = _level(history, era, plain)[balanced - era.segment.first]
-            series[balanced] = level * (
-                1.0 + told_rises(found, len(first_good(history, era.segment)))
-            )
+            nights = history.spec.settings.trend.provisional_nights
+            series[balanced] = level * (1.0 + told_rises(found, nights))
     return replace(own, compared=series)
 
 
