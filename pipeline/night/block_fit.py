@@ -59,6 +59,8 @@ class BlockFit:
         The fit to the training samples alone, which is validated on the others.
     excitation
         Range of the samples.
+    duration_s
+        Time from the first sample to the last [s].
     own_means
         Mean pressure difference [bar], temperature [°C] and speed [rpm].
     reference_conditions
@@ -85,6 +87,7 @@ class BlockFit:
     training: Certificate
     identification: Identification
     excitation: Excitation
+    duration_s: float
     own_means: tuple[float, float, float]
     reference_conditions: OperatingConditions
     reference: LeakageJudgement
@@ -176,6 +179,7 @@ def fit_stored_blocks(
         training=training,
         identification=identification,
         excitation=excitation,
+        duration_s=blocks.duration_s,
         own_means=blocks.means(),
         reference_conditions=at[REFERENCE],
         reference=reference,

@@ -14,9 +14,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import EstimationError
+from leakage import EstimationError, Motor, OperatingConditions, Parametrisation
+from leakage.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import BlockFit, fit_stored_blocks
+from pipeline.night.block_fit import REFERENCE, BlockFit, conditions, fit_stored_blocks
 from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
@@ -31,12 +32,14 @@ from pipeline.night.rows import (
     search_columns,
     start_rows,
 )
-from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.stored_blocks import CHANNELS, StoredBlocks
+from pipeline.night.tolerances import tolerances
 
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
 STARTS_TABLES = ("starts",)
+SENSITIVITIES_TABLES = ("sensitivities",)
 JUDGED_TABLES = ("fits",)
 
 
@@ -92,20 +95,29 @@ def refit(
     if blocks is None:
         return None
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
+    charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
+    at, _ = conditions(spec, blocks, charge_bar)
+    is_elsewhere = any(_is_elsewhere(spec, row) for row in fits.values())
+    tables += SENSITIVITIES_TABLES * is_elsewhere
     rows: Rows = {name: [] for name in tables}
     model = {}
     for mode in spec.file.flushing.modes:
         key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
         before = fits[mode]
+        sensitivities = [row for row in night.sensitivities if row["flushing_mode"] == mode]
+        if is_elsewhere:
+            motor = spec.motor(night.label, mode)
+            sensitivities = _sensitivities(spec, night.label, motor, before, sensitivities, at)
+            rows["sensitivities"] += [key | row for row in sensitivities]
         try:
             found = fit_stored_blocks(
                 spec,
                 night.label,
                 mode,
                 blocks,
-                before["mean_charge_over_case_bar"],
+                charge_bar,
                 before["weight_inflation"],
-                [row for row in night.sensitivities if row["flushing_mode"] == mode],
+                sensitivities,
                 search=with_starts,
             )
         except EstimationError:
@@ -164,6 +176,47 @@ def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlock
     if spec.settings.estimation.loss == "squared":
         row |= agreement_columns(spec, blocks.factor_of, found)
     return row
+
+
+def _is_elsewhere(spec: MotorSpec, before: Row) -> bool:
+    """True if the reference conditions are others than those of a row of `fits`."""
+    reference = spec.settings.reference
+    return any(getattr(reference, name) != before[f"reference_{name}"] for name in CHANNELS)
+
+
+def _sensitivities(
+    spec: MotorSpec,
+    night: dt.date,
+    motor: Motor,
+    before: Row,
+    known: Sequence[Row],
+    at: OperatingConditions,
+) -> list[Row]:
+    """Rows of `sensitivities` at other reference conditions; those of the coefficients stay."""
+    by_source: dict[str, dict[str, float]] = {}
+    for row in known:
+        by_source.setdefault(row["source"], {})[row["indicator"]] = row["effect"]
+    paths = Parametrisation.of(motor).paths
+    names = [path.coefficient_name if path else "" for path in paths]
+    found = effects_elsewhere(
+        motor,
+        tolerances(spec, night),
+        np.array(before["coefficients"]),
+        {
+            source: (np.array([some.get(name, 0.0) for name in names]), some[REFERENCE])
+            for source, some in by_source.items()
+        },
+        OperatingConditions.from_bar(
+            *(before[f"reference_{name}"] for name in CHANNELS), before["mean_charge_over_case_bar"]
+        ),
+        at,
+    )
+    return [
+        row | {"effect": found.get(row["source"], row["effect"])}
+        if row["indicator"] == REFERENCE
+        else row
+        for row in known
+    ]
 
 
 def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:
