@@ -23,14 +23,20 @@ OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45
 OTHER_CLEANING = QUICK + "[cleaning]\nhampel_threshold = 6.0\n"
 
 
-@pytest.fixture
-def workshop(tmp_path: Path) -> Workshop:
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Three nights, done."""
-    made = Workshop.at(tmp_path)
+    made = Workshop.at(tmp_path_factory.mktemp("done"))
     for day in range(3):
         made.log(NIGHT + day * DAY, seed=day)
     assert made.run().status == "ok"
-    return made
+    return made.folder
+
+
+@pytest.fixture
+def workshop(done: Path, tmp_path: Path) -> Workshop:
+    """A copy of them."""
+    return Workshop(Path(shutil.copytree(done, tmp_path / "copy")))
 
 
 @pytest.fixture
