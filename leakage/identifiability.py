@@ -14,7 +14,6 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.annular_gap import AnnularGap
 from leakage.estimation import Fit
 from leakage.motor import OperatingConditions, regressors
 from leakage.multi_start import Parametrisation
@@ -49,8 +48,6 @@ WIDEST_EXTRAPOLATED = 0.12
 FARTHEST = {"pressure": 20.0, "temperature": 10.0, "speed": 0.0}
 # Least span of pressure for telling gaps apart that differ in their deformation.
 LEAST_PRESSURE_SPAN_BAR = 20.0
-# A gap shows below about 0.83 X: at 100 bar for the piston ring's 120 bar.
-VISIBLE_BELOW = 0.83
 # A combination of which one block tells more than this, or that has fewer degrees of freedom, has
 # no credible interval: with 3 degrees of freedom 92 % of the simulated ones of a loss factor held
 # the truth, as the limit of their width selects lucky nights. A leakage is far below its limit:
@@ -270,13 +267,12 @@ def _unit(place: int, length: int) -> Array:
 def _missing_operation(path: LeakagePath, excitation: Excitation, span: float) -> str:
     """Operation that would make the path identifiable."""
     low, high = excitation.pressure_bar
-    if isinstance(path, AnnularGap) and path.deformation_pressure_pa is not None:
-        visible = VISIBLE_BELOW * path.deformation_pressure_pa / 1e5
-        if low > visible:
-            return (
-                f"no samples below {visible:.0f} bar: the gap of {path.name} cannot be seen; run "
-                "some minutes at lower pressure"
-            )
+    visible = path.visible_below_pa / 1e5
+    if low > visible:
+        return (
+            f"no samples below {visible:.0f} bar: the gap of {path.name} cannot be seen; run "
+            "some minutes at lower pressure"
+        )
     if span < LEAST_PRESSURE_SPAN_BAR:
         return (
             f"the pressure stayed between {low:.4g} and {high:.4g} bar; a span of "

@@ -139,6 +139,11 @@ class Law(ABC):
         """The law's parameters, in the order in which values are passed."""
 
     @property
+    def visible_below_pa(self) -> float:
+        """Pressure difference above which the path hardly shows in the leakage [Pa]."""
+        return math.inf
+
+    @property
     @abstractmethod
     def coefficient_name(self) -> str:
         """Name of the coefficient in tables."""

@@ -10,7 +10,7 @@ sources add by their squares:
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -198,6 +198,58 @@ def error_budget(
             )
         )
     return ErrorBudget(tuple(effects))
+
+
+def effects_elsewhere(
+    motor: Motor,
+    tolerances: Tolerances,
+    coefficients: Array,
+    effects: Mapping[str, tuple[Array, float]],
+    before: OperatingConditions,
+    after: OperatingConditions,
+) -> dict[str, float]:
+    """Effects on the leakage at one stated condition from those at another, without samples.
+
+    A constant acts on what the thinned sample's own fit says; that is taken as the nearest to θ
+    which explains the known effects.
+
+    Parameters
+    ----------
+    motor, tolerances
+        The motor as fitted, and what is stated.
+    coefficients
+        θ, shape (p + 1,).
+    effects
+        By source, its effect on θ, shape (p + 1,), and on the leakage at `before` [l/min].
+    before, after
+        One condition each.
+
+    Returns
+    -------
+    dict
+        By source, its effect on the leakage at `after` [l/min].
+    """
+    sources = [source for source in _sources(motor, tolerances) if source.name in effects]
+    nothing, theta = np.zeros(1), coefficients[:-1]
+    disturbed = [source.disturbed(Window(motor, before, nothing)).motor for source in sources]
+
+    def changes(at: OperatingConditions) -> tuple[Array, Array]:
+        """By source, change of the regressors, and of the leakage that does not hang on θ."""
+        was = regressors(motor, at)[0]
+        now = np.array([regressors(of, at)[0] for of in disturbed]).reshape(-1, len(was))
+        moved = [
+            one[:-2] @ (source.sign * effects[source.name][0][:-1]) + one[-1] - was[-1]
+            for source, one in zip(sources, now, strict=True)
+        ]
+        return now[:, :-2] - was[:-2], np.array(moved)
+
+    signs = np.array([source.sign for source in sources])
+    slopes, moved = changes(before)
+    unexplained = signs * [effects[source.name][1] for source in sources] - moved - slopes @ theta
+    theta = theta * (1.0 + np.linalg.lstsq(slopes * theta, unexplained)[0])
+    slopes, moved = changes(after)
+    found = signs * (slopes @ theta + moved)
+    return dict(zip((source.name for source in sources), found.tolist(), strict=True))
 
 
 def _figures(

@@ -79,6 +79,8 @@ class BlockFit:
         The fit to the training samples alone, which is validated on the others.
     excitation
         Range of the samples.
+    duration_s
+        Time from the first sample to the last [s].
     own_means
         Mean pressure difference [bar], temperature [°C] and speed [rpm].
     response
@@ -110,6 +112,7 @@ class BlockFit:
     training: Certificate
     identification: Identification
     excitation: Excitation
+    duration_s: float
     own_means: tuple[float, float, float]
     response: Array
     reference_conditions: OperatingConditions
@@ -220,6 +223,7 @@ def fit_stored_blocks(
         training=training,
         identification=judge_by_total(fitted, identification, total),
         excitation=excitation,
+        duration_s=blocks.duration_s,
         own_means=own_means,
         response=temperature_response(
             factors,

@@ -14,11 +14,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import EstimationError
+from leakage import EstimationError, OperatingConditions, Parametrisation
 from leakage.block_statistics import merge, with_free_known, with_path_known
 from leakage.model_verdict import Misfit
+from leakage.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import BlockFit, fit_stored_blocks
+from pipeline.night.block_fit import REFERENCE, BlockFit, conditions, fit_stored_blocks
 from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
@@ -34,13 +35,15 @@ from pipeline.night.rows import (
     start_rows,
     upper_triangle,
 )
-from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
+from pipeline.night.stored_blocks import BLOCK_COLUMNS, CHANNELS, StoredBlocks
+from pipeline.night.tolerances import tolerances
 from pipeline.schema import BLOCK_STATISTICS
 
 Array = NDArray[np.float64]
 
 REFITTED_TABLES = ("fits", "parameters")
 STARTS_TABLES = ("starts",)
+SENSITIVITIES_TABLES = ("sensitivities",)
 JUDGED_TABLES = ("fits",)
 
 
@@ -112,21 +115,29 @@ def refit(
         place = spec.motor(night.label, primary).columns.index(motor.standard.name)
         blocks = blocks.with_free_known(place, motor.standard.configured_coefficient)
     tables = REFITTED_TABLES + STARTS_TABLES * with_starts
+    charge_bar = next(iter(fits.values()))["mean_charge_over_case_bar"]
+    at, _ = conditions(spec, blocks, charge_bar)
+    is_elsewhere = any(_is_elsewhere(spec, row) for row in fits.values())
+    tables += SENSITIVITIES_TABLES * is_elsewhere
     rows: Rows = {name: [] for name in tables}
     model = {}
     for mode in spec.file.flushing.modes:
         key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
         before = fits[mode] | _night_factor(spec, fits[mode])
         told = before["model_misfit_statistics"]
+        sensitivities = [row for row in night.sensitivities if row["flushing_mode"] == mode]
+        if is_elsewhere:
+            sensitivities = _sensitivities(spec, night.label, fits[mode], sensitivities, at)
+            rows["sensitivities"] += [key | row for row in sensitivities]
         try:
             found = fit_stored_blocks(
                 spec,
                 night.label,
                 mode,
                 blocks,
-                before["mean_charge_over_case_bar"],
+                charge_bar,
                 before["weight_inflation"],
-                [row for row in night.sensitivities if row["flushing_mode"] == mode],
+                sensitivities,
                 misfit_as_stated=None if told is None else Misfit.of(np.array(told)),
                 search=with_starts,
             )
@@ -243,6 +254,44 @@ def _fits_row(spec: MotorSpec, before: Row, found: BlockFit, blocks: StoredBlock
     if spec.settings.estimation.loss == "squared":
         row |= agreement_columns(spec, blocks.factor_of, found)
     return row
+
+
+def _is_elsewhere(spec: MotorSpec, before: Row) -> bool:
+    """True if the reference conditions are others than those of a row of `fits`."""
+    reference = spec.settings.reference
+    return any(getattr(reference, name) != before[f"reference_{name}"] for name in CHANNELS)
+
+
+def _sensitivities(
+    spec: MotorSpec, night: dt.date, before: Row, known: Sequence[Row], at: OperatingConditions
+) -> list[Row]:
+    """Rows of `sensitivities` at other reference conditions; those of the coefficients stay."""
+    motor = spec.stated.motor(night, before["flushing_mode"])
+    coefficients = dict(zip(before["columns"], before["coefficients"], strict=False))
+    by_source: dict[str, dict[str, float]] = {}
+    for row in known:
+        by_source.setdefault(row["source"], {})[row["indicator"]] = row["effect"]
+    paths = Parametrisation.of(motor).paths
+    names = [path.coefficient_name if path else "" for path in paths]
+    found = effects_elsewhere(
+        motor,
+        tolerances(spec, night),
+        np.array([coefficients[name] for name in motor.columns[:-2]]),
+        {
+            source: (np.array([some.get(name, 0.0) for name in names]), some[REFERENCE])
+            for source, some in by_source.items()
+        },
+        OperatingConditions.from_bar(
+            *(before[f"reference_{name}"] for name in CHANNELS), before["mean_charge_over_case_bar"]
+        ),
+        at,
+    )
+    return [
+        row | {"effect": found.get(row["source"], row["effect"])}
+        if row["indicator"] == REFERENCE
+        else row
+        for row in known
+    ]
 
 
 def _previous_model(spec: MotorSpec, row: Row, previous: PreviousModel) -> Row:

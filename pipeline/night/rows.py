@@ -320,9 +320,12 @@ def _interval_status(mode: BlockFit, block_s: float) -> str:
         return ONE_BLOCK
     if not found.slow.are_slow:
         return "ok"
-    minutes = found.slow.memory_s(block_s) / 60.0
-    time = f"{minutes:.0f} minutes" if minutes < 120 else f"{minutes / 60:.0f} hours"
-    return f"ok: the errors remember for about {time}; the intervals allow for it"
+    memory_s = found.slow.memory_s(block_s)
+    minutes = memory_s / 60.0
+    time = f"about {minutes:.0f} minutes" if minutes < 120 else f"about {minutes / 60:.0f} hours"
+    if memory_s >= mode.duration_s:
+        time = "longer than the log"
+    return f"ok: the errors remember for {time}; the intervals allow for it"
 
 
 def criteria_columns(row: Row) -> Row:

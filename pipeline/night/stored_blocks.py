@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -155,6 +156,14 @@ class StoredBlocks:
     @property
     def n_samples(self) -> int:
         return int(self.rows["n"].sum())
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first sample to the last [s]."""
+        first, last = self.rows["block_start"].min(), self.rows["block_end"].max()
+        assert isinstance(first, dt.datetime)
+        assert isinstance(last, dt.datetime)
+        return (last - first).total_seconds()
 
     def span(self, channel: str) -> tuple[float, float]:
         """Lowest and highest reading of a channel."""

@@ -28,7 +28,6 @@ from pipeline.store.tables import read_rows
 NEEDED = {
     "block_statistics": BLOCK_COLUMNS,
     "parameters": (*FIT_KEY_NAMES, "parameter", "spread_over_starts"),
-    "sensitivities": (*FIT_KEY_NAMES, "indicator", "source", "effect", "assumed_sensor"),
 }
 
 log = logging.getLogger(__name__)

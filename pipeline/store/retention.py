@@ -37,8 +37,6 @@ LOSSES: Mapping[str, str] = {
     "block_statistics": "a changed setting of the fit then needs the logs of these nights, and "
     "trends that are made anew leave out nights too poor for a fit of their own",
 }
-# Pruned only if named: others are made from it.
-NEEDED = ("block_statistics",)
 
 
 @dataclass(frozen=True, slots=True)

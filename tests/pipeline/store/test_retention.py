@@ -15,7 +15,7 @@ from pipeline.errors import UsageError
 from pipeline.run.fleet import RunRequest, locked, plan_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
-from pipeline.store.retention import LOSSES, NEEDED, nights_kept, old_files, prune
+from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
 from pipeline.trends.record import read_record
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
@@ -148,7 +148,7 @@ def test_figures_trends_and_decisions_cannot_be_pruned() -> None:
         with pytest.raises(UsageError, match=f"{name} cannot be pruned"):
             nights_kept(Retention(), [name], 5)
     # What refits and trends need is never said in the config, only asked for by name.
-    assert set(Retention.model_fields) == LOSSES.keys() - set(NEEDED)
+    assert set(Retention.model_fields) == LOSSES.keys() - {"block_statistics"}
 
 
 def test_the_config_says_how_many_nights_or_the_caller_does() -> None:
