@@ -99,18 +99,10 @@ def refit(
     blocks = StoredBlocks.of(spec, night.blocks, motor.columns)
     if blocks is None:
         return None
-    is_squared = spec.settings.estimation.loss == "squared"
-    was_measured = fits[primary].get("viscosity_ratio") is not None
-    if was_measured or blocks.viscosity_ratio is not None:
-        # Weighted blocks do not have the plain factor of the night.
-        if not is_squared:
-            return None
-        as_measured = {
-            "viscosity_ratio": blocks.viscosity_ratio,
-            "columns": list(motor.columns),
-            "night_factor": upper_triangle(merge(blocks.factors)),
-        }
-        fits = {mode: row | as_measured for mode, row in fits.items()}
+    measured = _as_measured(blocks, motor, fits[primary])
+    # Weighted blocks do not have the plain factor of the night.
+    if measured and spec.settings.estimation.loss != "squared":
+        return None
     if spec.roller_is_free and motor.standard is not None:
         place = spec.motor(night.label, primary).columns.index(motor.standard.name)
         blocks = blocks.with_free_known(place, motor.standard.configured_coefficient)
@@ -123,7 +115,8 @@ def refit(
     model = {}
     for mode in spec.file.flushing.modes:
         key = {"motor_id": spec.motor_id, "night": night.label, "flushing_mode": mode}
-        before = fits[mode] | _night_factor(spec, fits[mode])
+        before = fits[mode] | measured
+        before |= _night_factor(spec, before)
         told = before["model_misfit_statistics"]
         sensitivities = [row for row in night.sensitivities if row["flushing_mode"] == mode]
         if is_elsewhere:
@@ -195,6 +188,17 @@ def with_free_roller(
     is_refitted = {row["flushing_mode"]: row["is_refitted"] for row in rows["fits"]}
     fits = [row | {"is_refitted": is_refitted[row["flushing_mode"]]} for row in made.rows["fits"]]
     return replace(outcome, rows={**rows, **made.rows, "fits": fits}, model=made.model)
+
+
+def _as_measured(blocks: StoredBlocks, motor: Motor, before: Row) -> Row:
+    """The night's factor by the oil as measured; empty where no oil is or was measured."""
+    if before.get("viscosity_ratio") is None and blocks.viscosity_ratio is None:
+        return {}
+    return {
+        "viscosity_ratio": blocks.viscosity_ratio,
+        "columns": list(motor.columns),
+        "night_factor": upper_triangle(merge(blocks.factors)),
+    }
 
 
 def _night_factor(spec: MotorSpec, row: Row) -> Row:
@@ -282,7 +286,10 @@ def _sensitivities(
             for source, some in by_source.items()
         },
         OperatingConditions.from_bar(
-            *(before[f"reference_{name}"] for name in CHANNELS), before["mean_charge_over_case_bar"]
+            before["reference_pressure_bar"],
+            before["reference_temperature_c"],
+            before["reference_speed_rpm"],
+            before["mean_charge_over_case_bar"],
         ),
         at,
     )
