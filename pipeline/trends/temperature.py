@@ -18,7 +18,7 @@ from pipeline.trends.night_records import Records
 Array = NDArray[np.float64]
 
 # Good nights that may tell it, whichever do first, and neighbours that share their errors.
-NIGHTS, NIGHTS_A_CLUSTER = (30, 60, 120, 240), 5
+NIGHTS, NIGHTS_A_CLUSTER = (30, 60, 120), 5
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -134,6 +135,15 @@ def test_eight_minutes_tell_a_leakage_and_no_loss_factor(spec: MotorSpec) -> Non
     for name in true_k(spec):
         assert parameters(outcome)[name]["verdict"] != "identified"
         assert "lower" not in parameters(outcome)[name]
+    # Its total ± has 1 % of the gaps' leakage for each kelvin to the reference (model.md, 5).
+    gaps = row["reference_leakage_l_per_min"] - 32 * 1.660281e-2
+    apart = 0.01 * abs(50.0 - row["own_temperature_c"]) * gaps
+    parts = [
+        row[f"reference_leakage_{part}_half_width"] or 0.0
+        for part in ("statistical", "sensor", "model")
+    ]
+    assert apart > 0.0
+    assert row["reference_leakage_total_half_width"] >= math.hypot(apart, *parts) * (1 - 1e-9)
 
 
 def test_an_hour_of_steps_identifies_every_loss_factor(spec: MotorSpec) -> None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import datetime as dt
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from pipeline.trends.alarm_rows import alarm_rows
+from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.reasons import why_state
 from pipeline.trends.standing import Standing
-from tests.pipeline.trends.nights import PATHS, Nights, motor, standing
+from tests.pipeline.trends.nights import PATHS, Nights, histories, motor, standing, standings
 
 N, EFFECT = 150, -0.01
 GAPS = ("K_piston_ring", "K_balance_piston", "K_balance_sleeve")
@@ -134,3 +138,32 @@ def test_while_it_is_unknown_a_warm_night_carries_what_it_may_be() -> None:
     assert set(found.states["baseline_deviation"][20:]) == {"ok"}
     plain = standing(Nights(motor(), 29, dict.fromkeys(PATHS, factor)))
     assert "warning" in plain.states["baseline_deviation"]
+
+
+def test_what_warm_nights_tell_the_filter_is_brought_to_one_temperature() -> None:
+    """Nights that do not tell a K alone take the filter's; 8 K are −8 % of it without b."""
+    nights = motor_with(EFFECT)
+    hidden = {(place, GAPS[2]): "not_excited" for place in range(60, N)}
+    found = standings(
+        histories(replace(nights, verdicts=hidden)),
+        change=lambda one, said: with_filter(one, said, dt.date.min),
+    )["M1"]
+    sleeve = found.watched[GAPS[2]].indicator
+    assert (sleeve.n_nights[60:] > 1).all()
+    assert np.mean(sleeve.value[-15:]) == pytest.approx(np.mean(sleeve.value[20:60]), rel=0.02)
+
+
+def test_the_blocks_of_a_night_are_brought_to_its_mean_temperature() -> None:
+    """θ + b dθ/db before it is brought to T₀, once b is known."""
+    nights = motor_with(EFFECT)
+    plain = standing(nights)
+    theta = plain.history.records["theta"][0]
+    response = {"coefficient_response": (2.0 * theta).tolist()}
+    found = standing(replace(nights, changes=dict.fromkeys((10, N - 1), response)))
+    frozen = found.era(N - 1).temperature
+    assert frozen is not None
+    moved = found.watched[GAPS[0]].indicator.value - plain.watched[GAPS[0]].indicator.value
+    warm = nights.operation["mean_temperature_c"][N - 1]
+    expected = frozen.per_kelvin * 2.0 * theta[0] / float(frozen.factor(warm))
+    assert moved[10] == 0.0
+    assert moved[N - 1] == pytest.approx(expected)
