@@ -208,7 +208,7 @@ def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
         return same
     scale = np.sqrt(np.einsum("bij,bij->j", factors, factors))
     scale[scale == 0.0] = 1.0
-    gram = _grams(factors / scale)
+    gram = np.einsum("bij,bik->bjk", factors / scale, factors / scale)
     np.add.at(gram, short.stored, _squares(rows / scale, np.ones(len(rows))))
     np.subtract.at(gram, short.stored, _squares(short.means / scale, short.n))
     values, vectors = np.linalg.eigh(gram)
@@ -218,7 +218,7 @@ def _whitened(factors: Array, short: ShortBlocks, errors: SlowErrors) -> Array:
 
 
 def _squares(rows: Array, weights: Array) -> Array:
-    result: Array = weights[:, None, None] * rows[:, :, None] * rows[:, None]
+    result: Array = np.einsum("k,ki,kj->kij", weights, rows, rows)
     return result
 
 
@@ -288,18 +288,18 @@ def _innovations(
     noise = (1.0 / np.maximum(short.n, 0.5)).tolist()
     size = ratio / float(np.median(short.n))
     steps = np.diff(short.number, prepend=short.number[:1]).tolist()
-    fading = {step: (memory**step, memory ** (2 * step)) for step in set(steps)}
+    fading = {step: memory**step for step in set(steps)}
+    shares = {step: (faded**2, (1.0 - faded**2) * size) for step, faded in fading.items()}
     rows = np.empty((len(means), len(memory), means.shape[1]))
     variance = np.empty(rows.shape[:2])
     state, spread = np.zeros(rows.shape[1:]), size
     for place, step in enumerate(steps):
-        faded, squared = fading[step]
-        spread = squared * (spread - size) + size
-        variance[place] = spread + noise[place]
-        gain = spread / variance[place]
-        spread = gain * noise[place]
-        state *= faded[:, None]
+        kept, fresh = shares[step]
+        spread = kept * spread + fresh
+        np.add(spread, noise[place], out=variance[place])
+        state *= fading[step][:, None]
         np.subtract(means[place], state, out=rows[place])
-        state += gain[:, None] * rows[place]
+        state += (spread / variance[place])[:, None] * rows[place]
+        spread = spread * noise[place] / variance[place]
     rows /= np.sqrt(variance)[:, :, None]
     return rows, np.log(variance).sum(axis=0)

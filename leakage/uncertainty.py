@@ -213,7 +213,7 @@ def cluster_robust(
     basis = rotation[kept]
     to_basis = basis / values[kept, None]
     orthonormal = scaled @ to_basis.T
-    leverage = orthonormal.transpose(0, 2, 1) @ orthonormal
+    leverage = np.einsum("bij,bik->bjk", orthonormal, orthonormal)
     eigenvalues, vectors = np.linalg.eigh(np.eye(len(basis)) - leverage)
     clipped = np.sqrt(np.maximum(eigenvalues, LEVERAGE_FLOOR))
     inverse_root = (vectors / clipped[:, None, :]) @ vectors.transpose(0, 2, 1)
