@@ -41,7 +41,7 @@ from leakage.model_verdict import (
     model_error,
     structured_misfit,
 )
-from leakage.slow_errors import SlowErrors, slow_errors, whitened
+from leakage.slow_errors import slow_errors, whitened
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
 from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
@@ -169,7 +169,7 @@ def fit_stored_blocks(
     def generator(purpose: str) -> np.random.Generator:
         return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
 
-    motor = spec.motor(night, mode)
+    motor, of_files = spec.motor(night, mode), spec.stated.motor(night, mode)
     lower, upper = Parametrisation.of(motor).coefficient_bounds()
     training = certify(blocks.factor_of(TRAINING), lower, upper)
     short = blocks.short_blocks(spec.settings.windows.block_s)
@@ -211,9 +211,7 @@ def fit_stored_blocks(
         systematic=stated(sensitivities),
         misfit=judged,
         errors=errors,
-        roller=_roller(
-            spec.stated.motor(night, mode), fitted, factors, excitation, inflation, slow
-        ),
+        roller=_roller(of_files, fitted, factors, identification, excitation, inflation),
     )
 
 
@@ -221,9 +219,9 @@ def _roller(
     motor: Motor,
     fitted: Fit,
     factors: Array,
+    identification: Identification,
     excitation: Excitation,
     inflation: float,
-    slow: SlowErrors,
 ) -> RollerScale | None:
     """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
     standard = motor.standard
@@ -238,7 +236,8 @@ def _roller(
             fitted = fit(merge(factors), free, nowhere, np.random.default_rng(0))
         except EstimationError:
             return None
-    judged = identify(fitted, factors, excitation, inflation, slow).coefficients[place]
+        identification = identify(fitted, factors, excitation, inflation, identification.slow)
+    judged = identification.coefficients[place]
     return RollerScale(float(fitted.coefficients[place]), judged)
 
 
@@ -254,10 +253,10 @@ def _errors(
     """Parts of the ± of each leakage, by the first misfit, and each coefficient, by the second."""
     fixed, distribution = fitted.certificate.fixed, identification.distribution
     sensors = of_sensors(sensitivities)
+    taus = [None if one is None else structured_misfit([one]).l_per_min for one in misfits]
 
     def parts(name: str, contrast: Array, factor: float, constants: float = 0.0) -> ErrorParts:
-        told = misfits[name not in at]
-        tau = None if told is None else structured_misfit([told]).l_per_min
+        tau = taus[name not in at]
         interval = None if distribution is None else distribution.interval(contrast)
         return ErrorParts(
             None if interval is None else interval.half_width,
