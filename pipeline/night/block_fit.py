@@ -43,7 +43,7 @@ from leakage.model_verdict import (
     model_errors,
     structured_misfit,
 )
-from leakage.slow_errors import SlowErrors, slow_errors, whitened
+from leakage.slow_errors import slow_errors, whitened
 from leakage.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
@@ -180,7 +180,7 @@ def fit_stored_blocks(
     def generator(purpose: str) -> np.random.Generator:
         return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
 
-    motor = spec.motor(night, mode)
+    motor, of_files = spec.motor(night, mode), spec.stated.motor(night, mode)
     lower, upper = Parametrisation.of(motor).coefficient_bounds()
     training = certify(blocks.factor_of(TRAINING), lower, upper)
     short = blocks.short_blocks(spec.settings.windows.block_s)
@@ -246,9 +246,7 @@ def fit_stored_blocks(
         misfit=judged,
         structured=structured,
         errors=errors,
-        roller=_roller(
-            spec.stated.motor(night, mode), fitted, factors, excitation, inflation, slow
-        ),
+        roller=_roller(of_files, fitted, factors, identification, excitation, inflation),
     )
 
 
@@ -256,9 +254,9 @@ def _roller(
     motor: Motor,
     fitted: Fit,
     factors: Array,
+    identification: Identification,
     excitation: Excitation,
     inflation: float,
-    slow: SlowErrors,
 ) -> RollerScale | None:
     """Scale of the rollers' curve of a motor as stated, from whitened blocks."""
     standard = motor.standard
@@ -273,7 +271,8 @@ def _roller(
             fitted = fit(merge(factors), free, nowhere, np.random.default_rng(0))
         except EstimationError:
             return None
-    judged = identify(fitted, factors, excitation, inflation, slow).coefficients[place]
+        identification = identify(fitted, factors, excitation, inflation, identification.slow)
+    judged = identification.coefficients[place]
     return RollerScale(float(fitted.coefficients[place]), judged)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import EstimationError, OperatingConditions, Parametrisation
+from leakage import EstimationError, Motor, OperatingConditions, Parametrisation
 from leakage.block_statistics import merge, with_free_known, with_path_known
 from leakage.model_verdict import Misfit
 from leakage.sensitivities import effects_elsewhere
