@@ -93,7 +93,7 @@ def test_a_rise_that_is_not_certain_holds_the_state_and_says_why() -> None:
     found = told(balanced(0.4, 0.15, 0.1))
     assert set(found.states[SLEEVE][AT : AT + 7]) == {"ok"}
     assert found.states[SLEEVE][N - 1] == "stale"
-    row = next(one for one in trend_rows(found, [AT]) if one["indicator"] == SLEEVE)
+    row = next(one for one in trend_rows(found, [AT + 5]) if one["indicator"] == SLEEVE)
     assert (
         row["gated_reason"] == "at this duty the baseline does not tell a rise from its own error"
     )
@@ -159,7 +159,8 @@ class Files:
             self.asked += nights
         generator = np.random.default_rng(len(nights))
         n = 40 * len(nights)
-        load = generator.uniform(10.0 if len(nights) > 1 else self.low, 300.0, n)
+        low, high = (10.0, 300.0) if len(nights) > 1 else (self.low, self.low + 80.0)
+        load = generator.uniform(low, high, n)
         factors = np.zeros((n, 6, 6))
         factors[:, range(3), range(3)] = load[:, None] * generator.uniform(0.5, 1.0, (n, 3))
         factors[:, 3, 3:5] = 1.0, 0.1
