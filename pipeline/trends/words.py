@@ -20,6 +20,7 @@ NAMES = {
     "temperature_effect": "effect of temperature on the loss factors",
     "comparable_drain_flow": "drain flow at the reference conditions",
     "baseline_progress": "progress towards a baseline",
+    "model_misfit": "misfit of the model",
     "C_f": "flushing",
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
