@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.other_duty import false_alarms, wear_told
+from benchmarks.other_duty import false_alarms, model_watched, wear_told
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
@@ -307,6 +307,7 @@ def _tanks_part() -> Part:
 PARTS: dict[str, Callable[[], Part]] = {
     "false_alarms": false_alarms,
     "wear_at_another_duty": wear_told,
+    "model_watched": model_watched,
     "alone": lambda: _alone_part(
         "Motors on their own",
         "By minutes a night and nights since the change.",

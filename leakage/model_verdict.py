@@ -80,6 +80,8 @@ DOUBTFUL_OVER_TEN = 0.0059
 NIGHTS_TOGETHER = 10
 # A misfit counts where it is this much larger than what noise explains.
 CLEAR = 2.0
+# Over that of the baseline, where it has grown.
+LARGER = 1.5
 # Blocks for each coefficient that a covariance takes; errors of less than this are rounding.
 BLOCKS_A_COEFFICIENT = 2.0
 ROUNDING = 1e-9
@@ -347,6 +349,33 @@ def model_verdict(misfit: StructuredMisfit) -> ModelVerdict | None:
         return "disproved"
     doubtful = DOUBTFUL_OVER_TEN if many else DOUBTFUL_IN_ONE
     return "doubtful" if misfit.share > doubtful else "supported"
+
+
+def grown_misfit(share: Array, noise_share: Array) -> Array:
+    """Size of a misfit beside the first of its course, to hold against what disproves a model.
+
+    Parameters
+    ----------
+    share, noise_share
+        Of a structured misfit over the last ten nights, night by night, shape (n,); nan where it
+        is not known.
+
+    Returns
+    -------
+    ndarray
+        √(share² − first²), shape (n,); 0 where the share is not larger by a half, or noise alone
+        would seem as large.
+
+    Examples
+    --------
+    >>> grown_misfit(np.array([0.003, 0.004, 0.005]), np.zeros(3)).round(4)
+    array([0.   , 0.   , 0.004])
+    """
+    first = share[0]
+    more = np.sqrt(np.maximum(share**2 - first**2, 0.0))
+    hidden = (share < LARGER * first) | (CLEAR * noise_share > share)
+    found: Array = np.where(np.isfinite(share), np.where(hidden, 0.0, more), np.nan)
+    return found
 
 
 def verdict_in_words(misfit: StructuredMisfit, low_side: LowSide = "unknown") -> str:

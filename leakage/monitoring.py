@@ -201,7 +201,12 @@ def monitor(
     """
     chosen = settings or MonitorSettings()
     own = track(nights, values, chosen, allowance, limited)
-    states = _states(own, chosen.stale_nights)
+    is_stale = own.since_good > chosen.stale_nights
+    if limited is not None:
+        # A limit that is passed now is no old news.
+        fresh = nights_since_good(nights, np.isfinite(limited)) <= chosen.stale_nights
+        is_stale &= ~(fresh & (own.limit_severity > 0))
+    states = _states(own, is_stale)
     return Monitoring(own, states, state_changes(nights, states))
 
 
@@ -411,11 +416,11 @@ def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
     return ""
 
 
-def _states(own: Track, stale_nights: int) -> list[State]:
+def _states(own: Track, is_stale: NDArray[np.bool_]) -> list[State]:
     """State of each night from its track."""
     severity = np.maximum(own.severity, own.limit_severity)
     states = np.array(OF_SEVERITY, dtype=object)[severity]
-    states[own.since_good > stale_nights] = "stale"
+    states[is_stale] = "stale"
     states[~own.has_baseline & (own.limit_severity == 0)] = "insufficient"
     found: list[State] = states.tolist()
     return found

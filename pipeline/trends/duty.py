@@ -16,7 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, Parametrisation
-from leakage.balanced_baseline import Comparison, DutyBlocks, Rises, compare, told_rises
+from leakage.balanced_baseline import (
+    LEAST_BLOCKS,
+    NIGHTS_OF_NOW,
+    Comparison,
+    DutyBlocks,
+    Rises,
+    compare,
+    told_rises,
+)
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.baseline_blocks import BlockFiles
@@ -56,10 +64,10 @@ def with_duty(
     for part in segments(history, decisions):
         first = first_good(history, part)
         if len(first):
-            later = np.arange(max(begin, int(first[-1]) + 1), part.end)
+            later = np.arange(int(first[-1]) + 1, part.end)
             elsewhere = later[_is_other(records, first, later)]
-            if len(elsewhere):
-                _compare(history, records, first, elsewhere, blocks)
+            if len(elsewhere) and elsewhere[-1] >= begin:
+                _compare(history, records, first, elsewhere, begin, blocks)
     return replace(history, records=records)
 
 
@@ -83,19 +91,31 @@ def _is_other(records: Any, first: Places, later: Places) -> Mask:
 
 
 def _compare(
-    history: History, records: Any, first: Places, elsewhere: Places, blocks: BlockFiles
+    history: History,
+    records: Any,
+    first: Places,
+    elsewhere: Places,
+    begin: int,
+    blocks: BlockFiles,
 ) -> None:
-    """Fill the records of nights of another duty; those without stored blocks stay as they are."""
+    """Fill the records of nights of another duty from one on; short ones with those before them.
+
+    Those without stored blocks stay as they are.
+    """
     layout, spec = history.layout, history.spec
     model = records["model"][first[-1]].decode()
     nights = [history.nights[place] for place in first.tolist()]
     before = blocks.of_baseline(spec, layout, nights, model)
     motor = spec.motor(nights[-1], spec.file.flushing.mode)
     bounds = Parametrisation.of(motor).coefficient_bounds()
-    for place in elsewhere.tolist():
-        now = blocks.of(spec, layout, [history.nights[place]], model)
+    labels = [history.nights[place] for place in elsewhere.tolist()]
+    for at in np.flatnonzero(elsewhere >= begin).tolist():
+        for length in range(1, min(at + 1, NIGHTS_OF_NOW) + 1):
+            now = blocks.of(spec, layout, labels[at + 1 - length : at + 1], model)
+            if now is None or len(now.nights) >= LEAST_BLOCKS:
+                break
         if before is not None and now is not None:
-            _keep(records[place], _compared(before, now, bounds))
+            _keep(records[elsewhere[at]], _compared(before, now, bounds))
 
 
 def _compared(
@@ -143,7 +163,7 @@ def _rises(history: History, era: Era, own: Indicator, places: Places) -> Rises:
     flow, share, part = np.expm1(records["duty_flow"]), records["duty_share"], np.ones(len(places))
     if own.name == DEVIATION:
         return Rises(flow, np.zeros(len(places)), part, flow, share)
-    rows = np.array([_contrast(history, era, own, place) for place in places.tolist()])
+    rows = _contrasts(history, era, own, places)
     contrast, known = rows[:, :-1], rows[:, -1]
     then = np.einsum("ni,ni->n", contrast, records["duty_then"]) + known
     now = np.einsum("ni,ni->n", contrast, records["duty_now"]) + known
@@ -155,22 +175,27 @@ def _rises(history: History, era: Era, own: Indicator, places: Places) -> Rises:
         column = history.layout.paths.index(own.path)
         expected = expected_flow(sums, records["duty_then"].T)[1]
         part = then * sums[:, column] / expected
-    # A night alone is not compared by a figure of many, nor against a loss factor of 0.
-    told = (then > 0.0) & (own.n_nights[places] == 1)
-    then = np.where(told, then, np.nan)
+    # A loss factor of 0 is nothing to be relative to.
+    then = np.where(then > 0.0, then, np.nan)
     return Rises(now / then - 1.0, error / then, part, flow, share)
 
 
-def _contrast(history: History, era: Era, own: Indicator, place: int) -> Array:
-    """Contrast of θ that an indicator is, and the known flow in it; nan where the model fails."""
-    size = len(history.layout.free)
+def _contrasts(history: History, era: Era, own: Indicator, places: Places) -> Array:
+    """Contrast of θ that an indicator is in some nights, and the known flow; shape (m, p + 2).
+
+    nan where the model does not hold.
+    """
+    found = np.full((len(places), len(history.layout.free) + 1), np.nan)
     if own.name not in (REFERENCE, OWN_REFERENCE):
-        return np.append(np.eye(size)[history.layout.coefficients.index(own.name)], 0.0)
-    at = era.own if own.name == OWN_REFERENCE else reference_conditions(history, place)
-    row = "" if at is None else regressor_row(history, place, at)
-    if isinstance(row, str):
-        return np.full(size + 1, np.nan)
-    return np.concatenate([row[:-2], (0.0, row[-1])])
+        found[:] = 0.0
+        found[:, history.layout.coefficients.index(own.name)] = 1.0
+        return found
+    for row, place in zip(found, places.tolist(), strict=True):
+        at = era.own if own.name == OWN_REFERENCE else reference_conditions(history, place)
+        columns = "" if at is None else regressor_row(history, place, at)
+        if not isinstance(columns, str):
+            row[:] = (*columns[:-2], 0.0, columns[-1])
+    return found
 
 
 def _level(history: History, era: Era, series: Array) -> Array:

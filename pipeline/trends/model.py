@@ -15,6 +15,7 @@ from leakage.model_verdict import (
     NIGHTS_TOGETHER,
     Misfit,
     StructuredMisfit,
+    grown_misfit,
     model_verdict,
     structured_misfit,
     verdict_in_words,
@@ -27,10 +28,6 @@ from pipeline.trends.words import day
 from pipeline.trends.zeros import nights_rule
 
 Array = NDArray[np.float64]
-
-# A misfit is larger than the baseline's from this factor on, where what it is more by is as large
-# as what disproves a model.
-LARGER = 1.5
 
 
 def with_misfit(history: History, decisions: Sequence[Decision], until: dt.date) -> History:
@@ -104,13 +101,9 @@ def model_course(history: History, decisions: Sequence[Decision]) -> ModelCourse
         known = part.first + np.flatnonzero(np.isfinite(share[part.first : part.end]))
         if not len(known):
             continue
-        here, begin = slice(known[0], part.end), share[known[0]]
-        first[here] = begin
-        more = np.sqrt(np.maximum(share[here] ** 2 - begin**2, 0.0))
-        # Noise that would seem as large says nothing.
-        told = np.where(2.0 * noise[here] > share[here], 0.0, more)
-        told = np.where(share[here] < LARGER * begin, 0.0, told)
-        told = np.where(np.isfinite(share[here]), told, np.nan)
+        here = slice(known[0], part.end)
+        first[here] = share[known[0]]
+        told = grown_misfit(share[here], noise[here])
         is_on = above_level(told, DISPROVED_OVER_TEN, 0.0, nights_rule(history.spec))
         state[here] = np.where(is_on, "warning", "ok")
     return ModelCourse(history, parts, first, tuple(state.tolist()))

@@ -20,6 +20,7 @@ NAMES = {
     "comparable_drain_flow": "drain flow at the reference conditions",
     "baseline_progress": "progress towards a baseline",
     "oil_viscosity": "viscosity as measured against the data sheet",
+    "model_misfit": "misfit of the model",
     "C_f": "flushing",
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",

@@ -12,6 +12,7 @@ import polars as pl
 import pytest
 
 from leakage.balanced_baseline import DutyBlocks
+from pipeline.config import MotorSpec
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends import baseline_blocks
@@ -93,7 +94,7 @@ def test_a_rise_that_is_not_certain_holds_the_state_and_says_why() -> None:
     found = told(balanced(0.4, 0.15, 0.1))
     assert set(found.states[SLEEVE][AT : AT + 7]) == {"ok"}
     assert found.states[SLEEVE][N - 1] == "stale"
-    row = next(one for one in trend_rows(found, [AT]) if one["indicator"] == SLEEVE)
+    row = next(one for one in trend_rows(found, [AT + 5]) if one["indicator"] == SLEEVE)
     assert (
         row["gated_reason"] == "at this duty the baseline does not tell a rise from its own error"
     )
@@ -153,13 +154,14 @@ class Files:
     low: float
     asked: list[dt.date] = field(default_factory=list)
 
-    def of(self, _: str, layout: Layout, nights: Sequence[dt.date], model: str) -> DutyBlocks:
+    def of(self, _: MotorSpec, layout: Layout, nights: Sequence[dt.date], model: str) -> DutyBlocks:
         assert model == "hash-vg68"
         if len(nights) == 1:
             self.asked += nights
         generator = np.random.default_rng(len(nights))
         n = 40 * len(nights)
-        load = generator.uniform(10.0 if len(nights) > 1 else self.low, 300.0, n)
+        low, high = (10.0, 300.0) if len(nights) > 1 else (self.low, self.low + 80.0)
+        load = generator.uniform(low, high, n)
         factors = np.zeros((n, 6, 6))
         factors[:, range(3), range(3)] = load[:, None] * generator.uniform(0.5, 1.0, (n, 3))
         factors[:, 3, 3:5] = 1.0, 0.1
@@ -205,7 +207,7 @@ def test_blocks_of_the_baseline_are_kept_until_their_files_change(
     layout = Layout.of(nights.spec, labels[0])
 
     def read() -> DutyBlocks:
-        found = BlockFiles(tmp_path, ["M1"]).of_baseline("M1", layout, labels, "hash-vg68")
+        found = BlockFiles(tmp_path, ["M1"]).of_baseline(nights.spec, layout, labels, "hash-vg68")
         assert found is not None
         return found
 
@@ -233,5 +235,6 @@ def test_blocks_of_another_model_are_not_compared(tmp_path: Path) -> None:
     write_table(night_file(tmp_path, BLOCK_STATISTICS, night_of(0)), blocks_of(nights))
     files = BlockFiles(tmp_path, ["M1"])
     layout = Layout.of(nights.spec, night_of(0))
-    assert files.of("M1", layout, [night_of(0)], "another") is None
-    assert files.of("M2", layout, [night_of(0)], "hash-vg68") is None
+    assert files.of(nights.spec, layout, [night_of(0)], "another") is None
+    stranger = replace(nights.spec, file=nights.spec.file.model_copy(update={"motor_id": "M2"}))
+    assert files.of(stranger, layout, [night_of(0)], "hash-vg68") is None
