@@ -37,6 +37,7 @@ from tests.pipeline.trends.nights import Nights, configure, motor, night_of, sta
 
 LAST = 5
 NAMES = ("reference_leakage", "K_piston_ring")
+OPENED = ["M1", "--note", "x", "--opened"]
 
 
 def trend(motor: str, night: int, name: str, state: str = "ok", **more: Any) -> dict[str, Any]:
@@ -71,7 +72,13 @@ def fits_of(motor: str, nights: int = LAST + 1) -> pl.DataFrame:
     return frame(
         FITS,
         [
-            {"run_id": "r", "motor_id": motor, "night": night_of(night), "status": "ok"}
+            {
+                "run_id": "r",
+                "motor_id": motor,
+                "motor_type": "CB560",
+                "night": night_of(night),
+                "status": "ok",
+            }
             for night in range(nights)
         ],
     )
@@ -434,6 +441,16 @@ def test_acknowledged_found_and_counted(
         ),
         (["M1", "K_piston_ring", "--note", "x", "--finding", "yes"], "expected confirmed or not_"),
         (["M1", "K_piston_ring"], "--note"),
+        (["M1", "--note", "x"], "expected the indicator of an alarm, or --opened with --worn"),
+        ([*OPENED, "2026-01-06"], "expected --opened with --worn or --sound"),
+        ([*OPENED, "", "--worn", "cam_roller"], "expected --opened with --worn or --sound"),
+        ([*OPENED, "9998-01-06", "--worn", "cam_roller"], "which has not come"),
+        ([*OPENED, "6 May", "--worn", "cam_roller"], "expected YYYY-MM-DD"),
+        ([*OPENED, "2026-01-06", "--worn", "valve"], "M1 has no part 'valve'; it has balance_p"),
+        (
+            [*OPENED, "2026-01-06", "--worn", "cam_roller", "--sound", "cam roller"],
+            "cam_roller: expected worn or sound, not both",
+        ),
     ],
 )
 def test_ack_of_what_is_not_there(
@@ -447,6 +464,26 @@ def test_ack_of_what_is_not_there(
     assert (code, out) == (2, "")
     assert words in err
     assert read_decisions(output) == ()
+
+
+def test_parts_of_an_opened_motor_are_recorded_and_scored(
+    output: Path, config: Path, call: Call
+) -> None:
+    """Its alarm names no part, so that the worn one could not be told."""
+    parts = ["--worn", "Piston ring", "--sound", "balance_sleeve", "--sound", "balance_piston"]
+    code, out, _ = call("ack", config, *OPENED, "2026-01-07", *parts)
+    assert (code, out) == (
+        0,
+        "M1: opened on 2026-01-07; worn: piston_ring; sound: balance_sleeve, balance_piston\n",
+    )
+    (found,) = read_decisions(output)
+    assert (found.kind, found.indicator, found.night) == ("finding", "", dt.date(2026, 1, 7))
+    assert found.worn_parts == ("piston_ring",)
+    assert found.sound_parts == ("balance_sleeve", "balance_piston")
+    line = "parts named by alarms, after inspections: 0 right, 0 wrong, 1 cannot be told, 0 missed"
+    assert line in call("status", config)[1]
+    fleet = json.loads(call("status", config, "--json")[1].splitlines()[-1])
+    assert fleet["parts"]["CB560"]["cannot_be_told"] == 1
 
 
 def test_a_baseline_is_reset_with_a_night_and_a_reason(

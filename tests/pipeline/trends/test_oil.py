@@ -95,8 +95,9 @@ def test_words_on_a_measured_oil(
         changes={n: {"viscosity_ratio": ratio} for n in range(5, 20)} if ratio else {},
     )
     (history,) = histories(one).values()
-    assert (expected in oil_as_measured(history, 19)) == bool(expected)
-    assert bool(oil_as_measured(history, 19)) == bool(expected)
+    said = oil_as_measured(history, 19)
+    assert expected in said
+    assert bool(said) == bool(expected)
     # Not measured since a later change.
     assert oil_as_measured(history, 19, 10) == ""
 
