@@ -20,6 +20,7 @@ from pipeline.trends.night_records import Layout, blank_records, whole_matrix
 from pipeline.trends.reasons import why_state
 from pipeline.trends.segments import Segment
 from pipeline.trends.standing import RAISED, Standing
+from pipeline.trends.temperature import Effect
 from pipeline.trends.trend_rows import trend_rows
 from tests.pipeline.trends.nights import (
     OIL,
@@ -85,7 +86,8 @@ def test_explanations_do_not_hang_on_the_form_of_the_rollers(wear: dict[str, flo
     assert after.verdict == before.verdict == ("common" if OIL in wear else "path")
     assert after.paths == pytest.approx(before.paths, abs=1e-6)
     # The rollers are no indicator: alarms share one rate, whichever form a motor has.
-    names = [[one.name for one in coefficients(form)] for form in forms]
+    effect = Effect(np.ones(N), np.zeros(N), np.zeros(N))
+    names = [[one.name for one in coefficients(form, effect)] for form in forms]
     assert names[0] == names[1]
 
 
