@@ -234,7 +234,7 @@ def _errors(
     model: Sequence[float | None] = [None] * len(contrasts)
     if structured is not None:
         reach = model_errors(factors, fixed, np.array([*contrasts.values()]), structured.l_per_min)
-        factor = [LEAKAGE_FACTOR] * len(rows) + [COEFFICIENT_FACTOR] * len(paths)
+        factor = np.repeat([LEAKAGE_FACTOR, COEFFICIENT_FACTOR], [len(rows), len(paths)])
         model = (factor * reach).tolist()
     return {
         name: ErrorParts(
