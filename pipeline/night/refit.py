@@ -207,7 +207,10 @@ def _sensitivities(
             for source, some in by_source.items()
         },
         OperatingConditions.from_bar(
-            *(before[f"reference_{name}"] for name in CHANNELS), before["mean_charge_over_case_bar"]
+            before["reference_pressure_bar"],
+            before["reference_temperature_c"],
+            before["reference_speed_rpm"],
+            before["mean_charge_over_case_bar"],
         ),
         at,
     )
