@@ -6,7 +6,7 @@ import datetime as dt
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 
-# Part of a baseline's first nights that are to tell the scale.
+# Part of a baseline's first nights that are to tell the scale: later nights are like most of them.
 MOST = 0.8
 
 

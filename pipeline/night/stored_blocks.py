@@ -94,7 +94,7 @@ class StoredBlocks:
         return cls(rows, factors, ratios, scale)
 
     def with_free_known(self, place: int, coefficient: float) -> StoredBlocks:
-        """The blocks with the known flow as a path of its own, the same to the bit each time."""
+        """The blocks with the known flow as a path of its own, short means as well."""
         size = self.factors.shape[2] + 1
         shorts = []
         for values in self.rows["short_means"].to_list():
