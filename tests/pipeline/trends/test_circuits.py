@@ -108,7 +108,7 @@ def test_wear_beside_thin_oil_blames_the_worn_path_alone() -> None:
         behind = path_behind(worn, name, N - 1)
         assert behind is not None
         assert (behind.verdict, behind.named) == ("path", ("balance_sleeve",))
-        assert path_named(worn, name, behind) == "balance_sleeve"
+        assert path_named(worn, name, N - 1, behind) == "balance_sleeve"
         why = why_state(worn, name, N - 1, behind)
         assert "mostly by the balance sleeve (over 99 % probable); and all flows × 1.25" in why
     for name in ("M2", "M3", "M4"):
