@@ -105,7 +105,7 @@ def test_a_rise_that_is_undone_is_told_as_a_fall_and_blames_no_path() -> None:
         )
         behind = path_behind(found, name, place)
         assert behind is None
-        assert path_named(found, name, N - 1, behind) is None
+        assert path_named(found, name, place, behind) is None
         assert row(found, name, place)["path"] is None
     assert fallen
     # Nowhere, in no indicator's words, is a fall since a date.
