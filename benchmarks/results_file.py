@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 RESULTS = Path(__file__).parent / "results"
 
@@ -49,9 +50,11 @@ def write_stored(
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks {name}")
     parser.add_argument("--only", default=",".join(makers))
     file = RESULTS / f"{name}.json"
-    stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
+    stored: dict[str, dict[str, Any]] = {}
     for one in parser.parse_args(list(options)).only.split(","):
-        stored[one] = asdict(makers[one]())
+        made = asdict(makers[one]())
+        stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
+        stored[one] = made
         file.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
     write_parts(name, title, text, [Part(**stored[one]) for one in makers if one in stored])
 
