@@ -342,7 +342,7 @@ def last_alarm(
 ) -> tuple[str, dt.date]:
     """The indicator of a name, and the night of its last alarm in one of some states.
 
-    The name is that in the tables (``K_piston_ring``) or in words (piston ring leakage).
+    The name is that in the tables (``K_piston_ring``) or in words (piston ring gap).
 
     Raises
     ------
@@ -364,10 +364,15 @@ def last_alarm(
 
 
 def _in_words(indicators: Sequence[str]) -> dict[str, str]:
-    """Indicators by all that they are called; a path's name alone is its leakage."""
+    """Indicators by all that they are called; a path is called by its name alone, too."""
     from pipeline.trends.words import name_of  # heavy, and seldom needed
 
-    paths = {_plain(one.removeprefix("K_")): one for one in indicators if one.startswith("K_")}
+    paths = {
+        _plain(one.removeprefix("K_") + also): one
+        for one in indicators
+        if one.startswith("K_")
+        for also in ("", " leakage")
+    }
     names = {_plain(name): one for one in indicators for name in (one, name_of(one))}
     return paths | names
 

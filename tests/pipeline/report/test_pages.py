@@ -463,7 +463,7 @@ def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, output: Path
             "slope_per_year_upper": 5e-14,
             "days_to_limit_status": "already_crossed",
             "state": "alarm",
-            "state_reason": "piston ring leakage +50 %",
+            "state_reason": "piston ring gap +50 %",
         }
         return rows.with_columns(
             pl.when(mine).then(pl.lit(value, rows.schema[name])).otherwise(name).alias(name)
@@ -473,7 +473,7 @@ def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, output: Path
     change_table(output, "trends", judge)
     change = key | {"night": nights[2], "change_night": nights[1], "size_percent": 50.0}
     alarm = key | {"night": nights[2], "time": dt.datetime(2026, 1, 4, 6, tzinfo=dt.UTC)}
-    alarm |= {"from_state": "ok", "to_state": "alarm", "reason": "piston ring leakage +50 %"}
+    alarm |= {"from_state": "ok", "to_state": "alarm", "reason": "piston ring gap +50 %"}
     baseline = key | {"night": nights[1], "start": nights[0], "end": nights[1], "mean": 5e-14}
     for table, row in {
         CHANGE_POINTS: change | {"model": "step"},
@@ -491,7 +491,7 @@ def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, output: Path
     visit(browser, output / "report" / "index.html")
     assert shown(browser)[0] == key["motor_id"]
     first = browser.find_element(By.CSS_SELECTOR, "#fleet tbody tr").text
-    assert f"alarm\npiston ring leakage +50 % (acknowledged: {note})" in first
+    assert f"alarm\npiston ring gap +50 % (acknowledged: {note})" in first
     browser.find_element(By.LINK_TEXT, key["motor_id"]).click()
     assert drawn(browser)["trend-course"] == "chart"
     menu = Select(browser.find_element(By.CSS_SELECTOR, "#trend-course select"))
@@ -517,7 +517,7 @@ def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, output: Path
     row = browser.find_element(By.CSS_SELECTOR, "#trend-table tbody tr").text
     assert "4.00e−14 (3.00e−14 to 5.00e−14)" in row
     assert "already crossed" in row
-    assert "no change alarm piston ring leakage +50 %" in " ".join(
+    assert "no change alarm piston ring gap +50 %" in " ".join(
         browser.find_element(By.CSS_SELECTOR, "#alarm-table tbody tr").text.split()
     )
     assert note in browser.find_element(By.ID, "decision-table").text

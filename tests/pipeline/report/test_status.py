@@ -101,8 +101,8 @@ def test_the_headline_names_every_part_in_alarm() -> None:
     found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert (found.state, found.indicator) == ("alarm", "K_balance_sleeve")
     assert found.reason is not None
-    assert found.reason.startswith("balance sleeve leakage +")
-    assert "; balance piston leakage +" in found.reason
+    assert found.reason.startswith("balance sleeve gap +")
+    assert "; balance piston gap +" in found.reason
     assert found.change_start == night_of(80)
 
 
@@ -494,6 +494,7 @@ def test_a_reset_that_would_do_nothing_is_refused(
     [
         "K_piston_ring",
         "piston ring leakage",
+        "piston ring gap",
         "Piston ring",
         " the piston ring leakage",
         "k_piston_ring",
@@ -516,7 +517,7 @@ def test_whatever_can_be_raised_is_known_by_the_words_of_status(output: Path) ->
     write_table(night_file(output, ALARMS, night_of(4)), rows)
     for name in names:
         size = ChangeSize(9, 0.3, 0.2, 0.4, 10)
-        for words in (name, size_words(name, size, "2026-10-03").partition(" +30 %")[0]):
+        for words in (name, size_words(name, size, "2026-10-03").partition(" +")[0]):
             assert last_alarm(output, "M1", words, RAISED) == (name, night_of(4))
 
 
@@ -541,10 +542,10 @@ def test_dates_and_the_effect_of_temperature_stand_in_the_words_of_a_state() -> 
     found = MotorState(
         "M",
         "warning",
-        reason="piston ring leakage +18 %",
+        reason="piston ring gap +18 %",
         limit_dates="not before August 2027",
         temperature_effect="K falls by 0.97 % a kelvin",
     )
     assert found.why == (
-        "piston ring leakage +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
+        "piston ring gap +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
     )
