@@ -15,7 +15,6 @@ from rich.table import Table
 from pipeline.errors import one_line
 from pipeline.report.status import FleetStatus, MotorState
 from pipeline.store.heartbeat import FINISHED, RUNNING
-from pipeline.telling.outbox import Backlog
 
 # Colours only support the words of a state.
 COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}
@@ -66,7 +65,7 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
     if (line := _run_line(found)) is not None:
         yield line
-    yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
+    yield from (one.words for one in found.receivers if one.undelivered)
     if found.damage:
         first, n = found.damage[0], len(found.damage)
         yield f"{n} published files are damaged or missing, such as {first.path}: {first.code}"
@@ -76,14 +75,6 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
             f"inspections that confirmed an alarm: {found.findings_confirmed} of "
             f"{found.findings} ({share:.0f} %)"
         )
-
-
-def _undelivered_line(one: Backlog) -> str:
-    why = f"; last try: {one.fault}" if one.fault else ""
-    return (
-        f"not delivered to {one.receiver}: {one.undelivered} changes of state, since "
-        f"{one.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
-    )
 
 
 def _run_line(found: FleetStatus) -> str | None:

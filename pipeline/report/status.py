@@ -21,7 +21,7 @@ from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.words import limit_dates
+from pipeline.trends.words import FALL, limit_dates, name_of
 
 Row = dict[str, Any]
 
@@ -36,6 +36,12 @@ TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
 TOLD = (*RAISED, "stale")
+ADVICE = {
+    "common_cause": "Check oil, temperature and charge pressure of the circuit first.",
+    "stale": "Check whether the motor's logs arrive, and the reason of its last nights.",
+    "insufficient": "Wait for more good nights.",
+    "ok": "Nothing to do.",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,10 @@ class MotorState:
         That loss factors change with temperature, in words; empty where they do not.
     model_misfit
         That the model does not describe the motor, in words; empty where it does.
+    path
+        Paths whose growth explains the state; None where none is told.
+    known_since
+        First night of the indicator's stretch of warnings, alarms or common causes; None without.
     """
 
     motor_id: str
@@ -102,16 +112,45 @@ class MotorState:
     limit_dates: str = ""
     temperature_effect: str = ""
     model_misfit: str = ""
+    path: str | None = None
+    known_since: dt.date | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The state in words."""
+        return self.reason or "no change of external leakage"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What else is to be known, in words."""
+        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
+        notes = (dates, self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
+        return tuple(note for note in notes if note)
 
     @property
     def why(self) -> str:
-        """The state in words, with what else is to be known, and an acknowledgement."""
-        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
-        reason = self.reason or "no change of external leakage"
-        beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
-        parts = (reason, dates, *beside)
-        words = "; ".join(part for part in parts if part)
+        """The sentence with its notes, and an acknowledgement."""
+        words = "; ".join((self.sentence, *self.notes))
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
+
+    @property
+    def advice(self) -> str:
+        """What to do about the state, in words."""
+        if self.state in RAISED and self.reason and FALL in self.reason:
+            return "Check oil, sensors and flushing first."
+        if self.state in ("warning", "alarm"):
+            look = "Look at" if self.state == "alarm" else "Plan a look at"
+            parts = self.path.replace("_", " ") if self.path else ""
+            found = f"the {parts}" if parts else "the motor; which part it is, is not known"
+            return f"{look} {found}{' at the next stop' if self.state == 'alarm' else ''}."
+        if self.failure and self.state not in CHANGED:
+            return "Mend what failed in the last night."
+        return ADVICE[self.state]
+
+    @property
+    def needs_attention(self) -> bool:
+        """The state asks for something, or the last night failed."""
+        return self.state in TOLD or bool(self.failure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -249,6 +288,8 @@ def motor_state(
         leakage_verdict=_verdict(fits, leakage_night, leakage),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
+        path=worst["path"],
+        known_since=_known_since(worst, trends),
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
         model_misfit=next(iter(misfits), None) or "",
@@ -320,6 +361,15 @@ def _poor_fit(fits: pl.DataFrame) -> str:
     return ""
 
 
+def _known_since(worst: Row, trends: pl.DataFrame) -> dt.date | None:
+    """First night of an indicator's stretch of states that tell a change; None if it has none."""
+    own = trends.filter(indicator=worst["indicator"]).sort("night")
+    is_told = pl.col("state").is_in(CHANGED)
+    before = _last(own.filter(~is_told))
+    told = own.filter(is_told) if before is None else own.filter(is_told, pl.col("night") > before)
+    return None if worst["state"] not in CHANGED else told["night"][0]
+
+
 def _acknowledged(
     worst: dict[str, object], trends: pl.DataFrame, decisions: Sequence[Decision]
 ) -> str:
@@ -365,8 +415,6 @@ def last_alarm(
 
 def _in_words(indicators: Sequence[str]) -> dict[str, str]:
     """Indicators by all that they are called; a path is called by its name alone, too."""
-    from pipeline.trends.words import name_of  # heavy, and seldom needed
-
     paths = {
         _plain(one.removeprefix("K_") + also): one
         for one in indicators

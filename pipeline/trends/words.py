@@ -24,6 +24,7 @@ NAMES = {
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
 }
+FALL = "a fall is no wear but another oil, a sensor, the flushing, a filled gap or a new part"
 # Statuses of a time to a limit that have dates.
 DATED = ("finite", "not_before", "beyond_horizon")
 # Days ahead up to which a date is told to the day, not to the month.
