@@ -16,8 +16,8 @@ import polars as pl
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report.encoding import script_json
-from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.first_screen import first_screen
+from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
     ReportManifest,
@@ -31,7 +31,8 @@ from pipeline.report.manifest import (
 from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
-from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
+from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
+from pipeline.report.status import RAISED
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
 from pipeline.schema import FITS, SCHEMA_VERSION
@@ -107,7 +108,7 @@ class ReportRequest:
     nights: int | None = None
     execution: Execution = field(default_factory=lambda: Execution(backend="sequential"))
     made: dt.datetime | None = None
-    zone: ZoneInfo = ZoneInfo("UTC")
+    zone: ZoneInfo = UTC
     old_after_nights: int = 7
     receivers: tuple[Receiver, ...] = ()
 
@@ -359,11 +360,15 @@ def _motor_page(
     ]
     screen = first_screen(motor, row.state, known.paths)
     trend = trend_payload(motor, history)
-    payload = motor_payload(motor, screen, name, detailed, trend, events)
+    changes = changes_of_state(motor.motor_id, history)
+    told = [
+        {"night": change["night"].isoformat(), "state": change["to_state"]}
+        for change in changes
+        if change["indicator"] == row.state.indicator and change["to_state"] in RAISED
+    ]
+    payload = motor_payload(motor, screen, name, detailed, told, trend, events)
     said = [one for one in history.decisions if one.motor_id == motor.motor_id]
-    return motor_html(
-        facts, row, motor, screen, payload, changes_of_state(motor.motor_id, history), said
-    )
+    return motor_html(facts, row, motor, screen, payload, changes, said)
 
 
 def _write_chart_library(folder: Path, before: ReportManifest, now: ReportManifest) -> None:

@@ -81,7 +81,9 @@ def first_screen(motor: MotorHistory, state: MotorState, declared: Sequence[str]
         for path, name in paths.items()
         if (course := motor.course(name)).is_known.any()
     ]
-    leading, limits = _leading_limits(motor, state, [path for path in paths if changes])
+    leading, limits = _leading_limits(
+        motor, state, sorted(paths, key=places.get) if changes else []
+    )
     if not changes and leading:
         changes = [Line(name_of(leading), None, _relative(motor, leading))]
     kind = leakage_kind(motor, state)
@@ -154,6 +156,6 @@ def _stack(
     ]
     if others:
         place = places[others[0]] if len(others) == 1 else None
-        lines.append(Line(f"{', '.join(map(plain, others))} (not fitted)", place, Course.without_interval(np.maximum(rest, 0.0))))
+        flow = Course.without_interval(np.maximum(rest, 0.0))
+        lines.append(Line(f"{', '.join(map(plain, others))} (not fitted)", place, flow))
     return tuple(sorted(lines, key=lambda line: (line.place is None, line.place)))
-

@@ -51,12 +51,13 @@ def motor_payload(
     screen: FirstScreen,
     page: str,
     detailed: set[dt.date],
+    told: Sequence[Payload],
     trend: Payload,
     events: Sequence[Payload],
 ) -> Payload:
     """The payload of a motor's page."""
     fits = motor.fits
-    places = _plotted(motor, screen)
+    places = _plotted(screen)
     return {
         "motor": motor.motor_id,
         "file": page,
@@ -72,7 +73,7 @@ def motor_payload(
         },
         "detailed": [int(night in detailed) for night in motor.nights],
         "plotted": whole_numbers(places),
-        "first": _first(screen, fits, places),
+        "first": _first(screen, fits, places) | {"told": list(told)},
         "nightly": {name: _column(fits, column, places) for name, column in NIGHTLY.items()},
         "events": list(events),
         "trend": trend,
@@ -88,7 +89,7 @@ def reference_conditions(motor: MotorHistory) -> Mapping[str, float] | None:
     return {name: last[column] for name, column in CONDITIONS.items()}
 
 
-def _plotted(motor: MotorHistory, screen: FirstScreen) -> NDArray[np.int64]:
+def _plotted(screen: FirstScreen) -> NDArray[np.int64]:
     """Places of the nights that charts show: all, or those with the extremes among them."""
     columns = [screen.leakage.value, screen.flow.value]
     columns += [line.course.value for line in (*screen.changes, *screen.paths)]
@@ -115,9 +116,7 @@ def _line(line: Line, places: NDArray[np.int64]) -> Payload:
 
 def _course(course: Course, places: NDArray[np.int64]) -> Payload:
     parts = {"value": course.value, "lower": course.lower, "upper": course.upper}
-    return {
-        name: _packed(part, places) for name, part in parts.items() if np.isfinite(part).any()
-    }
+    return {name: _packed(part, places) for name, part in parts.items() if np.isfinite(part).any()}
 
 
 def _packed(figures: Array, places: NDArray[np.int64]) -> Payload:

@@ -37,6 +37,7 @@ from pipeline.trends.decisions import Decision
 from pipeline.trends.words import day, name_of
 
 FOLDER = Path(__file__).parent
+UTC = ZoneInfo("UTC")
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
 
 
@@ -66,7 +67,7 @@ class FleetFacts:
     faults: tuple[str, ...] = ()
     undelivered: tuple[str, ...] = ()
     made: dt.datetime | None = None
-    zone: ZoneInfo = ZoneInfo("UTC")
+    zone: ZoneInfo = UTC
     old_after_nights: int = 7
 
 
@@ -96,7 +97,7 @@ def motor_html(
 ) -> str:
     """The page of one motor; its changes of state and decisions come with the newest first."""
     last = motor.fits.row(-1, named=True) if motor.nights else None
-    gaps = {line.name: line for line in screen.changes}
+    gaps = {line.name: line for line in screen.changes if line.place is not None}
     flows = {line.name: line for line in screen.paths}
     return (
         _environment()
@@ -108,6 +109,7 @@ def motor_html(
             payload=script_json(payload),
             conditions=reference_conditions(motor),
             paths=[(name, gaps.get(name), flows.get(name)) for name in {**flows, **gaps}],
+            gaps_known=bool(gaps),
             changes=changes,
             decisions=decisions,
             has_trend=bool(payload["trend"]["indicators"]),

@@ -140,8 +140,8 @@ class MotorState:
             return "Check oil, sensors and flushing first."
         if self.state in ("warning", "alarm"):
             look = "Look at" if self.state == "alarm" else "Plan a look at"
-            parts = self.path.replace("_", " ") if self.path else ""
-            found = f"the {parts}" if parts else "the motor; which part it is, is not known"
+            parts = (self.path or "").replace("_", " ").replace(" and ", " and the ")
+            found = f"the {parts}" if parts else "the motor, as its part is not known,"
             return f"{look} {found}{' at the next stop' if self.state == 'alarm' else ''}."
         if self.failure and self.state not in CHANGED:
             return "Mend what failed in the last night."
@@ -288,7 +288,7 @@ def motor_state(
         leakage_verdict=_verdict(fits, leakage_night, leakage),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
-        path=worst["path"],
+        path=_paths(worst, watched),
         known_since=_known_since(worst, trends),
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
@@ -359,6 +359,15 @@ def _poor_fit(fits: pl.DataFrame) -> str:
         ]
         return f"fit of {row['night']}: {', '.join(poor)}" if poor else ""
     return ""
+
+
+def _paths(worst: Row, watched: pl.DataFrame) -> str | None:
+    """Paths behind the worst indicator: all gaps in its state, if it is one of a gap."""
+    if not worst["indicator"].startswith("K_"):
+        return None if worst["path"] is None else str(worst["path"])
+    beside = watched.filter(pl.col("indicator").str.starts_with("K_"), state=worst["state"])
+    gaps = dict.fromkeys((worst["indicator"], *beside["indicator"]))
+    return " and ".join(name.removeprefix("K_") for name in gaps)
 
 
 def _known_since(worst: Row, trends: pl.DataFrame) -> dt.date | None:

@@ -139,9 +139,7 @@ def size_words(indicator: str, size: ChangeSize, since: object) -> str:
         relative_change(indicator, one) for one in (size.relative, size.lower, size.upper)
     )
     digits = 0 if abs(change) >= 0.1 else 1
-    figures = (
-        f"{100 * change:+.{digits}f} % [{100 * lower:.{digits}f}, {100 * upper:.{digits}f}]"
-    )
+    figures = f"{100 * change:+.{digits}f} % [{100 * lower:.{digits}f}, {100 * upper:.{digits}f}]"
     if change <= 0.0:
         return f"{name_of(indicator)} is down to {figures} after a rise since {day(since)}"
     return f"{name_of(indicator)} {figures} since {day(since)}"

@@ -194,6 +194,7 @@ const motorLeakage = (() => {
     toImageButtonOptions: { scale: 2 },
   };
 
+  const NARROW = 600;
   const AXIS = {
     showline: true,
     ticks: "outside",
@@ -223,6 +224,9 @@ const motorLeakage = (() => {
       },
       ...chart.layout,
     };
+    /* A narrow window breaks the legend into more lines, which need room. */
+    if (window.innerWidth < NARROW && made.showlegend !== false && chart.traces.length > 3)
+      Object.assign(made, { height: made.height + 50, margin: { ...made.margin, t: 90 } });
     const axes = Object.keys(made).filter((key) => /^[xy]axis\d*$/.test(key));
     for (const key of new Set(["xaxis", "yaxis", ...axes])) {
       const own = made[key] ?? {};

@@ -50,7 +50,7 @@
       }),
     ]);
     return {
-      traces: [...levels.map(([name, values]) => level(name, values)), ...lines],
+      traces: [...lines, ...levels.map(([name, values]) => level(name, values))],
       height: 260,
       layout: {
         yaxis: {
@@ -58,7 +58,7 @@
           zeroline: true,
           range: limits([0, ...changes.flatMap(all), ...levels.flatMap(([, one]) => one)], () => 5),
         },
-        ...marks(),
+        ...marks([], first.told),
       },
       table: {
         columns: [
@@ -92,17 +92,17 @@
       x: days.map(([time]) => new Date(time).toISOString()),
       y: days.map(([, place]) => (place === undefined ? 0 : one.value[place])),
       line: { color: one.look.color, width: 0.5 },
-      fillcolor: `${one.look.color}99`,
+      fillcolor: `${one.look.color}77`,
       hovertemplate: `%{x|%Y-%m-%d}: %{y:.3g} l/min<extra>${text(one.name)}</extra>`,
     }));
   }
 
-  const GREY = { color: "#aab3bd", dash: "solid", symbol: "circle" };
+  const GREY = { color: "#6b7683", dash: "solid", symbol: "circle" };
 
   overNights("course-leakage", () => {
     const measured = line("drain flow, measured", flow, GREY, {
       mode: "lines",
-      line: { color: GREY.color, width: 1 },
+      line: { color: GREY.color, width: 1.2 },
       hovertemplate: "%{x|%Y-%m-%d}: %{y:.3g} l/min<extra>measured</extra>",
     });
     const total = [

@@ -88,7 +88,6 @@
   function render(night) {
     busy(false);
     byId("said").textContent = "";
-    byId("h-night").textContent = `Night of ${night.night}`;
     byId("outcome").textContent = nightTables.outcome(night);
     byId("parameters").replaceChildren(...nightTables.parameters(night));
     byId("quality").replaceChildren(...nightTables.quality(night));

@@ -300,26 +300,31 @@
     const names = { t: "training", v: "validation", g: "guard" };
     const parts = [..."tvg"].filter((letter) => found.block_parts.includes(letter));
     return {
-      traces: parts.map((letter) => {
+      traces: parts.flatMap((letter) => {
+        const symbol = { t: "circle", v: "square", g: "x" }[letter];
         const at = pressure
           .map((_, place) => place)
           .filter((place) => found.block_parts[place] === letter);
-        return {
+        const points = {
           type: "scatter",
           mode: "markers",
-          name: names[letter],
+          legendgroup: letter,
+          showlegend: false,
           x: at.map((place) => pressure[place]),
           y: at.map((place) => speed[place]),
           text: at.map((place) => format(temperature[place], 3)),
           marker: {
             size: 8,
-            symbol: { t: "circle", v: "square", g: "x" }[letter],
+            symbol,
             color: at.map((place) => temperature[place]),
             coloraxis: "coloraxis",
             line: { width: 0.5, color: COLOURS.ink },
           },
           hovertemplate: "%{x:.0f} bar, %{y:.1f} rpm, %{text} °C<extra></extra>",
         };
+        /* The legend takes no numbers for colours. */
+        const key = { x: [null], y: [null], name: names[letter], marker: { symbol, color: COLOURS.ink } };
+        return [points, { ...key, type: "scatter", mode: "markers", legendgroup: letter }];
       }),
       layout: {
         xaxis: { title: "pressure difference, bar" },

@@ -2,7 +2,7 @@
 "use strict";
 
 motorLeakage.overNights = (() => {
-  const { COLOURS, page, decode, text, format, word, show } = motorLeakage;
+  const { COLOURS, page, decode, plain, text, format, word, show } = motorLeakage;
 
   const places = decode(page.plotted);
   const nights = places.map((place) => page.nights[place]);
@@ -70,8 +70,8 @@ motorLeakage.overNights = (() => {
     line: { color, width: 1, dash },
   });
 
-  /* Events that start a new baseline, and change points, as lines over the whole height. */
-  function marks(changePoints = []) {
+  /* Events that start a new baseline, change points, and alarms, as lines over the whole height. */
+  function marks(changePoints = [], told = []) {
     const dated = [
       ...page.events.map((event) => ({
         date: event.date,
@@ -85,14 +85,21 @@ motorLeakage.overNights = (() => {
         colour: COLOURS.purple,
         dash: "dot",
       })),
+      ...told.map(({ night, state }) => ({
+        date: night,
+        label: plain(state),
+        colour: state === "alarm" ? COLOURS.vermilion : COLOURS.orange,
+        dash: "dot",
+      })),
     ];
     return {
       shapes: dated.map((one) => upright(one.date, one.colour, one.dash)),
-      annotations: dated.map((one) => ({
+      annotations: dated.map((one, place) => ({
         x: one.date,
         yref: "paper",
         y: 1,
         yanchor: "top",
+        yshift: -13 * (place % 3),
         xanchor: "left",
         showarrow: false,
         text: text(one.label.slice(0, 60)),

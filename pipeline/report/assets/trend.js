@@ -79,7 +79,8 @@
     const traces = course(one);
     const layout = {
       xaxis: { anchor: isWatched ? "y2" : "y" },
-      yaxis: { title: text(unitOf(one) || one.name), domain: [isWatched ? 0.36 : 0, 1] },
+      margin: { l: 84, r: 14, t: 26, b: 24 },
+      yaxis: { title: text(unitOf(one) || one.name), automargin: true, domain: [isWatched ? 0.36 : 0, 1] },
     };
     if (isWatched) {
       layout.yaxis2 = { title: "CUSUM, sd", domain: [0, 0.26], rangemode: "tozero", nticks: 4 };

@@ -99,7 +99,7 @@ def test_pages_of_ten_years_are_small(output: Path) -> None:
     payload = page_payload(page)
     assert len(payload["nights"]) == 3653
     # Nights that are all alike have no extremes but the first of each stretch.
-    assert 100 < len(unpacked(payload["reference"]["value"])) <= 1500
+    assert 100 < len(unpacked(payload["first"]["leakage"]["value"])) <= 1500
 
 
 def test_no_clock_and_no_path_of_the_machine_stands_in_a_page(report: Path) -> None:
