@@ -16,6 +16,8 @@ from pipeline.trends.words import name_of
 
 Limits = dict[str, Array]
 PATH = "leakage_"
+# Conditions of the leakages that a state may have.
+KINDS = dict(zip(REFERENCES, ("reference", "frozen", "comparable"), strict=True))
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +88,7 @@ def first_screen(motor: MotorHistory, state: MotorState, declared: Sequence[str]
     )
     if not changes and leading:
         changes = [Line(name_of(leading), None, _relative(motor, leading))]
-    kind = leakage_kind(motor, state)
+    kind = drawn_kind(motor, state)
     return FirstScreen(
         tuple(sorted(changes, key=lambda line: line.place or 0)),
         limits,
@@ -98,10 +100,11 @@ def first_screen(motor: MotorHistory, state: MotorState, declared: Sequence[str]
     )
 
 
-def leakage_kind(motor: MotorHistory, state: MotorState) -> str:
-    """Conditions of the leakage to draw: those of the state's leakage if it has one."""
-    kinds = dict(zip(REFERENCES, ("reference", "frozen", "comparable"), strict=True))
-    return kinds.get(state.leakage_indicator or "", motor.leakage_kind)
+def drawn_kind(motor: MotorHistory, state: MotorState) -> str:
+    """Conditions of the leakage to draw: those of the state's leakage where nights count for it."""
+    kind = KINDS.get(state.leakage_indicator or "", "")
+    known = kind and motor.leakages[kind].is_known.any()
+    return kind if known else motor.leakage_kind
 
 
 def _leading_limits(

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.report.first_screen import leakage_kind
+from pipeline.report.first_screen import KINDS, drawn_kind
 from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.status import MotorState, urgency
@@ -31,7 +31,7 @@ class FleetRow:
     state
         As `motor-leakage status` prints it.
     leakage_kind
-        Conditions of the leakage that is drawn: `reference`, `frozen`, `comparable`, `own`, `flow`.
+        Conditions of its leakage: `reference`, `frozen`, `comparable`, `own` or `flow`.
     drawn_now
         Its newest figure where the state has none for want of a baseline, l/min.
     newest_data
@@ -91,7 +91,7 @@ def _row(
     state: MotorState,
     span: Span | None,
 ) -> FleetRow:
-    kind = leakage_kind(motor, state)
+    kind = drawn_kind(motor, state)
     course = motor.leakages[kind]
     known = course.value[course.is_known]
     level = motor.baseline(BASELINES[kind]) if kind in BASELINES else None
@@ -108,7 +108,7 @@ def _row(
         state=state,
         page=page,
         motor_type=_motor_type(motor, types),
-        leakage_kind=kind,
+        leakage_kind=KINDS.get(state.leakage_indicator or "", kind),
         drawn_now=float(known[-1]) if len(known) and state.leakage_night is None else None,
         newest_data=newest,
         line=sparkline(days, course, ends, level) if ends else None,
