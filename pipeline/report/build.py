@@ -32,7 +32,6 @@ from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
 from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
-from pipeline.report.status import RAISED
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
 from pipeline.schema import FITS, SCHEMA_VERSION
@@ -361,10 +360,11 @@ def _motor_page(
     screen = first_screen(motor, row.state, known.paths)
     trend = trend_payload(motor, history)
     changes = changes_of_state(motor.motor_id, history)
+    since = row.state.known_since
     told = [
         {"night": change["night"].isoformat(), "state": change["to_state"]}
         for change in changes
-        if change["indicator"] == row.state.indicator and change["to_state"] in RAISED
+        if change["indicator"] == row.state.indicator and since and change["night"] >= since
     ]
     payload = motor_payload(motor, screen, name, detailed, told, trend, events)
     said = [one for one in history.decisions if one.motor_id == motor.motor_id]

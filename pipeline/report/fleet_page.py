@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.report.first_screen import KINDS, drawn_kind
-from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, MotorHistory
+from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.status import MotorState, urgency
 from pipeline.report.words import SENSORS, STATUSES
@@ -34,6 +34,8 @@ class FleetRow:
         Conditions of its leakage: `reference`, `frozen`, `comparable`, `own` or `flow`.
     drawn_now
         Its newest figure where the state has none for want of a baseline, l/min.
+    flow_now
+        Newest mean drain flow as measured, l/min; None without one.
     newest_data
         End of the newest data that were kept, UTC; None without any.
     validation_fit, previous_fit
@@ -51,6 +53,7 @@ class FleetRow:
     motor_type: str
     leakage_kind: str
     drawn_now: float | None
+    flow_now: float | None
     newest_data: dt.datetime | None
     line: Sparkline | None
     validation_fit: float | None
@@ -93,7 +96,6 @@ def _row(
 ) -> FleetRow:
     kind = drawn_kind(motor, state)
     course = motor.leakages[kind]
-    known = course.value[course.is_known]
     level = motor.baseline(BASELINES[kind]) if kind in BASELINES else None
     newest = motor.fits["window_end"].max()
     assert newest is None or isinstance(newest, dt.datetime)
@@ -109,7 +111,8 @@ def _row(
         page=page,
         motor_type=_motor_type(motor, types),
         leakage_kind=KINDS.get(state.leakage_indicator or "", kind),
-        drawn_now=float(known[-1]) if len(known) and state.leakage_night is None else None,
+        drawn_now=_newest(course) if state.leakage_night is None else None,
+        flow_now=_newest(motor.flow),
         newest_data=newest,
         line=sparkline(days, course, ends, level) if ends else None,
         validation_fit=last.get("validation_fit_percent"),
@@ -122,6 +125,11 @@ def _row(
         strip_words=_in_words(there),
         sensors=SENSORS.get(state.sensor_health or "", ""),
     )
+
+
+def _newest(course: Course) -> float | None:
+    known = course.value[course.is_known]
+    return float(known[-1]) if len(known) else None
 
 
 def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:

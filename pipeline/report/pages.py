@@ -109,7 +109,7 @@ def motor_html(
             payload=script_json(payload),
             conditions=reference_conditions(motor),
             paths=[(name, gaps.get(name), flows.get(name)) for name in {**flows, **gaps}],
-            gaps_known=bool(gaps),
+            gaps_known=bool(gaps or not screen.changes),
             changes=changes,
             decisions=decisions,
             has_trend=bool(payload["trend"]["indicators"]),

@@ -75,8 +75,9 @@
     };
   });
 
-  /* Layers on one another. Over a silence of more than a week they end, and begin anew. */
-  const SILENCE_MS = 7 * 86400000;
+  /* Layers on one another. Over a silence of more than a week they end, and begin anew; where
+     nights are thinned, of more than three of the steps that are left. */
+  const SILENCE_MS = 86400000 * Math.max(7, (21 * page.nights.length) / nights.length - 14);
   function layers() {
     const told = nights.map((_, place) => place).filter((place) => paths[0]?.value[place] != null);
     const days = told.flatMap((place, count) => {
@@ -97,7 +98,7 @@
     }));
   }
 
-  const GREY = { color: "#6b7683", dash: "solid", symbol: "circle" };
+  const GREY = { color: "#9aa4ae", dash: "solid", symbol: "circle" };
 
   overNights("course-leakage", () => {
     const measured = line("drain flow, measured", flow, GREY, {
@@ -109,7 +110,7 @@
       band(nights, leakage.lower, leakage.upper, COLOURS.ink, "total"),
       line(paths.length ? "in all" : leakage.name, leakage.value, style(null), {
         hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g} l/min<extra>in all</extra>",
-        marker: { size: 3, color: COLOURS.ink },
+        ...(paths.length ? { mode: "lines" } : {}),
       }),
     ];
     const traces = [measured, ...layers(), ...total].filter((one) => known(one.y));

@@ -153,10 +153,12 @@ motorLeakage.overNights = (() => {
     };
   }
 
+  /* Of more nights than that the marks would cover the lines. */
+  const MARKED_NIGHTS = 200;
   function line(name, values, look, extra = {}) {
     return {
       type: "scatter",
-      mode: "lines+markers",
+      mode: nights.length > MARKED_NIGHTS ? "lines" : "lines+markers",
       name: text(name),
       x: nights,
       y: values,
