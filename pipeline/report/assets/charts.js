@@ -156,7 +156,6 @@ const motorLeakage = (() => {
     const absent = figure.querySelector(":scope > .absent");
     const details = figure.querySelector("details");
     const isAbsent = chart.absent !== undefined;
-    figure.querySelector(".note").hidden = isAbsent;
     plot.hidden = isAbsent;
     absent.hidden = !isAbsent;
     details.hidden = isAbsent || !chart.table;

@@ -1,9 +1,10 @@
-/* The first screen: gap changes with their limits, leakage by path, and the nights to choose from. */
+/* The first screen: gap changes with their limits, leakage by path, the nights to choose from. */
 "use strict";
 
 (() => {
-  const { COLOURS, page, style, decode, limits, plain, text, show, word } = motorLeakage;
-  const { places, nights, overNights, marks, band, line, known } = motorLeakage.overNights;
+  const { COLOURS, page, style, decode, limits, text, word } = motorLeakage;
+  const { DAY_MS, MARKED_NIGHTS, places, nights, overNights, marks, band, line, known } =
+    motorLeakage.overNights;
 
   const { first } = page;
   const course = (packed) => ({
@@ -19,6 +20,8 @@
   const flow = decode(first.flow);
   const levels = Object.entries(first.limits).map(([name, packed]) => [name, decode(packed)]);
   const LEVEL_COLOURS = { warning: COLOURS.orange, alarm: COLOURS.vermilion };
+  /* A name within a template of the chart library, in which a percent sign begins a figure. */
+  const inTemplate = (name) => text(name).replaceAll("%", "");
   const all = (one) => [...one.value, ...one.lower, ...one.upper];
   const at = (values, place) => values[place] ?? null;
   const interval = (one, place) => [one.value, one.lower, one.upper].map((part) => at(part, place));
@@ -37,7 +40,7 @@
         dash: name === "alarm" ? "longdash" : "dot",
         shape: "hv",
       },
-      hovertemplate: `%{x|%Y-%m-%d}: %{y:.3g} %<extra>${name}, ${text(first.limitsOf)}</extra>`,
+      hovertemplate: `%{x|%Y-%m-%d}: %{y:.3g} %<extra>${name}, ${inTemplate(first.limitsOf)}</extra>`,
     };
   }
 
@@ -46,7 +49,7 @@
     const lines = changes.flatMap((one) => [
       band(nights, one.lower, one.upper, one.look.color, one.name),
       line(one.name, one.value, one.look, {
-        hovertemplate: `%{x|%Y-%m-%d}: %{y:+.3g} %<extra>${text(one.name).replaceAll("%", "")}</extra>`,
+        hovertemplate: `%{x|%Y-%m-%d}: %{y:+.3g} %<extra>${inTemplate(one.name)}</extra>`,
       }),
     ]);
     return {
@@ -77,7 +80,7 @@
 
   /* Layers on one another. Over a silence of more than a week they end, and begin anew; where
      nights are thinned, of more than three of the steps that are left. */
-  const SILENCE_MS = 86400000 * Math.max(7, (21 * page.nights.length) / nights.length - 14);
+  const SILENCE_MS = DAY_MS * Math.max(7, (21 * page.nights.length) / nights.length - 14);
   function layers() {
     const told = nights.map((_, place) => place).filter((place) => paths[0]?.value[place] != null);
     const days = told.flatMap((place, count) => {
@@ -94,7 +97,7 @@
       y: days.map(([, place]) => (place === undefined ? 0 : one.value[place])),
       line: { color: one.look.color, width: 0.5 },
       fillcolor: `${one.look.color}77`,
-      hovertemplate: `%{x|%Y-%m-%d}: %{y:.3g} l/min<extra>${text(one.name)}</extra>`,
+      hovertemplate: `%{x|%Y-%m-%d}: %{y:.3g} l/min<extra>${inTemplate(one.name)}</extra>`,
     }));
   }
 
@@ -142,7 +145,7 @@
     };
   });
 
-  /* Every night of the calendar as a bar in the colour of its outcome; a click chooses it. */
+  /* Every night of the calendar in the colour of its outcome; a click chooses it. */
   const OUTCOMES = {
     ok: COLOURS.green,
     insufficient_data: COLOURS.orange,
@@ -152,26 +155,38 @@
   };
 
   overNights("course-nights", () => {
-    const found = Object.keys(OUTCOMES).filter((status) => page.statuses.includes(status));
-    const traces = found.map((status) => {
-      const mine = page.nights.flatMap((_, place) => (page.statuses[place] === status ? [place] : []));
-      return {
-        type: "bar",
-        name: word("statuses", status),
-        x: mine.map((place) => page.nights[place]),
-        y: mine.map(() => 1),
-        width: 0.8 * 86400000,
-        marker: { color: OUTCOMES[status] },
-        text: mine.map((place) => text(page.reasons[place] ?? "")),
-        textposition: "none",
-        hovertemplate: "%{x|%Y-%m-%d}: " + word("statuses", status) + " %{text}<extra></extra>",
-      };
-    });
+    const kinds = Object.keys(OUTCOMES);
+    const start = Date.parse(page.nights[0]);
+    const days = Math.round((Date.parse(page.nights.at(-1)) - start) / DAY_MS) + 1;
+    const place = new Map(page.nights.map((night, at) => [night, at]));
+    const labels = Array.from({ length: days }, (_, day) =>
+      new Date(start + day * DAY_MS).toISOString().slice(0, 10),
+    );
+    const at = labels.map((night) => place.get(night));
+    const status = at.map((one) => page.statuses[one]);
+    const said = (code, reason) => `${word("statuses", code)} ${text(reason ?? "")}`;
+    const traces = [
+      {
+        type: "heatmap",
+        x: labels,
+        y: [0.5],
+        z: [status.map((one) => (one === undefined ? null : kinds.indexOf(one)))],
+        zmin: -0.5,
+        zmax: kinds.length - 0.5,
+        colorscale: kinds.flatMap((kind, count) => [
+          [count / kinds.length, OUTCOMES[kind]],
+          [(count + 1) / kinds.length, OUTCOMES[kind]],
+        ]),
+        showscale: false,
+        xgap: days > MARKED_NIGHTS ? 0 : 2,
+        text: [status.map((one, day) => said(one, page.reasons[at[day]]))],
+        hovertemplate: "%{x|%Y-%m-%d}: %{text}<extra></extra>",
+      },
+    ];
     return {
       traces,
       height: 78,
       layout: {
-        barmode: "overlay",
         yaxis: { visible: false, fixedrange: true, range: [0, 1] },
         ...marks(),
         annotations: [],

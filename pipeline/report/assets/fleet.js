@@ -81,7 +81,9 @@
       if (x === null || y === null)
         return (x === null) - (y === null) || place.get(a) - place.get(b);
       const difference = x - y;
-      const order = Number.isNaN(difference) ? x.localeCompare(y, "en", { numeric: true }) : difference;
+      const order = Number.isNaN(difference)
+        ? x.localeCompare(y, "en", { numeric: true })
+        : difference;
       return sign * order || place.get(a) - place.get(b);
     });
     body.append(...sorted);

@@ -323,8 +323,16 @@
           hovertemplate: "%{x:.0f} bar, %{y:.1f} rpm, %{text} °C<extra></extra>",
         };
         /* The legend takes no numbers for colours. */
-        const key = { x: [null], y: [null], name: names[letter], marker: { symbol, color: COLOURS.ink } };
-        return [points, { ...key, type: "scatter", mode: "markers", legendgroup: letter }];
+        const key = {
+          type: "scatter",
+          mode: "markers",
+          legendgroup: letter,
+          name: names[letter],
+          x: [null],
+          y: [null],
+          marker: { symbol, color: COLOURS.ink },
+        };
+        return [points, key];
       }),
       layout: {
         xaxis: { title: "pressure difference, bar" },

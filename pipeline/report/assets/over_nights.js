@@ -1,4 +1,4 @@
-/* What charts over the nights share: one axis of time, intervals as bands, events, the night chosen. */
+/* What charts over the nights share: one axis of time, intervals, events, the night chosen. */
 "use strict";
 
 motorLeakage.overNights = (() => {
@@ -16,15 +16,16 @@ motorLeakage.overNights = (() => {
   const linked = () => [...document.querySelectorAll("[data-drawn=chart] .plot.over-nights")];
 
   function zoomed(event) {
-    const range = event["xaxis.autorange"]
+    const isWhole = event["xaxis.autorange"];
+    const range = isWhole
       ? WHOLE
       : (event["xaxis.range"] ?? [event["xaxis.range[0]"], event["xaxis.range[1]"]]);
-    if (range[0] === undefined || String(range) === String(span)) return;
+    if (range[0] === undefined || (!isWhole && String(range) === String(span))) return;
     span = range;
     for (const plot of linked()) Plotly.relayout(plot, { "xaxis.range": [...span] });
   }
 
-  /* A chart over the nights: its own traces and layout on the shared axis; a click opens a night. */
+  /* A chart over the nights: its own traces and layout on the shared axis; a click chooses. */
   function overNights(id, build) {
     document.querySelector(`#${id} .plot`)?.classList.add("over-nights");
     show(id, () => {
@@ -172,5 +173,16 @@ motorLeakage.overNights = (() => {
 
   const known = (values) => values.some((value) => value !== null);
 
-  return { places, nights, overNights, markNight, marks, band, line, known };
+  return {
+    places,
+    nights,
+    DAY_MS,
+    MARKED_NIGHTS,
+    overNights,
+    markNight,
+    marks,
+    band,
+    line,
+    known,
+  };
 })();

@@ -4,10 +4,9 @@
 (() => {
   const { COLOURS, ABSENT, page, decode, plain, text, format, element, table, word, unit } =
     motorLeakage;
-  const { overNights, marks, band, known } = motorLeakage.overNights;
+  const { DAY_MS, overNights, marks, band, known } = motorLeakage.overNights;
 
   const { baselines, change_points: changePoints } = page.trend;
-  const DAY_MS = 86400000;
   const indicators = page.trend.indicators.map((one) => ({
     ...one,
     nights: decode(one.days).map((day) => new Date(day * DAY_MS).toISOString().slice(0, 10)),

@@ -205,7 +205,8 @@ def test_every_figure_is_drawn_when_it_is_scrolled_to(browser: Chrome, told: Pat
         )
         name = figure.get_dom_attribute("id")
         assert figure.get_dom_attribute("data-drawn") == "chart", name
-        marks = figure.find_elements(By.CSS_SELECTOR, ".plot .scatterlayer path, .bars path")
+        drawing = ".plot .scatterlayer path, .bars path, .heatmaplayer image"
+        marks = figure.find_elements(By.CSS_SELECTOR, drawing)
         assert marks, name
     assert complaints(browser) == []
 
