@@ -15,6 +15,7 @@ import pytest
 from leakage.monitoring import ChangeSize
 from pipeline.errors import UsageError
 from pipeline.report.status import (
+    ORDER,
     RAISED,
     TOLD,
     MotorState,
@@ -25,12 +26,13 @@ from pipeline.report.status import (
     motor_state,
     urgency,
 )
+from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision, read_decisions
 from pipeline.trends.trend_rows import trend_rows
-from pipeline.trends.words import size_words
+from pipeline.trends.words import FALL, size_words
 from tests.pipeline.cli.test_cli import Call
 from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.trends.nights import Nights, configure, motor, night_of, standing, step
@@ -549,3 +551,53 @@ def test_dates_and_the_effect_of_temperature_stand_in_the_words_of_a_state() -> 
     assert found.why == (
         "piston ring gap +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
     )
+
+
+FALLEN = f"reference leakage is down to -6 % [-10, -1] after a rise since 3 March 2026; {FALL}"
+
+
+@pytest.mark.parametrize(
+    ("state", "advice"),
+    [
+        (MotorState("M", "alarm", path="piston_ring"), "Look at the piston ring at the next stop."),
+        (
+            MotorState("M", "alarm", path="balance_sleeve and balance_piston"),
+            "Look at the balance sleeve and the balance piston at the next stop.",
+        ),
+        (MotorState("M", "warning", path="piston_ring"), "Plan a look at the piston ring."),
+        (
+            MotorState("M", "alarm"),
+            "Look at the motor, as its part is not known, at the next stop.",
+        ),
+        (MotorState("M", "warning", reason=FALLEN), "Check oil, sensors and flushing first."),
+        (MotorState("M", "ok"), "Nothing to do."),
+        (MotorState("M", "ok", failure="night failed"), "Mend what failed in the last night."),
+    ],
+)
+def test_each_state_says_what_to_do(state: MotorState, advice: str) -> None:
+    assert state.advice == advice
+
+
+def test_every_state_has_words_and_a_meaning() -> None:
+    assert set(STATES) == set(ORDER)
+    assert all(MotorState("M", state).advice for state in ORDER)
+
+
+def test_the_parts_in_the_worst_state_and_since_when_it_is_known() -> None:
+    key = {"motor_id": "M", "n_slope": 30, "deviation_percent": 50.0, "sensor_health": "ok"}
+    states = {
+        "K_balance_sleeve": ("warning", "ok", "warning", "alarm"),
+        "K_balance_piston": ("ok", "ok", "ok", "alarm"),
+        "K_piston_ring": ("ok", "ok", "ok", "warning"),
+    }
+    rows = [
+        key | {"night": night_of(n), "indicator": name, "state": state}
+        for name, course in states.items()
+        for n, state in enumerate(course)
+    ]
+    rows[3] |= {"deviation_percent": 60.0}
+    found = motor_state("M", frame(TRENDS, rows), frame(FITS, []), [])
+    assert found.path == "balance_sleeve and balance_piston"
+    # The warning of the first night had ended.
+    assert found.known_since == night_of(2)
+    assert found.needs_attention
