@@ -83,8 +83,6 @@ class MotorState:
         That loss factors change with temperature, in words; empty where they do not.
     model_misfit
         That the model does not describe the motor, in words; empty where it does.
-    model_verdict
-        Verdict of the last nights on the model; None where they tell none.
     path
         Paths whose growth explains the state; None where none is told.
     known_since
@@ -114,7 +112,6 @@ class MotorState:
     limit_dates: str = ""
     temperature_effect: str = ""
     model_misfit: str = ""
-    model_verdict: str | None = None
     path: str | None = None
     known_since: dt.date | None = None
 
@@ -269,7 +266,7 @@ def motor_state(
     is_ok = worst["state"] == "ok"
     drifts = tonight.filter(pl.col("indicator").is_in(SENSORS), state="warning")["state_reason"]
     effects = tonight.filter(indicator=TEMPERATURE_EFFECT)["state_reason"]
-    misfits = tonight.filter(indicator=MODEL_MISFIT)
+    misfits = tonight.filter(indicator=MODEL_MISFIT)["state_reason"]
     began = tonight.filter(pl.col("state").is_in(CHANGED))["change_start"].max()
     assert began is None or isinstance(began, dt.date)
     leakage_night, leakage = _leakage(trends, began)
@@ -295,8 +292,7 @@ def motor_state(
         known_since=_known_since(worst, trends),
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
-        model_misfit=next(iter(misfits["state_reason"]), None) or "",
-        model_verdict=next(iter(misfits["model_verdict"]), None),
+        model_misfit=next(iter(misfits), None) or "",
     )
 
 

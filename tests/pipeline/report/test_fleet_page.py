@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -98,10 +97,8 @@ def test_the_age_of_data_counts_from_their_end() -> None:
 def test_undelivered_alarms_and_a_model_that_is_rejected_are_shown() -> None:
     waiting = "not delivered to hook: 2 changes of state"
     facts = FleetFacts("F", None, None, undelivered=(waiting,))
-    misfit = MotorState("M", "ok", model_misfit="the model misses 2 %", model_verdict="disproved")
+    misfit = MotorState("M", "ok", model_misfit="the model misses 2 %")
     html = fleet_html(facts, [row(misfit)])
     assert f"N{waiting[1:]}." in html
     assert '<b class="poor" title="the model misses 2 %">model rejected</b>' in html
     assert "poor</b>" not in html
-    doubtful = replace(misfit, model_verdict="doubtful")
-    assert "model rejected</b>" not in fleet_html(facts, [row(doubtful)])
