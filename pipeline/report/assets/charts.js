@@ -167,8 +167,10 @@ const motorLeakage = (() => {
       figure.dataset.drawn = "absent";
       return;
     }
-    plot.style.minHeight = `${chart.height ?? 320}px`;
-    Plotly.react(plot, chart.traces, layout(chart), CONFIG).then(() => {
+    const made = layout(chart);
+    /* Where the window changes its size, the chart takes its height from here. */
+    plot.style.height = `${made.height}px`;
+    Plotly.react(plot, chart.traces, made, CONFIG).then(() => {
       figure.dataset.drawn = "chart";
       for (const [event, handler] of Object.entries(chart.on ?? {})) {
         plot.removeAllListeners(event);
@@ -193,7 +195,7 @@ const motorLeakage = (() => {
     toImageButtonOptions: { scale: 2 },
   };
 
-  const NARROW = 600;
+  const isNarrow = () => window.innerWidth < 600;
   const AXIS = {
     showline: true,
     ticks: "outside",
@@ -224,7 +226,7 @@ const motorLeakage = (() => {
       ...chart.layout,
     };
     /* A narrow window breaks the legend into more lines, which need room. */
-    if (window.innerWidth < NARROW && made.showlegend !== false && chart.traces.length > 3)
+    if (isNarrow() && made.showlegend !== false && chart.traces.length > 3)
       Object.assign(made, { height: made.height + 50, margin: { ...made.margin, t: 90 } });
     const axes = Object.keys(made).filter((key) => /^[xy]axis\d*$/.test(key));
     for (const key of new Set(["xaxis", "yaxis", ...axes])) {
@@ -319,6 +321,7 @@ const motorLeakage = (() => {
     word,
     unit,
     isPoor,
+    isNarrow,
     /* By the figure's id: what draws it for a night. */
     nightFigures: {},
   };

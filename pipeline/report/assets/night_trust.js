@@ -2,10 +2,11 @@
 "use strict";
 
 (() => {
-  const { COLOURS, decode, plain, text, format, element, show, word, unit } = motorLeakage;
+  const { COLOURS, decode, plain, text, format, element, show, word, unit, isNarrow } =
+    motorLeakage;
   const { INPUTS, unfitted, parameterName } = motorLeakage.ofNight;
 
-  const LONGEST_LABEL = 60;
+  const longestLabel = () => (isNarrow() ? 26 : 60);
 
   function waterfall(night) {
     const { starts, fit } = night;
@@ -92,7 +93,7 @@
     showgrid: false,
     tickvals: labels.map((_, at) => at),
     ticktext: labels.map((label) =>
-      text(label.length > LONGEST_LABEL ? `${label.slice(0, LONGEST_LABEL)}…` : label),
+      text(label.length > longestLabel() ? `${label.slice(0, longestLabel())}…` : label),
     ),
   });
 
@@ -217,7 +218,10 @@
       layout[`xaxis${number}`] = {
         domain: [place / 3 + (place ? 0.03 : 0), (place + 1) / 3 - 0.01],
         anchor: `y${number}`,
-        title: `${title}, ${itsUnit} (${format(minimum, 3)} to ${format(maximum, 3)})`,
+        title: {
+          text: `${title}<br>${format(minimum, 3)} to ${format(maximum, 3)} ${itsUnit}`,
+          font: { size: 11 },
+        },
         range: [
           Math.max(
             (Math.floor(minimum / width) - 1) * width,

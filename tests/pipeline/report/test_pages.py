@@ -250,6 +250,8 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
     visit(browser, report / "motors" / "CB400-02.html", f"#{NIGHTS[1]}")
     assert wait(browser, "return document.body.dataset.night") == NIGHTS[1]
+    top = "return document.getElementById('night').getBoundingClientRect().top"
+    assert 0 <= browser.execute_script(top) < 100
     drawn(browser)
     browser.execute_script("window.scrollTo(0, 0)")
     browser.execute_script(
@@ -259,7 +261,6 @@ def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
     )
     wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
     # It comes into view, and is marked there and in all charts over the nights.
-    top = "return document.getElementById('night').getBoundingClientRect().top"
     assert 0 <= browser.execute_script(top) < 100
     assert browser.find_elements(By.CSS_SELECTOR, "#night.chosen")
     marked = browser.execute_script(
