@@ -46,7 +46,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class FirstScreen:
-    """What the first screen of a motor's page draws, over its n nights.
+    """Content of the first screen of a motor's page, over its n nights.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ def first_screen(motor: MotorHistory, state: MotorState, declared: Sequence[str]
         if (course := motor.course(name)).is_known.any()
     ]
     leading, limits = _leading_limits(
-        motor, state, sorted(paths, key=places.get) if changes else []
+        motor, state, sorted(paths, key=places.__getitem__) if changes else []
     )
     if not changes and leading:
         changes = [Line(name_of(leading), None, _relative(motor, leading))]

@@ -122,7 +122,7 @@ class MotorState:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What else is to be known, in words."""
+        """Further notes on the motor, in words."""
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         notes = (dates, self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
         return tuple(note for note in notes if note)
@@ -135,7 +135,7 @@ class MotorState:
 
     @property
     def advice(self) -> str:
-        """What to do about the state, in words."""
+        """Advice on the state, in words."""
         if self.state in RAISED and self.reason and FALL in self.reason:
             return "Check oil, sensors and flushing first."
         if self.state in ("warning", "alarm"):
