@@ -442,7 +442,7 @@ def test_13_alarms_that_stand(ask: Any) -> None:
     assert sleeve["state"] == "alarm"
     assert night_of(WORN_AT) <= sleeve["since"] <= night_of(WORN_AT + 4)
     assert sleeve["path"] == "balance_sleeve"
-    assert sleeve["state_reason"].startswith("balance sleeve leakage +")
+    assert sleeve["state_reason"].startswith("balance sleeve gap +")
     assert sleeve["deviation_percent"] == pytest.approx(40.0, abs=6.0)
     assert (HEALTHY, "K_piston_ring") not in rows
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,7 +23,7 @@ from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
-    from pipeline.report import KnownMotor
+    from pipeline.report import ReportRequest
 
 
 def explain(
@@ -79,6 +78,7 @@ def report(
     Then open out/report/index.html. A further call only writes what has changed. Exit code
     1: a table file could not be read; the rest is there.
     """
+    from pipeline.clock import now
     from pipeline.config import Execution
     from pipeline.report import ReportRequest, build_report
 
@@ -88,19 +88,15 @@ def report(
             "report_motors", "--motors needs --to: the fleet's own report shows all motors"
         )
     tables = (output or (fleet.output if fleet else Path("out"))).resolve()
-    result = build_report(
-        ReportRequest(
-            output=tables,
-            folder=to or tables / "report",
-            fleet=fleet.name if fleet else "",
-            known=_known_to_report(fleet) if fleet else {},
-            motors=tuple(motors.split()),
-            nights=nights,
-            execution=(fleet.execution if fleet else Execution()).model_copy(
-                update={"workers": jobs}
-            ),
-        )
+    request = ReportRequest(
+        output=tables,
+        folder=to or tables / "report",
+        motors=tuple(motors.split()),
+        nights=nights,
+        execution=(fleet.execution if fleet else Execution()).model_copy(update={"workers": jobs}),
+        made=now(),
     )
+    result = build_report(_of_a_fleet(request, fleet) if fleet else request)
     typer.echo(
         f"{result.n_motors} motors, {result.n_nights} nights updated, {result.n_written} files "
         f"written, {result.n_removed} removed; open {result.index}"
@@ -165,14 +161,27 @@ def export(
         typer.echo(f"{file.path}: {file.n_rows} rows")
 
 
-def _known_to_report(fleet: Fleet) -> Mapping[str, KnownMotor]:
-    """Type and dated events of the config's motors, for the report."""
-    from pipeline.report import KnownMotor
+def _of_a_fleet(request: ReportRequest, fleet: Fleet) -> ReportRequest:
+    """The request with what only a fleet's config knows."""
+    from dataclasses import replace
 
-    return {
+    from pipeline.report import KnownMotor
+    from pipeline.telling.receivers import receivers_of
+
+    known = {
         spec.motor_id: KnownMotor(
             spec.file.motor_type,
             tuple(event.model_dump(exclude={"oil"}) for event in spec.file.events),
+            tuple(path.name for path in spec.motor_type.paths()),
         )
         for spec in fleet.motors
     }
+    settings = fleet.settings
+    return replace(
+        request,
+        fleet=fleet.name,
+        known=known,
+        zone=settings.nights.zone,
+        old_after_nights=settings.alarms.stale_after_nights,
+        receivers=receivers_of(settings.alarms),
+    )

@@ -16,7 +16,6 @@ from pipeline.errors import one_line
 from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus, MotorState
 from pipeline.store.heartbeat import FINISHED, RUNNING
-from pipeline.telling.outbox import Backlog
 
 # Colours only support the words of a state.
 COLOURS = {
@@ -75,7 +74,7 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
     if (line := _run_line(found)) is not None:
         yield line
-    yield from (_undelivered_line(one) for one in found.receivers if one.undelivered)
+    yield from (one.words for one in found.receivers if one.undelivered)
     if found.n_by_rules:
         yield (
             "changes of the program's rules: other states of past nights: "
@@ -96,14 +95,6 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
             f"parts named by alarms, after inspections: {one.named_right} right, {one.named_wrong} "
             f"wrong, {one.cannot_be_told} cannot be told, {one.missed} missed"
         )
-
-
-def _undelivered_line(one: Backlog) -> str:
-    why = f"; last try: {one.fault}" if one.fault else ""
-    return (
-        f"not delivered to {one.receiver}: {one.undelivered} changes of state, since "
-        f"{one.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
-    )
 
 
 def _run_line(found: FleetStatus) -> str | None:

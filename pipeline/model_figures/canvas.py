@@ -20,15 +20,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
+from pipeline.palette import COLOURS
 from pipeline.store.atomic_files import put
 
 ImageFormat = Literal["png", "svg"]
 Array: TypeAlias = NDArray[np.float64]
 Dashes: TypeAlias = str | tuple[int, tuple[int, ...]]
 
-# Of Okabe and Ito, "Color universal design", 2008: told apart with any kind of colour vision.
-# Line style, mark and hatch say the same again, for print in black and white.
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+# Line style, mark and hatch say the same as the colour, for print in black and white.
 DASHES: tuple[Dashes, ...] = (
     "-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3)),
 )  # fmt: skip

@@ -45,8 +45,8 @@ def films_figure(subject: ModelSubject, gaps: Sequence[AnnularGap]) -> Figure:
     ratios = [_ratios(subject, path, bars) for path in gaps]
     limits = _axis(ratios)
     _stribeck(stribeck, subject, gaps, limits)
-    for place, (path, ratio) in enumerate(zip(gaps, ratios, strict=True)):
-        line(pressure, bars, ratio, place, path.name)
+    for path, ratio in zip(gaps, ratios, strict=True):
+        line(pressure, bars, ratio, subject.places[path.name], path.name)
     for limit in sorted({end for ends in REGIME_TABLES[TABLE].values() for end in ends}):
         if limits[0] < limit < limits[1]:
             pressure.axhline(limit, color=QUIET, linewidth=0.8, linestyle=":")
@@ -92,7 +92,7 @@ def _stribeck(
         row = len(regimes) + place
         ends_bar = np.array([0.0, subject.pressure_bar])
         ends = _ratios(subject, path, ends_bar)
-        colour = pen(place).colour
+        colour = pen(subject.places[path.name]).colour
         axes.plot(ends, [row, row], color=colour, linewidth=1.2)
         for ratio, bar, fill in zip(ends, ends_bar, ("white", colour), strict=True):
             name = f"{bar:g} bar" if place == 0 else None

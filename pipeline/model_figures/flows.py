@@ -18,6 +18,8 @@ ALL_INTERFACES = "Leakage of the path / (ml/min)"
 _STEPS = 351
 _SPEED_STEPS = 251
 _BEYOND_RANGE = 1.3
+# Pen of a simulation's points.
+_POINTS = 5
 
 
 def speed_curve_figure(subject: ModelSubject, path: SpeedCurve) -> Figure:
@@ -38,24 +40,24 @@ def speed_curve_figure(subject: ModelSubject, path: SpeedCurve) -> Figure:
         mark=subject.marks(path),
     )
     curve = axes[0]
-    _speed_curve(curve, path)
+    _speed_curve(curve, path, subject.places[path.name])
     if points is not None:
-        dots(curve, points[:, 0], MILLILITRES * points[:, 1], 1, "points of the simulation")
+        dots(curve, points[:, 0], MILLILITRES * points[:, 1], _POINTS, "points of the simulation")
         _deviations(axes[1], path, points)
     curve.legend(loc="best")
     return figure
 
 
-def _speed_curve(axes: Axes, path: SpeedCurve) -> None:
+def _speed_curve(axes: Axes, path: SpeedCurve, place: int) -> None:
     low, high = path.speed_minimum_rpm, path.speed_maximum_rpm
     inside = np.linspace(low, high, _SPEED_STEPS)
-    line(axes, inside, _curve(path, inside), 0, "f(ω)")
+    line(axes, inside, _curve(path, inside), place, "f(ω)", "-")
     beyond = [np.array([high, _BEYOND_RANGE * high])]
     if low > 0.0:
         beyond.append(np.array([0.0, low]))
-    for place, speed in enumerate(beyond):
-        name = "end value, held beyond the range" if place == 0 else None
-        line(axes, speed, _curve(path, speed), 0, name, ":")
+    for number, speed in enumerate(beyond):
+        name = "end value, held beyond the range" if number == 0 else None
+        line(axes, speed, _curve(path, speed), place, name, ":")
         axes.axvspan(speed[0], speed[1], color=QUIET, alpha=0.12, linewidth=0.0)
     axes.set_xlim(0.0, _BEYOND_RANGE * high)
     axes.set_ylim(bottom=0.0)
@@ -65,8 +67,8 @@ def _speed_curve(axes: Axes, path: SpeedCurve) -> None:
 def _deviations(axes: Axes, path: SpeedCurve, points: Array) -> None:
     """Curve minus points."""
     difference = _curve(path, points[:, 0]) - MILLILITRES * points[:, 1]
-    axes.vlines(points[:, 0], 0.0, difference, color=pen(1).colour, linewidth=1.0)
-    dots(axes, points[:, 0], difference, 1)
+    axes.vlines(points[:, 0], 0.0, difference, color=pen(_POINTS).colour, linewidth=1.0)
+    dots(axes, points[:, 0], difference, _POINTS)
     axes.axhline(0.0, color="black", linewidth=0.8)
     rms = float(np.sqrt(np.mean(difference**2)))
     label(axes, f"(b) curve minus points, {rms:.3g} ml/min rms", SPEED, DIFFERENCE)
@@ -107,6 +109,7 @@ def _over_pressure(
         pressure * BAR,
         np.full_like(pressure, subject.speed_rpm),
     )
-    line(axes, pressure, MILLILITRES * coefficient * regressor, 0)
+    flow = MILLILITRES * coefficient * regressor
+    line(axes, pressure, flow, subject.places[path.name], dashes="-")
     label(axes, "", PRESSURE, flow_label)
     return figure

@@ -35,9 +35,9 @@ def shares_figure(subject: ModelSubject) -> Figure:
     highest = subject.highest_pressure_bar
     pressure = np.linspace(highest / _STEPS, highest, _STEPS)
     flows = path_flows_l_per_min(motor, subject.conditions(pressure))
-    _stack(flow, pressure, flows)
+    _stack(flow, pressure, flows, subject.places)
     label(flow, "(a) flow of each path, stacked", PRESSURE, "Flow / (l/min)")
-    _stack(share, pressure, _percent(subject, flows))
+    _stack(share, pressure, _percent(subject, flows), subject.places)
     reference = subject.conditions(np.array([subject.pressure_bar]))
     leakage = float(leakage_l_per_min(motor, reference)[0])
     label(
@@ -69,11 +69,13 @@ def _percent(subject: ModelSubject, flows: Mapping[str, Array]) -> dict[str, Arr
     }
 
 
-def _stack(axes: Axes, pressure: Array, layers: Mapping[str, Array]) -> None:
+def _stack(
+    axes: Axes, pressure: Array, layers: Mapping[str, Array], places: Mapping[str, int]
+) -> None:
     """Layers on one another, each with its colour and hatch, by path name."""
     below = np.zeros_like(pressure)
-    for place, (name, layer) in enumerate(layers.items()):
-        style = pen(place)
+    for name, layer in layers.items():
+        style = pen(places[name])
         axes.fill_between(
             pressure, below, below + layer, label=name, facecolor=style.colour, alpha=0.85,
             hatch=style.hatch, edgecolor="white", linewidth=0.5,

@@ -30,6 +30,7 @@ from pipeline.config.motor_types import (
 )
 from pipeline.config.settings import Settings
 from pipeline.errors import UsageError
+from pipeline.palette import path_places
 
 Array = NDArray[np.float64]
 
@@ -86,6 +87,11 @@ class ModelSubject:
         """End of every pressure axis."""
         simulated = [points[:, 0].max() for points in self.deformation_points.values()]
         return float(max(USUAL_HIGHEST_PRESSURE_BAR, self.pressure_bar, *simulated))
+
+    @property
+    def places(self) -> dict[str, int]:
+        """Place of each path among the pens."""
+        return path_places(path.name for path in self.motor.paths)
 
     def conditions(self, pressure_bar: Array) -> OperatingConditions:
         """Reference temperature and speed at each of some pressures, shape (n,)."""

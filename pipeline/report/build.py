@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 import polars as pl
 
@@ -16,6 +17,7 @@ from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
 from pipeline.report.encoding import script_json
 from pipeline.report.findings import scores
+from pipeline.report.first_screen import first_screen
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.manifest import (
@@ -30,13 +32,15 @@ from pipeline.report.manifest import (
 from pipeline.report.motor_page import motor_payload
 from pipeline.report.names import file_names
 from pipeline.report.night import night_payloads
-from pipeline.report.pages import ASSETS, FleetFacts, fleet_html, motor_html
+from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_html
 from pipeline.report.status import changed_by_rules
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
-from pipeline.report.trends import motor_states
+from pipeline.report.trends import changes_of_state, motor_states, trend_payload
 from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS, frame
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.outbox import backlogs
 from pipeline.workers.local import run_tasks
 from pipeline.workers.process import Loss
 
@@ -58,10 +62,13 @@ class KnownMotor:
         Its type.
     events
         Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
+    paths
+        Names of its leakage paths, in the config's order.
     """
 
     motor_type: str
     events: tuple[Mapping[str, Any], ...] = ()
+    paths: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +91,14 @@ class ReportRequest:
         Newest nights that get a file of their own; None for all.
     execution
         How many nights are made at the same time, and within which limits.
+    made
+        Time of making, which the fleet's page tells; None: it tells none.
+    zone
+        Time zone of the fleet.
+    old_after_nights
+        Nights after which a motor's newest data are old.
+    receivers
+        Receivers of alarms; what they have not taken is on the fleet's page.
     """
 
     output: Path
@@ -93,6 +108,10 @@ class ReportRequest:
     motors: tuple[str, ...] = ()
     nights: int | None = None
     execution: Execution = field(default_factory=lambda: Execution(backend="sequential"))
+    made: dt.datetime | None = None
+    zone: ZoneInfo = UTC
+    old_after_nights: int = 7
+    receivers: tuple[Receiver, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,11 +320,17 @@ def _make_pages(
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
     rows = fleet_rows(motors, names, types, motor_states(history, names))
+    name = request.fleet or history.fleet or "Fleet"
+    waiting = backlogs(request.output, request.receivers, name)
     facts = FleetFacts(
-        name=request.fleet or history.fleet or "Fleet",
+        name=name,
         first=span[0] if span else None,
         newest=span[1] if span else None,
         faults=(*history.faults, *faults),
+        undelivered=tuple(one.words for one in waiting if one.undelivered),
+        made=request.made,
+        zone=request.zone,
+        old_after_nights=request.old_after_nights,
     )
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
@@ -340,8 +365,18 @@ def _motor_page(
         {**event, "date": event["date"].isoformat()}
         for event in sorted(known.events, key=lambda event: event["date"])
     ]
-    payload = motor_payload(motor, name, detailed, history, events)
-    return motor_html(facts, row, motor, payload)
+    screen = first_screen(motor, row.state, known.paths)
+    trend = trend_payload(motor, history)
+    changes = changes_of_state(motor.motor_id, history)
+    since = row.state.known_since
+    told = [
+        {"night": change["night"].isoformat(), "state": change["to_state"]}
+        for change in changes
+        if change["indicator"] == row.state.indicator and since and change["night"] >= since
+    ]
+    payload = motor_payload(motor, screen, name, detailed, told, trend, events)
+    said = [one for one in history.decisions if one.motor_id == motor.motor_id]
+    return motor_html(facts, row, motor, screen, payload, changes, said)
 
 
 def _write_chart_library(folder: Path, before: ReportManifest, now: ReportManifest) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.report.first_screen import KINDS, drawn_kind
 from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.status import MotorState, urgency
@@ -17,6 +18,8 @@ from pipeline.report.words import SENSORS, STATUSES
 Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)
 RECENT_NIGHTS = 30
+# Indicator with the baseline of a leakage that is drawn.
+BASELINES = {"reference": REFERENCE, "frozen": OWN_REFERENCE, "comparable": COMPARABLE}
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +31,13 @@ class FleetRow:
     state
         As `motor-leakage status` prints it.
     leakage_kind
-        Conditions of the leakage that is drawn: `reference`, `frozen` or `own`.
+        Conditions of its leakage: `reference`, `frozen`, `comparable`, `own` or `flow`.
+    drawn_now
+        Its newest figure where the state has none for want of a baseline, l/min.
+    flow_now
+        Newest mean drain flow as measured, l/min; None without one.
+    newest_data
+        End of the newest data that were kept, UTC; None without any.
     validation_fit, previous_fit
         Of the last good night, percent.
     kept_percent
@@ -43,6 +52,9 @@ class FleetRow:
     page: str
     motor_type: str
     leakage_kind: str
+    drawn_now: float | None
+    flow_now: float | None
+    newest_data: dt.datetime | None
     line: Sparkline | None
     validation_fit: float | None
     previous_fit: float | None
@@ -82,41 +94,42 @@ def _row(
     state: MotorState,
     span: Span | None,
 ) -> FleetRow:
-    kind, course, baseline = _drawn(motor, state)
+    kind = drawn_kind(motor, state)
+    course = motor.leakages[kind]
+    level = motor.baseline(BASELINES[kind]) if kind in BASELINES else None
+    newest = motor.fits["window_end"].max()
+    assert newest is None or isinstance(newest, dt.datetime)
     good = motor.fits.filter(status="ok")
     last = good.row(-1, named=True) if good.height else {}
     days = np.array([night.toordinal() for night in motor.nights], dtype=np.int64)
     recent = _calendar(motor, span[1] if span else None)
-    known = [status for status in recent if status is not None]
+    there = [status for status in recent if status is not None]
     ends = (span[0].toordinal(), span[1].toordinal()) if span else None
     kept = good["kept_share"].tail(RECENT_NIGHTS).median() if good.height else None
     return FleetRow(
         state=state,
         page=page,
         motor_type=_motor_type(motor, types),
-        leakage_kind=kind,
-        line=sparkline(days, course, ends, baseline) if ends else None,
+        leakage_kind=KINDS.get(state.leakage_indicator or "", kind),
+        drawn_now=_newest(course) if state.leakage_night is None else None,
+        flow_now=_newest(motor.flow),
+        newest_data=newest,
+        line=sparkline(days, course, ends, level) if ends else None,
         validation_fit=last.get("validation_fit_percent"),
         previous_fit=last.get("previous_model_fit_percent"),
         kept_percent=100.0 * kept if isinstance(kept, float) else None,
-        n_recent_good=known.count("ok"),
-        n_recent=len(known),
+        n_recent_good=there.count("ok"),
+        n_recent=len(there),
         strip=strip(recent),
         strip_width=STEP * RECENT_NIGHTS,
-        strip_words=_in_words(known),
+        strip_words=_in_words(there),
         sensors=SENSORS.get(state.sensor_health or "", ""),
     )
 
 
-def _drawn(motor: MotorHistory, state: MotorState) -> tuple[str, Course, float | None]:
-    """Kind and course of the leakage to draw, and its baseline: that of the state if it has one."""
-    kinds = {REFERENCE: "reference", OWN_REFERENCE: "frozen", COMPARABLE: "comparable"}
-    kind = kinds.get(state.leakage_indicator or "") or motor.leakage_kind
-    course = motor.leakages.get(kind)
-    # A figure of the filter has no course of its own: what the fits know best is drawn.
-    drawn = kind if course is not None and course.is_known.any() else motor.leakage_kind
-    baselines = next((motor.baselines.get(name) for name in kinds if kinds[name] == drawn), None)
-    return kind, motor.leakages[drawn], baselines[-1][1] if baselines else None
+def _newest(course: Course) -> float | None:
+    known = course.value[course.is_known]
+    return float(known[-1]) if len(known) else None
 
 
 def _motor_type(motor: MotorHistory, types: Mapping[str, str]) -> str:

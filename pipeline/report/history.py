@@ -1,7 +1,4 @@
-"""A motor's course over its nights: leakage, its paths, how much each gap has changed.
-
-All figures come from the tables; gaps are relative to the motor's published baselines.
-"""
+"""A motor's course over its nights, from its fits and its trends."""
 
 from __future__ import annotations
 
@@ -14,15 +11,15 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pipeline.report.tables import ReportTables, by_motor
-from pipeline.schema import BASELINES, TRENDS, frame
+from pipeline.schema import TRENDS, frame
 
 Array = NDArray[np.float64]
 
 REFERENCE = "reference_leakage"
 OWN_REFERENCE = "own_reference_leakage"
 COMPARABLE = "comparable_drain_flow"
-NO_BASELINES = frame(BASELINES, [])
-COEFFICIENT_PREFIXES = ("K_", "C_", "scale_")
+FLOW = "drain_flow"
+NO_TRENDS = frame(TRENDS, [])
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +37,10 @@ class Course:
     upper: Array
 
     @classmethod
-    def empty(cls, n: int) -> Course:
-        """No value in any of n nights."""
-        return cls(*(np.full(n, np.nan) for _ in range(3)))
+    def without_interval(cls, value: Array) -> Course:
+        """A figure that has no interval in any night."""
+        nothing = np.full(len(value), np.nan)
+        return cls(value, nothing, nothing)
 
     @property
     def is_known(self) -> NDArray[np.bool_]:
@@ -63,28 +61,14 @@ class MotorHistory:
         Its primary fits in time order, one row a night, n of them; none for a motor without any.
     nights
         Labels of these nights.
-    reference, own
-        Leakage at the reference conditions, and at each night's own mean conditions, l/min.
-    frozen
-        Leakage at the motor's own reference conditions, frozen with its baseline, l/min; none
-        where no run has judged trends.
-    coefficients
-        Coefficient by name where it is identified, in the table's unit.
-    paths
-        Leakage of each path at the reference conditions by the path's name, l/min.
-    baselines
-        First night and mean of each baseline by coefficient, in time order.
+    trends
+        Its rows of `trends` by indicator, in time order; empty where no run has judged trends.
     """
 
     motor_id: str
     fits: pl.DataFrame
     nights: tuple[dt.date, ...]
-    reference: Course
-    own: Course
-    frozen: Course
-    coefficients: Mapping[str, Course]
-    paths: Mapping[str, Course]
-    baselines: Mapping[str, Sequence[tuple[dt.date, float]]]
+    trends: Mapping[str, pl.DataFrame]
 
     @property
     def statuses(self) -> list[str]:
@@ -93,8 +77,15 @@ class MotorHistory:
 
     @property
     def leakages(self) -> dict[str, Course]:
-        """Leakage by kind of conditions, the most comparable first."""
-        return {"reference": self.reference, "frozen": self.frozen, "own": self.own}
+        """Leakage by kind of conditions, the most comparable first; the bare drain flow last."""
+        judged = self.course(REFERENCE)
+        return {
+            "reference": judged if judged.is_known.any() else self._fitted(REFERENCE),
+            "frozen": self.course(OWN_REFERENCE),
+            "comparable": self.course(COMPARABLE),
+            "own": self._fitted("own_conditions_leakage"),
+            "flow": self.flow,
+        }
 
     @property
     def leakage_kind(self) -> str:
@@ -102,142 +93,55 @@ class MotorHistory:
         known = (kind for kind, course in self.leakages.items() if course.is_known.any())
         return next(known, "reference")
 
-    def gap_changes(self) -> dict[str, Course]:
-        """(K/K_baseline)^(1/3) − 1 in percent by path, of every K that has a baseline."""
-        changes = {}
-        for name, course in self.coefficients.items():
-            if not name.startswith("K_") or name not in self.baselines:
-                continue
-            starts, means = zip(*self.baselines[name], strict=True)
-            place = np.searchsorted(_stamps(starts), _stamps(self.nights), side="right") - 1
-            level = np.array(means)[np.maximum(place, 0)]
-            # The lower end of a wide interval may be negative: its gap is then closed.
-            parts = (course.value, np.maximum(course.lower, 0.0), course.upper)
-            changes[name.removeprefix("K_")] = Course(
-                *(100.0 * (np.cbrt(part / level) - 1.0) for part in parts)
-            )
-        return changes
+    @property
+    def flow(self) -> Course:
+        """Mean drain flow of each night, not fitted, l/min."""
+        flow = self.course(FLOW).value
+        measured = self.fits["mean_flow_l_per_min"].cast(pl.Float64).to_numpy()
+        return Course.without_interval(np.where(np.isfinite(flow), flow, measured))
+
+    def course(self, indicator: str) -> Course:
+        """Figures of an indicator in the nights that count."""
+        rows = self.trends.get(indicator, NO_TRENDS).filter(pl.col("gated_reason").is_null())
+        return Course(*(self._placed(rows, name) for name in ("value", "lower", "upper")))
+
+    def column(self, indicator: str, name: str) -> Array:
+        """A column of an indicator's rows, shape (n,)."""
+        return self._placed(self.trends.get(indicator, NO_TRENDS), name)
+
+    def baseline(self, indicator: str) -> float | None:
+        """Mean of an indicator's newest baseline; None without one."""
+        means = self.trends.get(indicator, NO_TRENDS)["baseline_mean"].drop_nulls()
+        return float(means[-1]) if len(means) else None
+
+    def _placed(self, rows: pl.DataFrame, name: str) -> Array:
+        """Figures of some nights among all nights of the motor."""
+        figures = np.full(len(self.nights), np.nan)
+        stamps = np.array(self.nights, dtype="datetime64[D]")
+        labels = rows["night"].to_numpy().astype("datetime64[D]")
+        is_there = np.isin(labels, stamps)
+        place = np.searchsorted(stamps, labels[is_there])
+        figures[place] = rows[name].cast(pl.Float64).to_numpy()[is_there]
+        return figures
+
+    def _fitted(self, name: str) -> Course:
+        columns = (f"{name}_l_per_min", f"{name}_lower", f"{name}_upper")
+        return Course(*(self.fits[column].cast(pl.Float64).to_numpy() for column in columns))
 
 
 def motor_histories(history: ReportTables, motors: Sequence[str]) -> Iterator[MotorHistory]:
     """The history of each motor."""
     fits = by_motor(history.fits)
-    parameters = by_motor(history.parameters)
-    own_leakage = by_motor(_own_reference(history.trends))
-    baselines = by_motor(history.trends.get("baselines", NO_BASELINES))
+    trends = by_motor(history.trends.get("trends", NO_TRENDS))
     for motor_id in motors:
-        rows = fits.get(motor_id, history.fits.clear())
-        stamps = rows["night"].to_numpy().astype("datetime64[D]")
-        yield _motor_history(
+        own = fits.get(motor_id, history.fits.clear())
+        judged = trends.get(motor_id, NO_TRENDS).sort("indicator", "night")
+        yield MotorHistory(
             motor_id,
-            rows,
+            own,
+            tuple(own["night"].to_list()),
             {
-                part["parameter"][0]: _over(stamps, part)
-                for part in parameters.get(motor_id, history.parameters.clear()).partition_by(
-                    "parameter", maintain_order=True
-                )
+                part["indicator"][0]: part
+                for part in judged.partition_by("indicator", maintain_order=True)
             },
-            frozen=_placed(stamps, own_leakage[motor_id])
-            if motor_id in own_leakage
-            else Course.empty(len(stamps)),
-            baselines=_baselines(baselines.get(motor_id, NO_BASELINES)),
         )
-
-
-def _own_reference(trends: Mapping[str, pl.DataFrame]) -> pl.DataFrame:
-    """Leakage at the motors' own reference conditions, as the trends have it."""
-    rows = trends.get("trends", frame(TRENDS, []))
-    columns = ("motor_id", "night", "value", "lower", "upper")
-    return rows.filter(indicator=OWN_REFERENCE).select(columns)
-
-
-def _baselines(rows: pl.DataFrame) -> dict[str, list[tuple[dt.date, float]]]:
-    """First night and mean of each baseline by indicator; of those frozen anew the last."""
-    last = rows.sort("indicator", "start", "night").unique(
-        ["indicator", "start"], keep="last", maintain_order=True
-    )
-    found: dict[str, list[tuple[dt.date, float]]] = {}
-    for indicator, start, mean in last.select("indicator", "start", "mean").drop_nulls().rows():
-        found.setdefault(indicator, []).append((start, mean))
-    return found
-
-
-def _motor_history(
-    motor_id: str,
-    fits: pl.DataFrame,
-    courses: Mapping[str, Course],
-    *,
-    frozen: Course,
-    baselines: Mapping[str, Sequence[tuple[dt.date, float]]],
-) -> MotorHistory:
-    nights = fits["night"].to_list()
-    reference = _leakage(fits, REFERENCE)
-    coefficients = {
-        name: course
-        for name, course in courses.items()
-        if name.startswith(COEFFICIENT_PREFIXES) and np.isfinite(course.lower).any()
-    }
-    return MotorHistory(
-        motor_id=motor_id,
-        fits=fits,
-        nights=tuple(nights),
-        reference=reference,
-        own=_leakage(fits, "own_conditions_leakage"),
-        frozen=frozen,
-        coefficients=coefficients,
-        paths=_path_leakage(reference, courses),
-        baselines=baselines,
-    )
-
-
-def _stamps(nights: Sequence[dt.date]) -> NDArray[np.datetime64]:
-    return np.array(nights, dtype="datetime64[D]")
-
-
-def _leakage(fits: pl.DataFrame, name: str) -> Course:
-    columns = (f"{name}_l_per_min", f"{name}_lower", f"{name}_upper")
-    return Course(*(fits[column].cast(pl.Float64).to_numpy() for column in columns))
-
-
-def _over(stamps: NDArray[np.datetime64], rows: pl.DataFrame) -> Course:
-    """A parameter over the nights, in those in which the data determine it."""
-    return _placed(
-        stamps, rows.filter(pl.col("verdict").is_in(["identified", "uncertain", "fixed"]))
-    )
-
-
-def _placed(stamps: NDArray[np.datetime64], rows: pl.DataFrame) -> Course:
-    """Figures of some nights among all nights of the motor."""
-    course = Course.empty(len(stamps))
-    labels = rows["night"].to_numpy().astype("datetime64[D]")
-    is_there = np.isin(labels, stamps)
-    place = np.searchsorted(stamps, labels[is_there])
-    for name in ("value", "lower", "upper"):
-        getattr(course, name)[place] = rows[name].to_numpy()[is_there]
-    return course
-
-
-def _path_leakage(reference: Course, courses: Mapping[str, Course]) -> dict[str, Course]:
-    """Leakage by path: its share of the reference leakage, with the interval of its coefficient.
-
-    A path's leakage is its coefficient times a factor that the conditions fix, so that both have
-    one relative interval; a path whose coefficient is held fixed has none.
-    """
-    paths = {}
-    for name, share in courses.items():
-        if not name.startswith("share_") or not share.is_known.any():
-            continue
-        path = name.removeprefix("share_")
-        flow = share.value * reference.value
-        coefficient = next(
-            (
-                courses[f"{kind}{path}"]
-                for kind in COEFFICIENT_PREFIXES
-                if f"{kind}{path}" in courses
-            ),
-            Course.empty(len(flow)),
-        )
-        with np.errstate(divide="ignore", invalid="ignore"):
-            each = flow / coefficient.value
-        paths[path] = Course(flow, coefficient.lower * each, coefficient.upper * each)
-    return paths

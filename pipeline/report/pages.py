@@ -9,20 +9,36 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
+from zoneinfo import ZoneInfo
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from leakage.validation import is_poor
+from leakage.validation import POOR_FIT_PERCENT, is_poor
+from pipeline.palette import COLOURS
 from pipeline.report.encoding import script_json
 from pipeline.report.findings import Score
+from pipeline.report.first_screen import FirstScreen
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
+from pipeline.report.motor_page import reference_conditions
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
 from pipeline.report.status import ORDER
-from pipeline.report.words import ABSENT, LEAKAGE_KINDS, STATES, STATUSES, figure, plain, signed
-from pipeline.trends.words import name_of
+from pipeline.report.words import (
+    ABSENT,
+    DECISIONS,
+    LEAKAGE_KINDS,
+    STATES,
+    STATUSES,
+    figure,
+    plain,
+    sentence,
+    signed,
+)
+from pipeline.trends.decisions import Decision
+from pipeline.trends.words import day, name_of
 
 FOLDER = Path(__file__).parent
+UTC = ZoneInfo("UTC")
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
 
 
@@ -36,12 +52,24 @@ class FleetFacts:
         The fleet's first and newest night.
     faults
         Table files that could not be read.
+    undelivered
+        Alarms that a receiver has not taken, in words.
+    made
+        Time of making; None: it is not told.
+    zone
+        Time zone of the fleet.
+    old_after_nights
+        Nights after which a motor's newest data are old.
     """
 
     name: str
     first: dt.date | None
     newest: dt.date | None
-    faults: tuple[str, ...]
+    faults: tuple[str, ...] = ()
+    undelivered: tuple[str, ...] = ()
+    made: dt.datetime | None = None
+    zone: ZoneInfo = UTC
+    old_after_nights: int = 7
 
 
 def fleet_html(
@@ -67,10 +95,18 @@ def fleet_html(
 
 
 def motor_html(
-    facts: FleetFacts, row: FleetRow, motor: MotorHistory, payload: dict[str, Any]
+    facts: FleetFacts,
+    row: FleetRow,
+    motor: MotorHistory,
+    screen: FirstScreen,
+    payload: Mapping[str, Any],
+    changes: Sequence[Mapping[str, Any]],
+    decisions: Sequence[Decision],
 ) -> str:
-    """The page of one motor."""
+    """The page of one motor; its changes of state and decisions come with the newest first."""
     last = motor.fits.row(-1, named=True) if motor.nights else None
+    gaps = {line.name: line for line in screen.changes if line.place is not None}
+    flows = {line.name: line for line in screen.paths}
     return (
         _environment()
         .get_template("motor.html")
@@ -79,7 +115,11 @@ def motor_html(
             row=row,
             last=last,
             payload=script_json(payload),
-            conditions=payload["conditions"],
+            conditions=reference_conditions(motor),
+            paths=[(name, gaps.get(name), flows.get(name)) for name in {**flows, **gaps}],
+            gaps_known=bool(gaps or not screen.changes),
+            changes=changes,
+            decisions=decisions,
             has_trend=bool(payload["trend"]["indicators"]),
         )
     )
@@ -96,22 +136,23 @@ def _environment() -> Environment:
     )
     environment.tests["poor"] = is_poor
     environment.filters |= {
+        "day": day,
+        "decision": lambda code: DECISIONS.get(code, code),
         "figure": figure,
         "indicator": name_of,
         "plain": plain,
+        "sentence": sentence,
         "signed": signed,
-        "status": _status,
+        "status": lambda code: STATUSES.get(code, code),
     }
     environment.globals |= {
         "absent": ABSENT,
+        "colours": COLOURS,
         "kinds": LEAKAGE_KINDS,
+        "poor_fit_percent": POOR_FIT_PERCENT,
         "states": STATES,
         "spark_width": WIDTH,
         "spark_height": HEIGHT,
         "strip_height": STRIP_HEIGHT,
     }
     return environment
-
-
-def _status(code: str) -> str:
-    return STATUSES.get(code, code)

@@ -22,7 +22,7 @@ from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.words import limit_dates
+from pipeline.trends.words import FALL, limit_dates, name_of
 
 Row = dict[str, Any]
 
@@ -38,6 +38,13 @@ TONIGHTS_FITS = ("training_fit_percent", "validation_fit_percent")
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = ("warning", "alarm", "common_cause")
 TOLD = (*RAISED, "stale")
+ADVICE = {
+    "common_cause": "Check oil, temperature and charge pressure of the circuit first.",
+    "duty_outside": "Begin a new baseline if this duty is to stay.",
+    "stale": "Check whether the motor's logs arrive, and the reason of its last nights.",
+    "insufficient": "Wait for more good nights.",
+    "ok": "Nothing to do.",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +88,10 @@ class MotorState:
         That the model does not describe the motor, in words; empty where it does.
     oil
         The oil as measured, in words; empty where its data sheet holds.
+    path
+        Paths whose growth explains the state; None where none is told.
+    known_since
+        First night of the indicator's stretch of warnings, alarms or common causes; None without.
     """
 
     motor_id: str
@@ -107,17 +118,46 @@ class MotorState:
     temperature_effect: str = ""
     model_misfit: str = ""
     oil: str = ""
+    path: str | None = None
+    known_since: dt.date | None = None
+
+    @property
+    def sentence(self) -> str:
+        """The state in words."""
+        return self.reason or "no change of external leakage"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Further notes on the motor, in words."""
+        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
+        oil = "" if self.oil in self.sentence else self.oil
+        beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
+        return tuple(note for note in (dates, *beside, oil) if note)
 
     @property
     def why(self) -> str:
-        """The state in words, with what else is to be known, and an acknowledgement."""
-        dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
-        reason = self.reason or "no change of external leakage"
-        beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
-        oil = "" if self.oil in reason else self.oil
-        parts = (reason, dates, *beside, oil)
-        words = "; ".join(part for part in parts if part)
+        """The sentence with its notes, and an acknowledgement."""
+        words = "; ".join((self.sentence, *self.notes))
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
+
+    @property
+    def advice(self) -> str:
+        """Advice on the state, in words."""
+        if self.state in RAISED and self.reason and FALL in self.reason:
+            return "Check oil, sensors and flushing first."
+        if self.state in ("warning", "alarm"):
+            look = "Look at" if self.state == "alarm" else "Plan a look at"
+            parts = (self.path or "").replace("_", " ").replace(" and ", " and the ")
+            found = f"the {parts}" if parts else "the motor, as its part is not known,"
+            return f"{look} {found}{' at the next stop' if self.state == 'alarm' else ''}."
+        if self.failure and self.state not in CHANGED:
+            return "Mend what failed in the last night."
+        return ADVICE[self.state]
+
+    @property
+    def needs_attention(self) -> bool:
+        """The state asks for something, or the last night failed."""
+        return self.state in TOLD or bool(self.failure)
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,6 +313,8 @@ def motor_state(
         leakage_verdict=_verdict(fits, leakage_night, leakage),
         gap_path=gap["indicator"].removeprefix(GAP) if gap else None,
         gap_change_percent=gap.get("value"),
+        path=_paths(worst, watched),
+        known_since=_known_since(worst, trends),
         limit_dates="" if is_ok else limit_dates(worst),
         temperature_effect=next(iter(effects), None) or "",
         model_misfit=next(iter(misfits), None) or "",
@@ -345,6 +387,24 @@ def _poor_fit(fits: pl.DataFrame) -> str:
     return ""
 
 
+def _paths(worst: Row, watched: pl.DataFrame) -> str | None:
+    """Paths behind the worst indicator: all gaps in its state, if it is one of a gap."""
+    if not worst["indicator"].startswith("K_"):
+        return None if worst["path"] is None else str(worst["path"])
+    beside = watched.filter(pl.col("indicator").str.starts_with("K_"), state=worst["state"])
+    gaps = dict.fromkeys((worst["indicator"], *beside["indicator"]))
+    return " and ".join(name.removeprefix("K_") for name in gaps)
+
+
+def _known_since(worst: Row, trends: pl.DataFrame) -> dt.date | None:
+    """First night of an indicator's stretch of states that tell a change; None if it has none."""
+    own = trends.filter(indicator=worst["indicator"]).sort("night")
+    is_told = pl.col("state").is_in(CHANGED)
+    before = _last(own.filter(~is_told))
+    told = own.filter(is_told) if before is None else own.filter(is_told, pl.col("night") > before)
+    return None if worst["state"] not in CHANGED else told["night"][0]
+
+
 def _acknowledged(
     worst: dict[str, object], trends: pl.DataFrame, decisions: Sequence[Decision]
 ) -> str:
@@ -367,7 +427,7 @@ def last_alarm(
 ) -> tuple[str, dt.date]:
     """The indicator of a name, and the night of its last alarm in one of some states.
 
-    The name is that in the tables (``K_piston_ring``) or in words (piston ring leakage).
+    The name is that in the tables (``K_piston_ring``) or in words (piston ring gap).
 
     Raises
     ------
@@ -389,10 +449,13 @@ def last_alarm(
 
 
 def _in_words(indicators: Sequence[str]) -> dict[str, str]:
-    """Indicators by all that they are called; a path's name alone is its leakage."""
-    from pipeline.trends.words import name_of  # heavy, and seldom needed
-
-    paths = {_plain(one.removeprefix("K_")): one for one in indicators if one.startswith("K_")}
+    """Indicators by all that they are called; a path is called by its name alone, too."""
+    paths = {
+        _plain(one.removeprefix("K_") + also): one
+        for one in indicators
+        if one.startswith("K_")
+        for also in ("", " leakage")
+    }
     names = {_plain(name): one for one in indicators for name in (one, name_of(one))}
     return paths | names
 

@@ -66,8 +66,6 @@ class ReportTables:
     ----------
     fits
         The primary fit of each motor and night, sorted by motor and night.
-    parameters
-        Parameters of those fits.
     trends
         Tables of trends and alarms by name, as far as they are there.
     decisions
@@ -79,7 +77,6 @@ class ReportTables:
     """
 
     fits: pl.DataFrame
-    parameters: pl.DataFrame
     trends: Mapping[str, pl.DataFrame] = field(default_factory=dict)
     decisions: tuple[Decision, ...] = ()
     fleet: str = ""
@@ -124,26 +121,17 @@ def read_tables(output: Path) -> ReportTables:
         If a file is of a newer version of the program.
     """
     fits = _read(night_paths(output, FITS).values(), FITS)
-    wanted = pl.col("parameter").str.contains("^(K_|C_|scale_|share_)")
-    columns = [*FIT_KEY_NAMES, "parameter", "value", "unit", "lower", "upper", "verdict"]
-    parameters = _read(night_paths(output, PARAMETERS).values(), PARAMETERS, columns, wanted)
     runs = _read(_all_files(output, RUNS), RUNS, ["started_at", "fleet"])
     trends = {
         table.name: _read(night_paths(output, table).values(), table) for table in TREND_TABLES
     }
-    primary = fits.rows.filter("is_primary").sort("motor_id", "night")
     newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
     return ReportTables(
-        fits=primary,
-        parameters=parameters.rows.join(
-            primary.select(FIT_KEY_NAMES), on=FIT_KEY_NAMES, how="semi"
-        ).sort("motor_id", "parameter", "night"),
+        fits=fits.rows.filter("is_primary").sort("motor_id", "night"),
         trends={name: read.rows for name, read in trends.items() if read.rows.height},
         decisions=read_decisions(output),
         fleet=newest[-1] if len(newest) else "",
-        faults=tuple(
-            fault for read in (fits, parameters, runs, *trends.values()) for fault in read.faults
-        ),
+        faults=tuple(fault for read in (fits, runs, *trends.values()) for fault in read.faults),
     )
 
 
@@ -160,7 +148,6 @@ def _read(
     paths: Iterable[Path],
     table: Table,
     columns: Sequence[str] | None = None,
-    wanted: pl.Expr | None = None,
 ) -> Read:
     """Rows of some files of a table one below the other; damaged files are left out and named."""
     columns = list(table.schema) if columns is None else columns
@@ -172,7 +159,7 @@ def _read(
             if error.code != "store_read":
                 raise
             return error.message
-        return (rows if wanted is None else rows.filter(wanted)).select(columns)
+        return rows.select(columns)
 
     paths = list(paths)
     if len(paths) < READING_THREADS:

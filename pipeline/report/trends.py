@@ -1,26 +1,30 @@
-"""Trends, alarms, baselines, change points and decisions of a motor, as its page shows them."""
+"""Trends, baselines, change points and changes of state of a motor, as its page shows them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
+from pipeline.report.history import MotorHistory
 from pipeline.report.status import ORDER, MotorState, motor_state
 from pipeline.report.tables import ReportTables, by_motor
-from pipeline.schema import TRENDS, frame
+from pipeline.report.words import plain
+from pipeline.schema import ALARMS, TRENDS, frame
 from pipeline.thinning import keep_extremes
-from pipeline.trends.decisions import Decision
 from pipeline.trends.words import limit_dates, name_of
 
 Payload = dict[str, Any]
 
 # A motor has some fifteen indicators; of each no more nights are drawn than that, extremes kept.
 PLOTTED_NIGHTS = 600
+# Indicators that the first screen shows.
+FIRST_SCREEN = ("gap_change_", "leakage_")
+# Of changes of state a page lists the newest.
+SHOWN_CHANGES = 200
 # Of the newest night of an indicator, beside its course.
 LATEST = (
     "baseline_mean",
@@ -70,29 +74,31 @@ def motor_states(history: ReportTables, motors: Iterable[str]) -> dict[str, Moto
     }
 
 
-def trend_payload(motor_id: str, history: ReportTables) -> Payload:
+def trend_payload(motor: MotorHistory, history: ReportTables) -> Payload:
     """Trends of a motor for its page; empty lists where there are none."""
     own = {
-        name: rows.filter(motor_id=motor_id).drop("run_id", "motor_id")
-        for name, rows in history.trends.items()
+        name: history.trends[name].filter(motor_id=motor.motor_id).drop("run_id", "motor_id")
+        for name in ("baselines", "change_points")
+        if name in history.trends
     }
     return {
         "order": ORDER,
-        "indicators": _indicators(own.get("trends")),
-        "alarms": _records(own.get("alarms")),
+        "indicators": _indicators(motor),
         "baselines": _baselines_in_use(own.get("baselines")),
         "change_points": _newest_change_points(own.get("change_points")),
-        "decisions": _decisions(motor_id, history.decisions),
     }
 
 
-def _indicators(rows: pl.DataFrame | None) -> list[Payload]:
+def changes_of_state(motor_id: str, history: ReportTables) -> list[dict[str, Any]]:
+    """A motor's newest rows of `alarms`, the newest first."""
+    rows = history.trends.get(ALARMS.name, frame(ALARMS, [])).filter(motor_id=motor_id)
+    return rows.sort("time", "indicator", descending=[True, False]).head(SHOWN_CHANGES).to_dicts()
+
+
+def _indicators(motor: MotorHistory) -> list[Payload]:
     """Those that ask for attention first; before others those that alarms are raised on."""
-    if rows is None:
-        return []
-    ordered = rows.sort("indicator", "night")
     indicators = [
-        _indicator(part) for part in ordered.partition_by("indicator", maintain_order=True)
+        _indicator(rows) for name, rows in motor.trends.items() if not name.startswith(FIRST_SCREEN)
     ]
     return sorted(
         indicators,
@@ -107,7 +113,7 @@ def _indicator(rows: pl.DataFrame) -> Payload:
     states = rows["state"].to_list()
     return {
         "indicator": last["indicator"],
-        "name": name_of(last["indicator"]),
+        "name": _name(last["indicator"]),
         "unit": last["unit"],
         "days": whole_numbers(rows["night"].to_physical().to_numpy()[places]),
         # A digit for each night: the place of its state in the order of urgency.
@@ -116,6 +122,12 @@ def _indicator(rows: pl.DataFrame) -> Payload:
         "latest": {name: last[name] for name in LATEST if last[name] is not None},
         "limitDates": limit_dates(last),
     }
+
+
+def _name(indicator: str) -> str:
+    """An indicator's name for analysts, who know K."""
+    path = indicator.removeprefix("K_")
+    return name_of(indicator) if path == indicator else f"K of the {plain(path)}"
 
 
 def _baselines_in_use(rows: pl.DataFrame | None) -> list[Payload]:
@@ -131,10 +143,6 @@ def _newest_change_points(rows: pl.DataFrame | None) -> list[Payload]:
         return []
     newest = pl.col("night") == pl.col("night").max().over("indicator")
     return _records(rows.filter(newest).sort("indicator", "change_night"))
-
-
-def _decisions(motor_id: str, decisions: Sequence[Decision]) -> list[Payload]:
-    return [_plain(asdict(one).items()) for one in decisions if one.motor_id == motor_id]
 
 
 def _records(rows: pl.DataFrame | None) -> list[Payload]:

@@ -54,21 +54,23 @@ TESTS: Final[Mapping[str, str]] = {
     "not_tested": "not tested",
     "none": "",
 }
-# Conditions of a leakage, where they are not the reference conditions.
 LEAKAGE_KINDS: Final[Mapping[str, str]] = {
-    "reference": "",
-    "frozen": "at the motor's own conditions",
+    "reference": "leakage at the reference conditions",
+    "frozen": "leakage at the motor's own conditions",
     "comparable": "drain flow at the reference conditions, not fitted",
+    "own": "leakage at each night's conditions",
+    "flow": "drain flow as measured",
 }
 SENSORS: Final[Mapping[str, str]] = {"ok": "where they were", "drifted": "have moved"}
+# A state has the name that the tables have; the pages say its meaning beside.
 STATES: Final[Mapping[str, str]] = {
-    "ok": "no change",
-    "warning": "warning",
-    "alarm": "alarm",
-    "common_cause": "common cause",
-    "duty_outside": "duty outside the baseline",
-    "stale": "no recent figure",
-    "insufficient": "too little data",
+    "alarm": "an indicator lies beyond its alarm limit",
+    "warning": "an indicator lies beyond its warning limit",
+    "common_cause": "all motors of an oil circuit have moved",
+    "duty_outside": "load, temperature or speed is none that the baseline has seen",
+    "stale": "no trusted figure for more than a week",
+    "insufficient": "too few good nights for a baseline",
+    "ok": "no change of external leakage; wear that leaks from port to port does not show",
 }
 TIMES_TO_LIMIT: Final[Mapping[str, str]] = {
     "no_trend": "no trend towards it",
@@ -101,6 +103,17 @@ def plain(name: str) -> str:
     return name.replace("_", " ")
 
 
+def sentence(words: str) -> str:
+    """Words of a state as a sentence.
+
+    Examples
+    --------
+    >>> sentence("piston ring gap +30 %")
+    'Piston ring gap +30 %.'
+    """
+    return f"{words[:1].upper()}{words[1:]}{'' if words.endswith('.') else '.'}"
+
+
 def for_scripts() -> dict[str, Mapping[str, str]]:
     """All words that the scripts of a page need, as they are handed to it."""
     return {
@@ -111,7 +124,6 @@ def for_scripts() -> dict[str, Mapping[str, str]]:
         "rules": {name: reason.words for name, reason in QUALITY_REASONS.items()},
         "flushing": FLUSHING,
         "tests": TESTS,
-        "states": STATES,
         "timesToLimit": TIMES_TO_LIMIT,
         "decisions": DECISIONS,
         "events": EVENTS,

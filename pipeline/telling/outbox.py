@@ -90,6 +90,15 @@ class Backlog:
     since: dt.datetime | None
     fault: str | None
 
+    @property
+    def words(self) -> str:
+        """The undelivered rows in words."""
+        why = f"; last try: {self.fault}" if self.fault else ""
+        return (
+            f"not delivered to {self.receiver}: {self.undelivered} changes of state, since "
+            f"{self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+        )
+
 
 def read_outbox(output: Path) -> Outbox | None:
     """The outbox, from the first file that is whole; None without one.

@@ -13,11 +13,9 @@ from pipeline.trends.explanation_words import why_words
 from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
 from pipeline.trends.night_records import FLUSHING
 from pipeline.trends.standing import CHANGED, RAISED, Standing
-from pipeline.trends.words import limit_words, moved_words, size_words, unknown_words
+from pipeline.trends.words import FALL, limit_words, moved_words, size_words, unknown_words
 
 Array = NDArray[np.float64]
-
-FALL = "a fall is no wear but another oil, a sensor, the flushing, a filled gap or a new part"
 
 
 def why_state(standing: Standing, name: str, place: int, behind: Posterior | None) -> str:

@@ -22,7 +22,7 @@ from pipeline.trends.explanations import Why
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, Indicator
 from pipeline.trends.segments import Segment, segments
-from pipeline.trends.words import day, name_of
+from pipeline.trends.words import day, name_of, relative_change
 
 Array = NDArray[np.float64]
 Kind: TypeAlias = Literal["exchange", "alike", "circuit", "fall"]
@@ -226,7 +226,8 @@ def _until(part: Segment, told: int, members: Sequence[tuple[Array, Jump]]) -> i
 
 def _moved_words(steps: Mapping[str, float]) -> str:
     return ", ".join(
-        f"{name_of(name)} {100 * np.expm1(step):+.0f} %" for name, step in steps.items()
+        f"{name_of(name)} {100 * relative_change(name, np.expm1(step)):+.0f} %"
+        for name, step in steps.items()
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -25,6 +26,7 @@ NAMES = {
     "pressure_zero": "zero of the pressure sensor",
     "flow_zero": "zero of the flow sensor",
 }
+FALL = "a fall is no wear but another oil, a sensor, the flushing, a filled gap or a new part"
 # Statuses of a time to a limit that have dates.
 DATED = ("finite", "not_before", "beyond_horizon")
 # Days ahead up to which a date is told to the day, not to the month.
@@ -46,14 +48,14 @@ MONTHS = (
 
 
 def name_of(indicator: str) -> str:
-    """An indicator's name for people.
+    """An indicator's name for people: a loss factor K stands for its gap, K ∝ h³.
 
     Examples
     --------
     >>> name_of("K_balance_sleeve"), name_of("reference_leakage")
-    ('balance sleeve leakage', 'reference leakage')
+    ('balance sleeve gap', 'reference leakage')
     """
-    for prefix, what in (("K_", "leakage"), ("leakage_", "leakage"), ("gap_change_", "gap")):
+    for prefix, what in (("K_", "gap"), ("leakage_", "leakage"), ("gap_change_", "gap")):
         if indicator.startswith(prefix):
             return f"{indicator.removeprefix(prefix).replace('_', ' ')} {what}"
     return NAMES.get(indicator, indicator.replace("_", " "))
@@ -128,21 +130,34 @@ def temperature_words(frozen: TemperatureCorrection) -> str:
 def size_words(indicator: str, size: ChangeSize, since: object) -> str:
     """Rise of an indicator and its date, in words; or that the rise is undone.
 
+    Of a loss factor K the change of the gap height is told, (1 + change of K)^⅓ − 1.
+
     Examples
     --------
     >>> size_words("K_balance_sleeve", ChangeSize(9, 0.38, 0.29, 0.47, 10), "2026-10-03")
-    'balance sleeve leakage +38 % [29, 47] since 3 October 2026'
-    >>> size_words("K_balance_sleeve", ChangeSize(9, -0.057, -0.1, -0.014, 10), "2026-10-03")
-    'balance sleeve leakage is down to -5.7 % [-10.0, -1.4] after a rise since 3 October 2026'
+    'balance sleeve gap +11 % [9, 14] since 3 October 2026'
+    >>> size_words("reference_leakage", ChangeSize(9, -0.057, -0.1, -0.014, 10), "2026-10-03")
+    'reference leakage is down to -5.7 % [-10.0, -1.4] after a rise since 3 October 2026'
     """
-    digits = 0 if abs(size.relative) >= 0.1 else 1
-    figures = (
-        f"{100 * size.relative:+.{digits}f} % "
-        f"[{100 * size.lower:.{digits}f}, {100 * size.upper:.{digits}f}]"
+    change, lower, upper = (
+        relative_change(indicator, one) for one in (size.relative, size.lower, size.upper)
     )
-    if size.relative <= 0.0:
+    digits = 0 if abs(change) >= 0.1 else 1
+    figures = f"{100 * change:+.{digits}f} % [{100 * lower:.{digits}f}, {100 * upper:.{digits}f}]"
+    if change <= 0.0:
         return f"{name_of(indicator)} is down to {figures} after a rise since {day(since)}"
     return f"{name_of(indicator)} {figures} since {day(since)}"
+
+
+def relative_change(indicator: str, change: float) -> float:
+    """Relative change as it is told: of K that of its gap height, of others as it is.
+
+    Examples
+    --------
+    >>> round(relative_change("K_piston_ring", 1.197), 3), relative_change("drain_flow", 0.2)
+    (0.3, 0.2)
+    """
+    return math.cbrt(max(1.0 + change, 0.0)) - 1.0 if indicator.startswith("K_") else change
 
 
 def limit_words(indicator: str, value: float, limit: float, unit: str) -> str:

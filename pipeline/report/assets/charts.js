@@ -2,10 +2,12 @@
 "use strict";
 
 const motorLeakage = (() => {
+  const page = JSON.parse(document.getElementById("payload").textContent);
+
+  /* Lines that are no path; text, grids and papers have their colours from the style sheet. */
   const COLOURS = {
-    ink: "#1c2127",
-    quiet: "#5a6572",
-    line: "#d9dee4",
+    ink: "#76818d",
+    quiet: "#8a949e",
     blue: "#0072b2",
     sky: "#56b4e9",
     green: "#009e73",
@@ -13,19 +15,18 @@ const motorLeakage = (() => {
     vermilion: "#d55e00",
     purple: "#cc79a7",
   };
-  /* Series differ in colour, dash and marker, so that they can be told apart in grey too. */
-  const STYLES = [
-    { color: COLOURS.blue, dash: "solid", symbol: "circle" },
-    { color: COLOURS.vermilion, dash: "dash", symbol: "square" },
-    { color: COLOURS.green, dash: "dot", symbol: "diamond" },
-    { color: COLOURS.purple, dash: "dashdot", symbol: "triangle-up" },
-    { color: COLOURS.orange, dash: "longdash", symbol: "x" },
-    { color: COLOURS.sky, dash: "longdashdot", symbol: "triangle-down" },
-    { color: COLOURS.ink, dash: "solid", symbol: "cross" },
-  ];
+  /* Series differ in dash and marker, too, so that they can be told apart in grey. */
+  const DASHES = ["solid", "dash", "dot", "dashdot", "longdash", "longdashdot", "solid"];
+  const SYMBOLS = ["circle", "square", "diamond", "triangle-up", "x", "triangle-down", "cross"];
   const ABSENT = "–";
 
-  const style = (index) => STYLES[index % STYLES.length];
+  /* Look of the path, or the series, at a place; of none: a line that is no single path. */
+  function style(place) {
+    if (place === null || place === undefined)
+      return { color: COLOURS.ink, dash: "solid", symbol: "circle" };
+    const at = place % page.colours.length;
+    return { color: page.colours[at], dash: DASHES[at], symbol: SYMBOLS[at] };
+  }
 
   /* Numbers that Python has packed; null where there is none. */
   function decode(column) {
@@ -135,7 +136,7 @@ const motorLeakage = (() => {
     { rootMargin: "300px" },
   );
 
-  /* build() gives {traces, layout, height, table: {columns, rows}} or {absent: why}. */
+  /* build() gives {traces, layout, height, on, table: {columns, rows}} or {absent: why}. */
   function show(id, build) {
     const figure = document.getElementById(id);
     if (!figure) return;
@@ -157,26 +158,30 @@ const motorLeakage = (() => {
     const isAbsent = chart.absent !== undefined;
     plot.hidden = isAbsent;
     absent.hidden = !isAbsent;
-    details.hidden = isAbsent;
+    details.hidden = isAbsent || !chart.table;
     absent.textContent = isAbsent ? chart.absent : "";
-    tables.set(details, isAbsent ? null : chart.table);
+    tables.set(details, chart.table);
     fill(details);
     if (isAbsent) {
       Plotly.purge(plot);
       figure.dataset.drawn = "absent";
       return;
     }
-    plot.style.minHeight = `${chart.height ?? 320}px`;
-    Plotly.react(plot, chart.traces, layout(chart), CONFIG).then(() => {
+    const made = layout(chart);
+    /* Where the window changes its size, the chart takes its height from here. */
+    plot.style.height = `${made.height}px`;
+    Plotly.react(plot, chart.traces, made, CONFIG).then(() => {
       figure.dataset.drawn = "chart";
-      if (chart.onClick && !plot.dataset.clicks) {
-        plot.dataset.clicks = "yes";
-        plot.on("plotly_click", chart.onClick);
+      for (const [event, handler] of Object.entries(chart.on ?? {})) {
+        plot.removeAllListeners(event);
+        plot.on(event, handler);
       }
     });
   }
 
-  const drawAll = () => [...waiting.keys()].forEach(draw);
+  /* Those in a closed fold have no width yet. */
+  const drawAll = () =>
+    [...waiting.keys()].filter((one) => !one.closest("details:not([open])")).forEach(draw);
 
   /* Buttons are listed, so that none of a later version that sends a chart away comes in unseen. */
   const CONFIG = {
@@ -185,17 +190,16 @@ const motorLeakage = (() => {
     showTips: false,
     plotlyServerURL: "",
     displayModeBar: "hover",
+    doubleClick: "reset",
     modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]],
     toImageButtonOptions: { scale: 2 },
   };
 
+  const isNarrow = () => window.innerWidth < 600;
   const AXIS = {
-    gridcolor: "#e8ebee",
-    linecolor: "#aab3bd",
     showline: true,
     ticks: "outside",
     ticklen: 4,
-    tickcolor: "#aab3bd",
     zeroline: false,
     exponentformat: "power",
     automargin: true,
@@ -206,16 +210,11 @@ const motorLeakage = (() => {
     const made = {
       height: chart.height ?? 320,
       margin: { l: 58, r: 14, t: 30, b: 40 },
-      modebar: { bgcolor: "rgba(255,255,255,0.85)", color: "#8a949e", activecolor: COLOURS.ink },
       font: {
         family: "system-ui, 'Segoe UI', Roboto, 'Liberation Sans', Arial, sans-serif",
         size: 12,
-        color: COLOURS.ink,
       },
-      paper_bgcolor: "#fff",
-      plot_bgcolor: "#fff",
       hovermode: "closest",
-      hoverlabel: { bgcolor: "#fff", bordercolor: "#aab3bd", font: { color: COLOURS.ink } },
       legend: {
         orientation: "h",
         x: 0,
@@ -226,6 +225,9 @@ const motorLeakage = (() => {
       },
       ...chart.layout,
     };
+    /* A narrow window breaks the legend into more lines, which need room. */
+    if (isNarrow() && made.showlegend !== false && chart.traces.length > 3)
+      Object.assign(made, { height: made.height + 50, margin: { ...made.margin, t: 90 } });
     const axes = Object.keys(made).filter((key) => /^[xy]axis\d*$/.test(key));
     for (const key of new Set(["xaxis", "yaxis", ...axes])) {
       const own = made[key] ?? {};
@@ -287,26 +289,17 @@ const motorLeakage = (() => {
     .querySelectorAll(".chart details")
     .forEach((details) => details.addEventListener("toggle", () => fill(details)));
 
-  /* On paper all charts have one width, whatever the window had; their column may be narrower. */
-  const PAPER_WIDTH = 720;
+  /* On paper all charts have one width, whatever the window had. */
+  const PAPER_WIDTH = 660;
   const drawn = () => [...document.querySelectorAll("[data-drawn=chart] .plot")];
   window.addEventListener("beforeprint", () => {
     drawAll();
-    for (const plot of drawn()) {
-      Plotly.relayout(plot, { width: PAPER_WIDTH });
-      for (const svg of plot.querySelectorAll(".main-svg")) {
-        svg.setAttribute("viewBox", `0 0 ${PAPER_WIDTH} ${svg.height.baseVal.value}`);
-      }
-    }
+    drawn().forEach((plot) => Plotly.relayout(plot, { width: PAPER_WIDTH }));
   });
-  window.addEventListener("afterprint", () => {
-    for (const plot of drawn()) {
-      plot.querySelectorAll(".main-svg").forEach((svg) => svg.removeAttribute("viewBox"));
-      Plotly.relayout(plot, { width: null, autosize: true });
-    }
-  });
+  window.addEventListener("afterprint", () =>
+    drawn().forEach((plot) => Plotly.relayout(plot, { width: null, autosize: true })),
+  );
 
-  const page = JSON.parse(document.getElementById("payload").textContent);
   const word = (kind, code) => page.words[kind]?.[code] ?? plain(code ?? "");
   const unit = (code) => page.words.units[code] ?? code ?? "";
   const isPoor = (percent) => typeof percent === "number" && percent < page.poor_fit_percent;
@@ -328,6 +321,7 @@ const motorLeakage = (() => {
     word,
     unit,
     isPoor,
+    isNarrow,
     /* By the figure's id: what draws it for a night. */
     nightFigures: {},
   };

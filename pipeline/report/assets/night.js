@@ -16,7 +16,9 @@
   const hasFile = (night) => page.detailed[page.nights.indexOf(night)] === 1;
 
   motorLeakage.chooseNight = (night) => {
-    if (isKnown(night)) location.hash = night;
+    if (!isKnown(night)) return;
+    if (location.hash === `#${night}`) fromHash();
+    else location.hash = night;
   };
 
   /* The night's script calls this. */
@@ -28,6 +30,7 @@
   function choose(night) {
     wanted = night;
     select.value = night;
+    motorLeakage.overNights.markNight(night);
     const place = page.nights.indexOf(night);
     byId("earlier").disabled = place <= 0;
     byId("later").disabled = place >= page.nights.length - 1;
@@ -36,7 +39,7 @@
       return fail(
         `The figures of ${night} are not in this report, which was made with fewer nights; those over the nights are above.`,
       );
-    byId("shown-night").classList.add("busy");
+    busy(true);
     byId("said").textContent = `loading ${night}`;
     const source = `../data/${encodeURIComponent(page.file)}/${night}.js`;
     const script = element("script", { src: source });
@@ -52,18 +55,25 @@
     return undefined;
   }
 
+  const busy = (isBusy) =>
+    ["night", "analyst"].forEach((id) => byId(id).classList.toggle("busy", isBusy));
+
   function fail(why) {
     byId("said").textContent = "";
     byId("outcome").textContent = why;
-    byId("shown-night").classList.remove("busy");
+    busy(false);
     for (const id of ["parameters", "quality", "files", "residual-verdicts"])
       byId(id).replaceChildren();
     for (const id of Object.keys(nightFigures)) show(id, () => ({ absent: why }));
   }
 
+  /* A night that is chosen comes into view, and is marked there and in the charts. */
   function fromHash() {
     const night = location.hash.slice(1);
-    if (isKnown(night) && night !== wanted) choose(night);
+    if (!isKnown(night)) return;
+    if (night !== wanted) choose(night);
+    byId("night").classList.add("chosen");
+    byId("night").scrollIntoView();
   }
 
   const lastGood = () => {
@@ -76,7 +86,7 @@
   /* Figures of a night */
 
   function render(night) {
-    byId("shown-night").classList.remove("busy");
+    busy(false);
     byId("said").textContent = "";
     byId("outcome").textContent = nightTables.outcome(night);
     byId("parameters").replaceChildren(...nightTables.parameters(night));

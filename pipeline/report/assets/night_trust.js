@@ -2,10 +2,11 @@
 "use strict";
 
 (() => {
-  const { COLOURS, decode, plain, text, format, element, show, word, unit } = motorLeakage;
+  const { COLOURS, decode, plain, text, format, element, show, word, unit, isNarrow } =
+    motorLeakage;
   const { INPUTS, unfitted, parameterName } = motorLeakage.ofNight;
 
-  const LONGEST_LABEL = 60;
+  const longestLabel = () => (isNarrow() ? 26 : 60);
 
   function waterfall(night) {
     const { starts, fit } = night;
@@ -92,7 +93,7 @@
     showgrid: false,
     tickvals: labels.map((_, at) => at),
     ticktext: labels.map((label) =>
-      text(label.length > LONGEST_LABEL ? `${label.slice(0, LONGEST_LABEL)}…` : label),
+      text(label.length > longestLabel() ? `${label.slice(0, longestLabel())}…` : label),
     ),
   });
 
@@ -217,7 +218,10 @@
       layout[`xaxis${number}`] = {
         domain: [place / 3 + (place ? 0.03 : 0), (place + 1) / 3 - 0.01],
         anchor: `y${number}`,
-        title: `${title}, ${itsUnit} (${format(minimum, 3)} to ${format(maximum, 3)})`,
+        title: {
+          text: `${title}<br>${format(minimum, 3)} to ${format(maximum, 3)} ${itsUnit}`,
+          font: { size: 11 },
+        },
         range: [
           Math.max(
             (Math.floor(minimum / width) - 1) * width,
@@ -300,26 +304,39 @@
     const names = { t: "training", v: "validation", g: "guard" };
     const parts = [..."tvg"].filter((letter) => found.block_parts.includes(letter));
     return {
-      traces: parts.map((letter) => {
+      traces: parts.flatMap((letter) => {
+        const symbol = { t: "circle", v: "square", g: "x" }[letter];
         const at = pressure
           .map((_, place) => place)
           .filter((place) => found.block_parts[place] === letter);
-        return {
+        const points = {
           type: "scatter",
           mode: "markers",
-          name: names[letter],
+          legendgroup: letter,
+          showlegend: false,
           x: at.map((place) => pressure[place]),
           y: at.map((place) => speed[place]),
           text: at.map((place) => format(temperature[place], 3)),
           marker: {
             size: 8,
-            symbol: { t: "circle", v: "square", g: "x" }[letter],
+            symbol,
             color: at.map((place) => temperature[place]),
             coloraxis: "coloraxis",
             line: { width: 0.5, color: COLOURS.ink },
           },
           hovertemplate: "%{x:.0f} bar, %{y:.1f} rpm, %{text} °C<extra></extra>",
         };
+        /* The legend takes no numbers for colours. */
+        const key = {
+          type: "scatter",
+          mode: "markers",
+          legendgroup: letter,
+          name: names[letter],
+          x: [null],
+          y: [null],
+          marker: { symbol, color: COLOURS.ink },
+        };
+        return [points, key];
       }),
       layout: {
         xaxis: { title: "pressure difference, bar" },

@@ -1,16 +1,78 @@
-/* What charts over the nights share: intervals as bands, dated events, lines that open a night. */
+/* What charts over the nights share: one axis of time, intervals, events, the night chosen. */
 "use strict";
 
 motorLeakage.overNights = (() => {
-  const { COLOURS, page, decode, text, format, word } = motorLeakage;
+  const { COLOURS, page, decode, plain, text, format, word, show } = motorLeakage;
 
   const places = decode(page.plotted);
   const nights = places.map((place) => page.nights[place]);
 
-  const open = (event) => motorLeakage.chooseNight(String(event.points[0].x).slice(0, 10));
+  /* The axis of time that all charts share: whoever zooms, all follow. */
+  const DAY_MS = 86400000;
+  const shifted = (night, days) =>
+    new Date(Date.parse(night) + days * DAY_MS).toISOString().slice(0, 10);
+  const WHOLE = [shifted(page.nights[0], -1), shifted(page.nights.at(-1), 1)];
+  let span = WHOLE;
+  const linked = () => [...document.querySelectorAll("[data-drawn=chart] .plot.over-nights")];
 
-  /* Events that start a new baseline, and change points, as lines over the whole height. */
-  function marks(changePoints = []) {
+  function zoomed(event) {
+    const isWhole = event["xaxis.autorange"];
+    const range = isWhole
+      ? WHOLE
+      : (event["xaxis.range"] ?? [event["xaxis.range[0]"], event["xaxis.range[1]"]]);
+    if (range[0] === undefined || (!isWhole && String(range) === String(span))) return;
+    span = range;
+    for (const plot of linked()) Plotly.relayout(plot, { "xaxis.range": [...span] });
+  }
+
+  /* A chart over the nights: its own traces and layout on the shared axis; a click chooses. */
+  function overNights(id, build) {
+    document.querySelector(`#${id} .plot`)?.classList.add("over-nights");
+    show(id, () => {
+      const chart = build();
+      if (chart.absent !== undefined) return chart;
+      const { xaxis, yaxis, shapes, ...layout } = chart.layout ?? {};
+      return {
+        ...chart,
+        on: {
+          plotly_relayout: zoomed,
+          plotly_click: (event) => motorLeakage.chooseNight(String(event.points[0].x).slice(0, 10)),
+        },
+        layout: {
+          margin: { l: 64, r: 14, t: 26, b: 24 },
+          ...layout,
+          xaxis: { type: "date", range: [...span], automargin: false, ...xaxis },
+          yaxis: { automargin: false, ...yaxis },
+          shapes: [...(shapes ?? []), ...chosenLine()],
+        },
+      };
+    });
+  }
+
+  /* The chosen night is a line through all charts. */
+  let chosen = "";
+  const chosenLine = () =>
+    chosen ? [{ ...upright(chosen, COLOURS.ink, "solid"), name: "chosen night" }] : [];
+  function markNight(night) {
+    chosen = night;
+    for (const plot of linked()) {
+      const others = (plot.layout.shapes ?? []).filter((one) => one.name !== "chosen night");
+      Plotly.relayout(plot, { shapes: [...others, ...chosenLine()] });
+    }
+  }
+
+  const upright = (x, color, dash) => ({
+    type: "line",
+    x0: x,
+    x1: x,
+    yref: "paper",
+    y0: 0,
+    y1: 1,
+    line: { color, width: 1, dash },
+  });
+
+  /* Events that start a new baseline, change points, and alarms, as lines over the whole height. */
+  function marks(changePoints = [], told = []) {
     const dated = [
       ...page.events.map((event) => ({
         date: event.date,
@@ -24,27 +86,25 @@ motorLeakage.overNights = (() => {
         colour: COLOURS.purple,
         dash: "dot",
       })),
+      ...told.map(({ night, state }) => ({
+        date: night,
+        label: plain(state),
+        colour: state === "alarm" ? COLOURS.vermilion : COLOURS.orange,
+        dash: "dot",
+      })),
     ];
     return {
-      shapes: dated.map((one) => ({
-        type: "line",
-        x0: one.date,
-        x1: one.date,
-        yref: "paper",
-        y0: 0,
-        y1: 1,
-        line: { color: one.colour, width: 1, dash: one.dash },
-      })),
-      annotations: dated.map((one) => ({
+      shapes: dated.map((one) => upright(one.date, one.colour, one.dash)),
+      annotations: dated.map((one, place) => ({
         x: one.date,
         yref: "paper",
         y: 1,
         yanchor: "top",
+        yshift: -13 * (place % 3),
         xanchor: "left",
         showarrow: false,
         text: text(one.label.slice(0, 60)),
-        font: { size: 11, color: one.colour },
-        bgcolor: "rgba(255,255,255,0.8)",
+        font: { size: 11 },
       })),
     };
   }
@@ -94,10 +154,12 @@ motorLeakage.overNights = (() => {
     };
   }
 
+  /* Of more nights than that the marks would cover the lines. */
+  const MARKED_NIGHTS = 200;
   function line(name, values, look, extra = {}) {
     return {
       type: "scatter",
-      mode: "lines+markers",
+      mode: nights.length > MARKED_NIGHTS ? "lines" : "lines+markers",
       name: text(name),
       x: nights,
       y: values,
@@ -109,5 +171,18 @@ motorLeakage.overNights = (() => {
     };
   }
 
-  return { places, nights, open, marks, band, line };
+  const known = (values) => values.some((value) => value !== null);
+
+  return {
+    places,
+    nights,
+    DAY_MS,
+    MARKED_NIGHTS,
+    overNights,
+    markNight,
+    marks,
+    band,
+    line,
+    known,
+  };
 })();

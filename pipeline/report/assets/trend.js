@@ -2,12 +2,11 @@
 "use strict";
 
 (() => {
-  const { COLOURS, ABSENT, page, decode, plain, text, format, element, table, show, word, unit } =
+  const { COLOURS, ABSENT, page, decode, plain, text, format, element, table, word, unit } =
     motorLeakage;
-  const { open, marks, band } = motorLeakage.overNights;
+  const { DAY_MS, overNights, marks, band, known } = motorLeakage.overNights;
 
-  const { alarms, baselines, change_points: changePoints, decisions } = page.trend;
-  const DAY_MS = 86400000;
+  const { baselines, change_points: changePoints } = page.trend;
   const indicators = page.trend.indicators.map((one) => ({
     ...one,
     nights: decode(one.days).map((day) => new Date(day * DAY_MS).toISOString().slice(0, 10)),
@@ -21,7 +20,6 @@
   };
   const UNKNOWN = { symbol: "circle-open", color: COLOURS.quiet };
   const look = (state) => LOOKS[state] ?? UNKNOWN;
-  const stateWord = (state) => word("states", state);
 
   /* Shares are shown in percent. */
   const isShare = (one) => one.unit === "1";
@@ -29,7 +27,6 @@
     decode(packed).map((value) => (value === null || !isShare(one) ? value : 100 * value));
   const unitOf = (one) => (isShare(one) ? "%" : unit(one.unit));
   const label = (one) => (unitOf(one) ? `${one.name}, ${unitOf(one)}` : one.name);
-  const isKnown = (values) => values.some((value) => value !== null);
 
   function step(one, name, values, colour, dash, yaxis) {
     return {
@@ -63,7 +60,7 @@
           symbol: one.state.map((state) => look(state).symbol),
           color: one.state.map((state) => look(state).color),
         },
-        text: one.state.map((state) => text(stateWord(state))),
+        text: one.state.map((state) => text(plain(state))),
         hovertemplate: "%{x|%Y-%m-%d}: %{y:.4g}, %{text}<extra></extra>",
       },
       step(one, "baseline", scaled(one, one.baseline_mean), COLOURS.ink, "dash"),
@@ -74,14 +71,15 @@
 
   /* The figure above, the CUSUM that watches it below. */
   function indicatorChart(one) {
-    if (!isKnown(decode(one.value)))
+    if (!known(decode(one.value)))
       return { absent: one.latest.gated_reason ?? one.latest.state_reason ?? "No night has it." };
     const cusum = decode(one.cusum);
-    const isWatched = isKnown(cusum);
+    const isWatched = known(cusum);
     const traces = course(one);
     const layout = {
-      xaxis: { type: "date", anchor: isWatched ? "y2" : "y" },
-      yaxis: { title: text(unitOf(one) || one.name), domain: [isWatched ? 0.36 : 0, 1] },
+      xaxis: { anchor: isWatched ? "y2" : "y" },
+      margin: { l: 84, r: 14, t: 26, b: 24 },
+      yaxis: { title: text(unitOf(one) || one.name), automargin: true, domain: [isWatched ? 0.36 : 0, 1] },
     };
     if (isWatched) {
       layout.yaxis2 = { title: "CUSUM, sd", domain: [0, 0.26], rangemode: "tozero", nticks: 4 };
@@ -114,7 +112,6 @@
       traces: traces.filter((trace) => trace.y.some((number) => number !== null)),
       layout,
       height: 440,
-      onClick: open,
       table: {
         columns: [
           "Night",
@@ -132,7 +129,7 @@
           upper[at],
           baseline[at],
           cusum[at],
-          stateWord(one.state[at]),
+          plain(one.state[at]),
         ]),
       },
     };
@@ -140,16 +137,16 @@
 
   function menu() {
     const options = indicators.map((one, place) =>
-      element("option", { value: place }, `${label(one)}: ${stateWord(one.latest.state)}`),
+      element("option", { value: place }, `${label(one)}: ${plain(one.latest.state)}`),
     );
     const select = element("select", {}, ...options);
-    const first = indicators.findIndex((one) => isKnown(decode(one.value)));
+    const first = indicators.findIndex((one) => known(decode(one.value)));
     select.value = String(Math.max(first, 0));
     const controls = document.querySelector("#trend-course .controls");
     controls.append(element("label", {}, "Indicator ", select));
     controls.hidden = false;
     const chosen = () =>
-      show("trend-course", () => indicatorChart(indicators[Number(select.value)]));
+      overNights("trend-course", () => indicatorChart(indicators[Number(select.value)]));
     select.addEventListener("change", chosen);
     chosen();
   }
@@ -188,7 +185,7 @@
       const { latest } = one;
       const factor = isShare(one) ? 100 : 1;
       const said = [latest.state_reason, latest.gated_reason].filter(Boolean).join("; ");
-      const state = element("span", {}, stateWord(latest.state));
+      const state = element("span", {}, plain(latest.state));
       if (said) state.append(element("small", {}, said));
       const away = latest.deviation_percent;
       return [
@@ -223,44 +220,8 @@
     return table(names, rows);
   }
 
-  const moment = (time) => String(time).slice(0, 16).replace("T", " ");
-  const nameOf = (indicator) =>
-    indicators.find((one) => one.indicator === indicator)?.name ?? plain(indicator ?? "");
-
-  function alarmTable() {
-    const newestFirst = [...alarms].sort((a, b) => b.time.localeCompare(a.time));
-    return table(
-      [{ name: "Time", unit: "UTC" }, "Indicator", "From", "To", "Why"],
-      newestFirst.map((alarm) => [
-        figure(moment(alarm.time)),
-        nameOf(alarm.indicator),
-        stateWord(alarm.from_state),
-        stateWord(alarm.to_state),
-        alarm.reason ?? "",
-      ]),
-    );
-  }
-
-  function decisionTable() {
-    return table(
-      [{ name: "Time", unit: "UTC" }, "What", "Indicator", "Night", "Note"],
-      decisions.map((one) => [
-        figure(moment(one.time)),
-        [word("decisions", one.kind), one.finding && word("decisions", one.finding)]
-          .filter(Boolean)
-          .join(": "),
-        one.indicator ? nameOf(one.indicator) : "all",
-        figure(one.night),
-        one.note ?? "",
-      ]),
-    );
-  }
-
-  const panel = (id, title, content) =>
-    document.getElementById(id).append(element("h3", {}, title), content);
-
+  document
+    .getElementById("trend-table")
+    .append(element("h4", {}, "Indicators in the newest night"), indicatorTable());
   menu();
-  panel("trend-table", "Indicators in the newest night", indicatorTable());
-  if (alarms.length) panel("alarm-table", "Changes of state", alarmTable());
-  if (decisions.length) panel("decision-table", "What was said of it", decisionTable());
 })();

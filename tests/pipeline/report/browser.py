@@ -41,6 +41,9 @@ def opened() -> Iterator[webdriver.Chrome]:
         browser = webdriver.Chrome(
             options=options, service=Service(str(shutil.which("chromedriver")))
         )
+        # The chart library complains by traces, which the browser's log leaves out.
+        loud = {"source": "console.trace = console.error;"}
+        browser.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", loud)
         try:
             yield browser
         finally:

@@ -1,16 +1,14 @@
-"""Rows of `fits` and `parameters` made by hand, and the history that they come to."""
+"""Rows of `fits` and `trends` made by hand, and the history that they come to."""
 
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
-
-import polars as pl
 
 from pipeline.report.history import MotorHistory, motor_histories
 from pipeline.report.tables import ReportTables
-from pipeline.schema import FITS, PARAMETERS, frame
+from pipeline.schema import FITS, TRENDS, frame
 
 Row = dict[str, Any]
 FIRST = dt.date(2026, 1, 1)
@@ -39,31 +37,17 @@ def unfitted(number: int, status: str, reason: str) -> Row:
     return row | {"kept_share": None}
 
 
-def parameter(number: int, name: str, value: float, half: float | None = None, **more: Any) -> Row:
-    """A parameter of a fitted night, with an interval of ± `half`."""
-    return {
-        "motor_id": "M",
-        "night": FIRST + number * ONE_DAY,
-        "flushing_mode": "none",
-        "parameter": name,
-        "value": value,
-        "lower": None if half is None else value - half,
-        "upper": None if half is None else value + half,
-        "verdict": "fixed" if half is None else "identified",
-    } | more
+def trend(number: int, indicator: str, value: float | None, **more: Any) -> Row:
+    """A row of `trends`."""
+    row = {"motor_id": "M", "night": FIRST + number * ONE_DAY, "indicator": indicator}
+    return row | {"value": value, "state": "ok"} | more
 
 
-def history(
-    fits: Sequence[Row],
-    parameters: Sequence[Row] = (),
-    trends: Mapping[str, pl.DataFrame] | None = None,
-    motor_id: str = "M",
-) -> MotorHistory:
+def history(fits: Sequence[Row], trends: Sequence[Row] = (), motor_id: str = "M") -> MotorHistory:
     """The history of the one motor that the rows are of."""
     tables = ReportTables(
         fits=frame(FITS, fits).sort("motor_id", "night"),
-        parameters=frame(PARAMETERS, parameters).sort("motor_id", "parameter", "night"),
-        trends=trends or {},
+        trends={"trends": frame(TRENDS, trends)},
     )
     (motor,) = motor_histories(tables, [motor_id])
     return motor

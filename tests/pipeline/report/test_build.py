@@ -99,7 +99,7 @@ def test_pages_of_ten_years_are_small(output: Path) -> None:
     payload = page_payload(page)
     assert len(payload["nights"]) == 3653
     # Nights that are all alike have no extremes but the first of each stretch.
-    assert 100 < len(unpacked(payload["reference"]["value"])) <= 1500
+    assert 100 < len(unpacked(payload["first"]["leakage"]["value"])) <= 1500
 
 
 def test_no_clock_and_no_path_of_the_machine_stands_in_a_page(report: Path) -> None:
@@ -167,15 +167,15 @@ def test_a_changed_night_makes_its_motor_s_files_anew_and_no_others(output: Path
 
     def more(rows: pl.DataFrame) -> pl.DataFrame:
         mine = pl.col("motor_id") == MOTOR
-        column = "reference_leakage_l_per_min"
+        column = "validation_fit_percent"
         return rows.with_columns(pl.when(mine).then(1.5).otherwise(column).alias(column))
 
-    change_table(output, "fits", more, str(NIGHTS[1]))
+    change_table(output, "fits", more, str(NIGHTS[2]))
     result = build(output)
     assert result.n_nights == 1
     changed = {name for name, time in times(output / "report").items() if time != before[name]}
     assert changed == {
-        f"data/{MOTOR}/{NIGHTS[1]}.js",
+        f"data/{MOTOR}/{NIGHTS[2]}.js",
         f"motors/{MOTOR}.html",
         "index.html",
         "manifest.json",
@@ -296,7 +296,7 @@ def test_a_motor_without_a_good_night_has_a_page_that_says_why(output: Path) -> 
     known = {"CB560-09": KnownMotor("CB560")}
     build(output, known=known)
     text = (output / "report" / "motors" / f"{MOTOR}.html").read_text("utf-8")
-    assert "night of 2026-01-04 failed: a.csv: its end is missing" in text
+    assert "Night of 2026-01-04 failed: a.csv: its end is missing." in text
     assert "could be fitted. The newest, 2026-01-04: failed (log_truncated): a.csv: its end" in text
     night = read_night_file(output / "report" / "data" / MOTOR / f"{NIGHTS[2]}.js")
     assert night["fit"]["error_code"] == "log_truncated"

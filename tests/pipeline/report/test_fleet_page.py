@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
+import datetime as dt
 from typing import Any
 
 import pytest
 
 from pipeline.report.fleet_page import FleetRow, fleet_rows
+from pipeline.report.pages import FleetFacts, fleet_html
 from pipeline.report.status import MotorState
-from pipeline.schema import BASELINES, TRENDS, frame
-from tests.pipeline.report.nights import FIRST, ONE_DAY, fit, history, unfitted
+from tests.pipeline.report.nights import FIRST, fit, history, trend, unfitted
 
 NIGHTS = 40
-BASELINE = {"motor_id": "M", "night": FIRST + 29 * ONE_DAY, "start": FIRST}
-OWN = {"motor_id": "M", "indicator": "own_reference_leakage", "value": 2.0}
 
 
 def row(state: MotorState, known: int = NIGHTS) -> FleetRow:
     """Forty nights with the leakage at the motor's own conditions, and the reference of some."""
     means = {"reference_leakage": 1.4, "own_reference_leakage": 2.0}
-    frozen = [BASELINE | {"indicator": name, "mean": mean} for name, mean in means.items()]
-    trends = {
-        "baselines": frame(BASELINES, frozen),
-        "trends": frame(TRENDS, [OWN | {"night": FIRST + n * ONE_DAY} for n in range(NIGHTS)]),
-    }
-    fits = [fit(number, 1.4 if number < known else None) for number in range(NIGHTS)]
-    (found,) = fleet_rows([history(fits, trends=trends)], {"M": "M"}, {}, {"M": state})
+    trends = [
+        trend(n, name, mean, baseline_mean=mean)
+        for name, mean in means.items()
+        for n in range(known if name == "reference_leakage" else NIGHTS)
+    ]
+    (found,) = fleet_rows(
+        [history([fit(n, None) for n in range(NIGHTS)], trends)], {"M": "M"}, {}, {"M": state}
+    )
     return found
 
 
@@ -66,3 +66,39 @@ def test_recent_nights_are_counted_by_outcome() -> None:
     (found,) = fleet_rows([history(fits)], {"M": "M"}, {}, {"M": MotorState("M", "ok")})
     assert (found.n_recent, found.n_recent_good) == (3, 2)
     assert found.strip_words == "2 fitted, 1 failed"
+
+
+@pytest.mark.parametrize(
+    ("trends", "kind", "value"),
+    [((trend(0, "comparable_drain_flow", 4.4),), "comparable", 4.4), ((), "flow", 5.0)],
+)
+def test_a_young_motor_shows_the_flow_that_it_has(
+    trends: tuple[dict[str, Any], ...], kind: str, value: float
+) -> None:
+    motor = history([fit(0, None, mean_flow_l_per_min=5.0)], trends)
+    (found,) = fleet_rows([motor], {"M": "M"}, {}, {"M": MotorState("M", "insufficient")})
+    assert (found.leakage_kind, found.drawn_now) == (kind, value)
+
+
+def test_no_figure_of_before_stands_in_for_one_that_no_longer_holds() -> None:
+    """The state says since when it is not known."""
+    state = MotorState("M", "stale", leakage_night=FIRST)
+    assert row(state, known=5).drawn_now is None
+
+
+def test_the_age_of_data_counts_from_their_end() -> None:
+    ends = [dt.datetime(2026, 1, day, 5, tzinfo=dt.UTC) for day in (1, 2)]
+    fits = [fit(n, window_end=end) for n, end in enumerate(ends)]
+    fits.append(unfitted(2, "no_new_data", "no log"))
+    (found,) = fleet_rows([history(fits)], {"M": "M"}, {}, {"M": MotorState("M", "ok")})
+    assert found.newest_data == ends[1]
+
+
+def test_undelivered_alarms_and_a_model_that_is_rejected_are_shown() -> None:
+    waiting = "not delivered to hook: 2 changes of state"
+    facts = FleetFacts("F", None, None, undelivered=(waiting,))
+    misfit = MotorState("M", "ok", model_misfit="the model misses 2 %")
+    html = fleet_html(facts, [row(misfit)])
+    assert f"N{waiting[1:]}." in html
+    assert '<b class="poor" title="the model misses 2 %">model rejected</b>' in html
+    assert "poor</b>" not in html

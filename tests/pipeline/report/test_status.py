@@ -15,6 +15,7 @@ import pytest
 from leakage.monitoring import ChangeSize
 from pipeline.errors import UsageError
 from pipeline.report.status import (
+    ORDER,
     RAISED,
     TOLD,
     MotorState,
@@ -25,12 +26,13 @@ from pipeline.report.status import (
     motor_state,
     urgency,
 )
+from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision, read_decisions
 from pipeline.trends.trend_rows import trend_rows
-from pipeline.trends.words import size_words
+from pipeline.trends.words import FALL, size_words
 from tests.pipeline.cli.test_cli import Call
 from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.trends.nights import Nights, configure, motor, night_of, standing, step
@@ -108,8 +110,8 @@ def test_the_headline_names_every_part_in_alarm() -> None:
     found = motor_state("M1", frame(TRENDS, rows), fits_of("M1"), ())
     assert (found.state, found.indicator) == ("alarm", "K_balance_sleeve")
     assert found.reason is not None
-    assert found.reason.startswith("balance sleeve leakage +")
-    assert "; balance piston leakage +" in found.reason
+    assert found.reason.startswith("balance sleeve gap +")
+    assert "; balance piston gap +" in found.reason
     assert found.change_start == night_of(80)
 
 
@@ -531,6 +533,7 @@ def test_a_reset_that_would_do_nothing_is_refused(
     [
         "K_piston_ring",
         "piston ring leakage",
+        "piston ring gap",
         "Piston ring",
         " the piston ring leakage",
         "k_piston_ring",
@@ -553,7 +556,7 @@ def test_whatever_can_be_raised_is_known_by_the_words_of_status(output: Path) ->
     write_table(night_file(output, ALARMS, night_of(4)), rows)
     for name in names:
         size = ChangeSize(9, 0.3, 0.2, 0.4, 10)
-        for words in (name, size_words(name, size, "2026-10-03").partition(" +30 %")[0]):
+        for words in (name, size_words(name, size, "2026-10-03").partition(" +")[0]):
             assert last_alarm(output, "M1", words, RAISED) == (name, night_of(4))
 
 
@@ -578,10 +581,60 @@ def test_dates_and_the_effect_of_temperature_stand_in_the_words_of_a_state() -> 
     found = MotorState(
         "M",
         "warning",
-        reason="piston ring leakage +18 %",
+        reason="piston ring gap +18 %",
         limit_dates="not before August 2027",
         temperature_effect="K falls by 0.97 % a kelvin",
     )
     assert found.why == (
-        "piston ring leakage +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
+        "piston ring gap +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
     )
+
+
+FALLEN = f"reference leakage is down to -6 % [-10, -1] after a rise since 3 March 2026; {FALL}"
+
+
+@pytest.mark.parametrize(
+    ("state", "advice"),
+    [
+        (MotorState("M", "alarm", path="piston_ring"), "Look at the piston ring at the next stop."),
+        (
+            MotorState("M", "alarm", path="balance_sleeve and balance_piston"),
+            "Look at the balance sleeve and the balance piston at the next stop.",
+        ),
+        (MotorState("M", "warning", path="piston_ring"), "Plan a look at the piston ring."),
+        (
+            MotorState("M", "alarm"),
+            "Look at the motor, as its part is not known, at the next stop.",
+        ),
+        (MotorState("M", "warning", reason=FALLEN), "Check oil, sensors and flushing first."),
+        (MotorState("M", "ok"), "Nothing to do."),
+        (MotorState("M", "ok", failure="night failed"), "Mend what failed in the last night."),
+    ],
+)
+def test_each_state_says_what_to_do(state: MotorState, advice: str) -> None:
+    assert state.advice == advice
+
+
+def test_every_state_has_words_and_a_meaning() -> None:
+    assert set(STATES) == set(ORDER)
+    assert all(MotorState("M", state).advice for state in ORDER)
+
+
+def test_the_parts_in_the_worst_state_and_since_when_it_is_known() -> None:
+    key = {"motor_id": "M", "n_slope": 30, "deviation_percent": 50.0, "sensor_health": "ok"}
+    states = {
+        "K_balance_sleeve": ("warning", "ok", "warning", "alarm"),
+        "K_balance_piston": ("ok", "ok", "ok", "alarm"),
+        "K_piston_ring": ("ok", "ok", "ok", "warning"),
+    }
+    rows = [
+        key | {"night": night_of(n), "indicator": name, "state": state}
+        for name, course in states.items()
+        for n, state in enumerate(course)
+    ]
+    rows[3] |= {"deviation_percent": 60.0}
+    found = motor_state("M", frame(TRENDS, rows), frame(FITS, []), [])
+    assert found.path == "balance_sleeve and balance_piston"
+    # The warning of the first night had ended.
+    assert found.known_since == night_of(2)
+    assert found.needs_attention

@@ -5,15 +5,17 @@ from __future__ import annotations
 import datetime as dt
 from typing import Any
 
+import polars as pl
+
+from pipeline.report.history import motor_histories
 from pipeline.report.status import motor_state
 from pipeline.report.tables import ReportTables
-from pipeline.report.trends import motor_states, trend_payload
+from pipeline.report.trends import changes_of_state, motor_states, trend_payload
 from pipeline.schema import (
     ALARMS,
     BASELINES,
     CHANGE_POINTS,
     FITS,
-    PARAMETERS,
     TRENDS,
     frame,
 )
@@ -43,7 +45,6 @@ def tables(decisions: tuple[Decision, ...] = ()) -> ReportTables:
     changes = {"motor_id": "M", "indicator": "reference_leakage", "size_percent": 5.0}
     return ReportTables(
         fits=frame(FITS, [fit(0), fit(1)]),
-        parameters=frame(PARAMETERS, []),
         trends={
             "trends": frame(TRENDS, trends),
             "alarms": frame(ALARMS, [alarm | {"time": dt.datetime(2026, 1, 2, 6, tzinfo=dt.UTC)}]),
@@ -85,29 +86,41 @@ def test_states_are_those_of_the_command_status() -> None:
 
 
 def test_without_trends_each_motor_has_a_state() -> None:
-    read = ReportTables(frame(FITS, [fit(0)]), frame(PARAMETERS, []))
+    read = ReportTables(frame(FITS, [fit(0)]))
     assert motor_states(read, ["M"])["M"].why == "no trends yet"
 
 
+def payload_of(motor_id: str) -> dict[str, Any]:
+    read = tables((SEEN,))
+    (motor,) = motor_histories(read, [motor_id])
+    return trend_payload(motor, read)
+
+
 def test_trends_of_a_motor_go_to_its_page_and_no_other_s() -> None:
-    payload = trend_payload("M", tables((SEEN,)))
-    # The one that asks for attention first, and of these what alarms are raised on.
+    payload = payload_of("M")
+    # The one that asks for attention first; what the first screen draws is not drawn again.
     assert [one["indicator"] for one in payload["indicators"]] == [
         "K_balance_sleeve",
-        "leakage_balance_sleeve",
         "reference_leakage",
     ]
-    leakage = payload["indicators"][2]
-    assert leakage["name"] == "reference leakage"
+    factor, leakage = payload["indicators"]
+    assert (factor["name"], leakage["name"]) == ("K of the balance sleeve", "reference leakage")
     days = unpacked(leakage["days"]).tolist()
     assert days == [(FIRST + n * ONE_DAY - dt.date(1970, 1, 1)).days for n in range(2)]
     assert unpacked(leakage["value"]).tolist() == [1.0, 2.0]
     assert [payload["order"][int(place)] for place in leakage["states"]] == ["alarm", "ok"]
     assert leakage["latest"]["slope_per_year"] == 0.2
-    assert [alarm["reason"] for alarm in payload["alarms"]] == ["sleeve +38 %"]
     # Of what was frozen or seen anew, the newest.
     assert [one["mean"] for one in payload["baselines"]] == [2.0]
     assert [one["change_night"] for one in payload["change_points"]] == ["2026-01-02"]
-    assert [one["note"] for one in payload["decisions"]] == ["ordered a sleeve"]
-    other = trend_payload("unknown", tables((SEEN,)))
+    other = payload_of("unknown")
     assert not any(other[name] for name in other if name != "order")
+
+
+def test_changes_of_state_come_with_the_newest_first() -> None:
+    read = tables()
+    alarms = read.trends["alarms"]
+    later = alarms.with_columns(time=pl.col("time") + ONE_DAY, reason=pl.lit("later"))
+    read.trends["alarms"] = pl.concat([alarms, later])  # type: ignore[index]
+    assert [one["reason"] for one in changes_of_state("M", read)] == ["later", "sleeve +38 %"]
+    assert changes_of_state("N", read) == []

@@ -70,7 +70,7 @@ def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -
         "indicator": "K_piston_ring",
         "from_state": "ok",
         "to_state": state,
-        "reason": "piston ring leakage +27 % [25, 29]",
+        "reason": "piston ring gap +27 % [25, 29]",
         "deviation_percent": 27.0,
         "way": "level",
         "path": None,
@@ -208,7 +208,7 @@ def test_a_row_that_is_made_anew_is_not_told_again(tmp_path: Path) -> None:
         {"from_state": "insufficient"},
         {"way": "recomputed"},
         {"path": "piston_ring"},
-        {"reason": "piston ring leakage +31 % [29, 33]"},
+        {"reason": "piston ring gap +31 % [29, 33]"},
     ],
 )
 def test_a_row_that_says_something_else_is_told_as_changed(

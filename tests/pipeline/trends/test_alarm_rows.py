@@ -89,7 +89,7 @@ def test_an_alarm_that_comes_out_otherwise_says_what_it_was(
     after = of(alarm_rows(milder, range(N), before))
     row = next(row for row in after if row["night"] == night)
     if row["to_state"] != before[-1]["to_state"]:
-        assert "; before its data changed: balance sleeve leakage" in row["reason"]
+        assert "; before its data changed: balance sleeve gap" in row["reason"]
     assert after[-1]["to_state"] == milder.states["K_balance_sleeve"][-1]
 
 

@@ -29,7 +29,7 @@ def zeros(moved: np.ndarray, seed: int = 3) -> dict[str, np.ndarray]:
 
 
 def drifting(size: float = 0.02, **more: object) -> Standing:
-    """A drift of 0.02 l/min moves K of the rings by 11 % (model.md, section 5)."""
+    """A drift of 0.02 l/min moves K of the rings by 11 % (model.md, section 5), 3.5 % of h."""
     moved = np.where(np.arange(N) >= AT, size, 0.0)
     wear = {"piston_ring": step(N, AT, 0.11), "balance_piston": step(N, AT, 0.05)}
     return standing(Nights(motor(), N, wear, operation=zeros(moved), **more))  # type: ignore[arg-type]
@@ -45,7 +45,7 @@ def test_a_drift_is_named_before_the_ring() -> None:
         first.endswith("l/min [0.0185, 0.0213]: check it before the motor")
         or "]: check it" in first
     )
-    assert second.startswith("piston ring leakage +1")
+    assert second.startswith("piston ring gap +3.")
     assert found.health(N - 1) == "drifted"
 
 
