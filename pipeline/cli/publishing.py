@@ -70,10 +70,18 @@ def report(
         int | None, typer.Option(min=1, help="Newest nights with their own file; default: all.")
     ] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Nights processed in parallel.")] = 2,
+    pdf: Annotated[
+        str,
+        typer.Option(
+            metavar="MOTOR", help="Write one page on this motor as PDF instead, here or in --to."
+        ),
+    ] = "",
 ) -> None:
     """Write the report: pages for the fleet and each motor that open without a server.
 
     Example: motor-leakage report configs/fleet.toml
+
+    Example: motor-leakage report configs/fleet.toml --pdf CB400-02
 
     Then open out/report/index.html. A further call only writes what has changed. Exit code
     1: a table file could not be read; the rest is there.
@@ -96,7 +104,13 @@ def report(
         execution=(fleet.execution if fleet else Execution()).model_copy(update={"workers": jobs}),
         made=now(),
     )
-    result = build_report(_of_a_fleet(request, fleet) if fleet else request)
+    request = _of_a_fleet(request, fleet) if fleet else request
+    if pdf:
+        from pipeline.report.paper import write_paper
+
+        typer.echo(write_paper(request, pdf, to or Path.cwd()))
+        return
+    result = build_report(request)
     typer.echo(
         f"{result.n_motors} motors, {result.n_nights} nights updated, {result.n_written} files "
         f"written, {result.n_removed} removed; open {result.index}"

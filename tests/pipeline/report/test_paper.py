@@ -1,0 +1,69 @@
+"""The page for a work order: one sheet, with what the motor's page says first."""
+
+from __future__ import annotations
+
+import re
+from itertools import combinations
+from pathlib import Path
+
+import matplotlib as mpl
+import pytest
+from matplotlib.figure import Figure
+
+from pipeline.errors import UsageError
+from pipeline.report import ReportRequest
+from pipeline.report.first_screen import first_screen
+from pipeline.report.history import motor_histories
+from pipeline.report.paper import STYLE, page_of, write_paper
+from pipeline.report.tables import read_tables
+from pipeline.report.trends import motor_states
+from pipeline.report.words import sentence
+
+PATHS = ("piston_ring", "balance_piston", "balance_sleeve", "cam_roller")
+
+
+def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
+    """The page of a motor, and the words of its state."""
+    history = read_tables(output)
+    (motor,) = motor_histories(history, [motor_id])
+    state = motor_states(history, [motor_id])[motor_id]
+    screen = first_screen(motor, state, PATHS)
+    with mpl.rc_context(STYLE):
+        page = page_of(motor, state, screen, PATHS, "Demo fleet")
+        page.canvas.draw()
+    return page, f"{sentence(state.sentence)} {state.advice}"
+
+
+@pytest.mark.parametrize("motor_id", ["CB400-02", "CB1120-02"])
+def test_page_says_what_happened_and_has_room_for_the_finding(
+    fitted_output: Path, motor_id: str
+) -> None:
+    page, said = drawn(fitted_output, motor_id)
+    words = " ".join(text.get_text().replace("\n", " ") for text in page.texts)
+    assert motor_id in words
+    assert said in words
+    assert words.count("not opened") == len(PATHS)
+    assert len(page.axes) == 3
+
+
+def test_no_text_lies_on_another(fitted_output: Path) -> None:
+    page, _ = drawn(fitted_output, "CB400-02")
+    boxes = [text.get_window_extent() for text in page.texts]
+    boxes += [axes.get_tightbbox() for axes in page.axes]
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+def test_file_is_one_page_and_the_same_again(fitted_output: Path, tmp_path: Path) -> None:
+    request = ReportRequest(fitted_output, tmp_path)
+    path = write_paper(request, "CB400-02", tmp_path)
+    content = path.read_bytes()
+    assert content.startswith(b"%PDF-")
+    assert re.findall(rb"/Type /Pages\b.*?/Count (\d+)|/Count (\d+)", content, re.DOTALL)
+    assert content.count(b"/Type /Page ") + content.count(b"/Type /Page\n") == 1
+    assert write_paper(request, "CB400-02", tmp_path).read_bytes() == content
+
+
+def test_motor_without_a_night_is_refused(fitted_output: Path, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="no night of motor 'CB9'"):
+        write_paper(ReportRequest(fitted_output, tmp_path), "CB9", tmp_path)
+    assert not list(tmp_path.iterdir())
