@@ -341,7 +341,7 @@ def _make_pages(
     by_type = {row.state.motor_id: row.motor_type for row in rows}
     trends = history.trends.get(TRENDS.name)
     parts = {} if trends is None else scores(history.decisions, trends, by_type)
-    write(INDEX, fleet_html(facts, rows, parts, told.to_dicts()).encode())
+    write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
     by_id = {row.state.motor_id: row for row in rows}
     for motor in motors:
         name = names[motor.motor_id]

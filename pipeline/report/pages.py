@@ -75,10 +75,14 @@ class FleetFacts:
 def fleet_html(
     facts: FleetFacts,
     rows: Sequence[FleetRow],
-    parts: Mapping[str, Score],
     by_rules: Sequence[Mapping[str, Any]] = (),
+    parts: Mapping[str, Score] | None = None,
 ) -> str:
-    """The fleet's page; `by_rules`: rows of `alarms` that a change of rules made."""
+    """The fleet's page.
+
+    `by_rules`: rows of `alarms` that a change of rules made; `parts`: parts named by alarms against
+    those that inspections found, by type of motor.
+    """
     found = Counter(row.state.state for row in rows)
     return (
         _environment()
@@ -89,7 +93,7 @@ def fleet_html(
             by_rules=by_rules,
             counts=[(code, found[code]) for code in ORDER if found[code]],
             types=sorted({row.motor_type for row in rows if row.motor_type}),
-            parts=parts,
+            parts=parts or {},
         )
     )
 
