@@ -53,7 +53,7 @@ def test_the_page_lists_them_and_is_linked_only_where_there_are_any() -> None:
     _, section = page.split('<section id="rules">')
     cells = re.sub(r"<[^>]+>", " ", section.split("</section>")[0])
     words = " ".join(cells.split())
-    line = "M&lt;1&gt; 2026-03-04 piston ring leakage no change {} +9 % [8, 10] trends 5 to 6 {}"
+    line = "M&lt;1&gt; 2026-03-04 piston ring gap ok {} +9 % [8, 10] trends 5 to 6 {}"
     assert line.format("warning", "no") in words
     assert line.format("alarm", "yes") in words
     assert "rules" not in fleet_html(FACTS, [])
