@@ -140,7 +140,8 @@ def false_alarms(motors: int = MOTORS) -> Part:
         rows.append([duty, str(n), *shares, f"{compared:.0f}"])
     return Part(
         "False alarms after a change of duty",
-        f"{len(MODELS)} models, {motors} motors each; goal: 1 % by the rule. Told in the tenth night.",
+        f"{len(MODELS)} models, {motors} motors each; goal: 1 % by the rule. "
+        "Told in the tenth night.",
         (
             "duty now",
             "motors",
