@@ -140,7 +140,8 @@ def false_alarms(motors: int = MOTORS) -> Part:
         rows.append([duty, str(n), *shares, f"{compared:.0f}"])
     return Part(
         "False alarms after a change of duty",
-        f"{len(MODELS)} models, {motors} motors each; goal: 1 % by the rule.",
+        f"{len(MODELS)} models, {motors} motors each; goal: 1 % by the rule. "
+        "Told in the tenth night.",
         (
             "duty now",
             "motors",
@@ -174,7 +175,7 @@ def wear_told(motors: int = MOTORS) -> Part:
                 rows.append([model, duty, name.replace("_", " "), *(str(one) for one in counts)])
     return Part(
         "Wear at another duty",
-        f"{motors} motors a row; K of a path +100 %.",
+        f"{motors} motors a row; K of a path +100 %. Told in the tenth night, if it is compared.",
         ("model", "duty now", "path", "its K", "another K", "flow", "named", "wrong name"),
         rows,
     )
