@@ -22,7 +22,7 @@ from pipeline.schema import (
     SENSITIVITIES,
     Table,
 )
-from pipeline.store.tables import night_file, read_table
+from pipeline.store.tables import read_rows
 
 Row = dict[str, Any]
 
@@ -70,11 +70,8 @@ def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
 
 
 def _rows(output: Path, table: Table, motor_id: str, night: dt.date) -> list[Row]:
-    path = night_file(output, table, night)
-    if not path.exists():
-        return []
-    rows = read_table(path, table).filter(motor_id=motor_id, night=night)
-    return rows.to_dicts()
+    rows = read_rows(output, table, [motor_id], nights=[night])
+    return rows.filter(night=night).to_dicts()
 
 
 def _of(fit: Row, rows: list[Row]) -> list[Row]:

@@ -34,7 +34,7 @@ from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motor_task import plan_motor, run_motor
-from pipeline.run.publishing import publish_motors, publish_trends
+from pipeline.run.publishing import fleets_tonight, publish_motors, publish_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.schema import (
     MOTOR_OUTCOMES,
@@ -50,6 +50,7 @@ from pipeline.store.atomic_files import (
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.manifest import Key, manifest_keys
+from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
 from pipeline.store.verification import TableFault
@@ -434,8 +435,26 @@ def _run(
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
         _publish_run(publisher, request, result, started, config_hash)
-    interrupted = interrupted or bool(came)
+    interrupted = interrupted or bool(came) or not _join_months(fleet, request.clock, publisher)
     return replace(result, interrupted=interrupted)
+
+
+def _join_months(fleet: Fleet, clock: dt.datetime, publisher: Publisher) -> bool:
+    """Join the files of months that are long over, but for those with a night of this run.
+
+    Where that fails, the next run does it. False if it was interrupted.
+    """
+    nights = fleet.execution.join_months_after
+    try:
+        tonight = fleets_tonight(fleet, clock) if nights else None
+        if tonight is not None:
+            last = last_month_over(tonight.night, nights)
+            join_months(fleet.output, publisher.staging, last, publisher.months)
+    except StoreError as error:
+        log.warning("%s; the next run joins its month", error)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
