@@ -19,14 +19,13 @@ from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.config.settings import FleetFile, Section
 from pipeline.schema import (
-    DATA_DICTIONARY,
-    DECISIONS,
     NIGHT_TABLES,
     QUALITY,
     QUALITY_REASONS,
     SCHEMA_VERSION,
     TABLES,
     TREND_TABLES,
+    WHOLE_TABLES,
     Table,
     data_dictionary,
 )
@@ -160,7 +159,7 @@ def _index_row(table: Table) -> Sequence[str]:
 
 def _place(table: Table) -> str:
     folder = table_folder(Path("<output>"), table).as_posix()
-    if table in (DATA_DICTIONARY, DECISIONS):
+    if table in WHOLE_TABLES:
         return f"{folder}/{table.name}.parquet"
     name = "<night>" if table in (*NIGHT_TABLES, *TREND_TABLES) else "<start of the run>"
     return f"{folder}/month=YYYY-MM/{name}.parquet"

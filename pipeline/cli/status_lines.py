@@ -13,9 +13,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from pipeline.errors import one_line
-from pipeline.report.status import FleetStatus, MotorState
+from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
 from pipeline.telling.outbox import Backlog
+from pipeline.trends.motor_states import MotorState
 
 # Colours only support the words of a state.
 COLOURS = {"alarm": "bold red", "warning": "yellow", "common_cause": "magenta", "stale": "blue"}

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.report.explain_residuals import explain_residuals
 from pipeline.schema import (
@@ -23,6 +22,7 @@ from pipeline.schema import (
     Table,
 )
 from pipeline.store.tables import read_rows
+from pipeline.trends.motor_states import FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
@@ -31,11 +31,6 @@ WORTH_TELLING = 0.005
 LARGEST_EFFECTS = 3
 PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
 # Fits of a night by the column of `fits`, in words.
-FITS_OF_A_NIGHT = {
-    "training_fit_percent": "training",
-    "validation_fit_percent": "validation",
-    "previous_model_fit_percent": "the model before, on tonight",
-}
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -128,18 +123,6 @@ def _fit(fit: Row) -> Iterator[str]:
         yield status.removeprefix("ok: ")
     elif status != "ok":
         yield f"no intervals: {status}"
-
-
-def fit_words(name: str, percent: float) -> str:
-    """A fit with its name; a poor one is called that.
-
-    Examples
-    --------
-    >>> fit_words("training", 99.14), fit_words("validation", -1295.0)
-    ('training 99.1 %', 'validation -1295.0 % (poor: worse than a constant flow)')
-    """
-    poor = " (poor: worse than a constant flow)" if is_poor(percent) else ""
-    return f"{name} {percent:.1f} %{poor}"
 
 
 def _model(fit: Row) -> Iterator[str]:

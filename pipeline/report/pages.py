@@ -17,8 +17,8 @@ from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
-from pipeline.report.status import ORDER
 from pipeline.report.words import ABSENT, LEAKAGE_KINDS, STATES, STATUSES, figure, plain, signed
+from pipeline.trends.motor_states import ORDER
 
 FOLDER = Path(__file__).parent
 ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))

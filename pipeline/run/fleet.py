@@ -34,7 +34,12 @@ from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.motor_task import plan_motor, run_motor
-from pipeline.run.publishing import fleets_tonight, publish_motors, publish_trends
+from pipeline.run.publishing import (
+    fleets_tonight,
+    publish_latest,
+    publish_motors,
+    publish_trends,
+)
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.schema import (
     MOTOR_OUTCOMES,
@@ -412,6 +417,9 @@ def _run(
             )
         except KeyboardInterrupt:
             interrupted = True
+    with interrupts_held() as came:
+        publish_latest(publisher, fleet)
+    interrupted = interrupted or bool(came)
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
     codes = {outcome.error_code for outcome in finished} | {one.code for one in failures.values()}
     if "store_read" in codes:

@@ -38,6 +38,7 @@ from pipeline.store.tables import (
     days_of,
     read_table,
     table_folder,
+    whole_file,
 )
 from pipeline.store.verification import (
     OF_MOTORS,
@@ -277,7 +278,7 @@ def restore_decisions(output: Path) -> None:
     StoreError
         If the journal cannot be read or written.
     """
-    path = table_folder(output, DECISIONS) / f"{DECISIONS.name}{ENDING}"
+    path = whole_file(output, DECISIONS)
     if not path.exists() or fault_of(output, path.relative_to(output / "tables").as_posix()):
         return
     try:

@@ -35,7 +35,7 @@ from pipeline.store.tables import (
     prepare_night,
     read_rows,
     run_file,
-    table_folder,
+    whole_file,
 )
 
 # Completes all rows of a night, given the motors whose rows are new.
@@ -193,8 +193,7 @@ class Publisher:
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file; raises as `nights`."""
-        path = table_folder(self.output, table) / f"{table.name}.parquet"
-        self._put({path: rows})
+        self._put({whole_file(self.output, table): rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]

@@ -78,6 +78,11 @@ def table_folder(output: Path, table: Table) -> Path:
     return output / "tables" / table.name
 
 
+def whole_file(output: Path, table: Table) -> Path:
+    """File of a table that is one file."""
+    return table_folder(output, table) / f"{table.name}{ENDING}"
+
+
 def night_file(output: Path, table: Table, night: dt.date) -> Path:
     """File of a table's night."""
     return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
@@ -478,8 +483,10 @@ def _read_motors(
         raise _damaged(path, table, error) from error
 
 
-def published_rows(output: Path, path: Path, table: Table, names: Collection[str]) -> pl.DataFrame:
-    """Rows of some nights of a file that is what its manifest says; raises as `read_table`."""
+def published_rows(
+    output: Path, path: Path, table: Table, names: Collection[str] | None = None
+) -> pl.DataFrame:
+    """Rows of a file that is what its manifest says, or of some nights; raises as `read_table`."""
     try:
         content = _published_content(output, path, table)
     except OSError as error:

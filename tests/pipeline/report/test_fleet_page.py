@@ -7,8 +7,8 @@ from typing import Any
 import pytest
 
 from pipeline.report.fleet_page import FleetRow, fleet_rows
-from pipeline.report.status import MotorState
 from pipeline.schema import BASELINES, TRENDS, frame
+from pipeline.trends.motor_states import MotorState
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit, history, unfitted
 
 NIGHTS = 40

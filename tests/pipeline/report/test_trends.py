@@ -5,7 +5,6 @@ from __future__ import annotations
 import datetime as dt
 from typing import Any
 
-from pipeline.report.status import motor_state
 from pipeline.report.tables import ReportTables
 from pipeline.report.trends import motor_states, trend_payload
 from pipeline.schema import (
@@ -18,6 +17,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.trends.decisions import Decision
+from pipeline.trends.motor_states import motor_state
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit
 from tests.pipeline.report.packed import unpacked
 
