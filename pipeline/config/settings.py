@@ -508,6 +508,18 @@ class Retention(Section):
     sensitivities: int | None = Field(None, ge=1, description="Nights kept of `sensitivities`")
 
 
+class Metrics(Section):
+    """Metrics of each run as a file for Prometheus."""
+
+    textfile: str = Field(
+        "",
+        pattern=r"^$|\.prom$",
+        description="File below the folder of the node exporter's textfile collector, such as "
+        "`/var/lib/prometheus/node-exporter/motor-leakage.prom`; relative to the fleet file; "
+        "empty: none is written",
+    )
+
+
 class Settings(Section):
     """All that a motor's file may override."""
 
@@ -541,3 +553,4 @@ class FleetFile(Settings):
     folders: Folders = Field(default_factory=lambda: Folders())
     execution: Execution = Field(default_factory=lambda: Execution())
     retention: Retention = Field(default_factory=lambda: Retention())
+    metrics: Metrics = Field(default_factory=lambda: Metrics())

@@ -33,6 +33,7 @@ from pipeline.night.fit_night import FAILED
 from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
+from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.motor_task import plan_motor, run_motor
 from pipeline.run.publishing import (
     fleets_tonight,
@@ -59,13 +60,15 @@ from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
 from pipeline.store.verification import TableFault
+from pipeline.store.views import write_views
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
-from pipeline.telling.outbox import is_waiting, open_outbox, take_up
+from pipeline.telling.outbox import backlogs, is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import published_states
 from pipeline.trends.record import (
     read_record,
     trend_hash,
@@ -266,6 +269,7 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
         _tell(fleet, receivers)
+        _measure(fleet, receivers, result)
     return result
 
 
@@ -287,6 +291,25 @@ def _tell(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
                     log.warning("%s", fault)
     except StoreError as error:
         log.warning("alarms: %s; what was delivered may be delivered again", error)
+
+
+def _measure(fleet: Fleet, receivers: Sequence[Receiver], result: RunResult) -> None:
+    """Write the metrics; that they cannot be written costs nobody the run."""
+    if fleet.metrics_file is None:
+        return
+    output = fleet.output
+    try:
+        text = metrics_text(
+            fleet,
+            published_states(output, [spec.motor_id for spec in fleet.motors]),
+            result.outcomes,
+            result.seconds_by_stage,
+            backlogs(output, receivers, fleet.name),
+            last_good_run(output),
+        )
+        write_metrics(fleet.metrics_file, text)
+    except StoreError as error:
+        log.warning("%s; there are no metrics of this run", error)
 
 
 def _require_logs(url: str) -> None:
@@ -594,6 +617,7 @@ def _publish_run(
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
+    write_views(fleet.output)
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:
