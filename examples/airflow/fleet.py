@@ -18,7 +18,9 @@ def motor_leakage():
     @task
     def fit() -> int:
         """Exit code 1: at least one motor failed, the others are published."""
-        code = subprocess.run(["motor-leakage", "fit-fleet", os.environ["FLEET"]], check=False).returncode
+        code = subprocess.run(
+            ["motor-leakage", "fit-fleet", os.environ["FLEET"]], check=False
+        ).returncode
         if code > 1:
             raise AirflowFailException(f"motor-leakage ended with {code}")
         return code

@@ -19,7 +19,9 @@ def table() -> pl.DataFrame:
 @dg.asset
 def latest() -> dg.MaterializeResult:
     """Fit the new nights; exit code 1: at least one motor failed, the others are published."""
-    code = subprocess.run(["motor-leakage", "fit-fleet", os.environ["FLEET"]], check=False).returncode
+    code = subprocess.run(
+        ["motor-leakage", "fit-fleet", os.environ["FLEET"]], check=False
+    ).returncode
     if code > 1:
         raise dg.Failure(f"motor-leakage ended with {code}")
     return dg.MaterializeResult(metadata={"exit_code": code, "motors": table().height})
@@ -29,7 +31,9 @@ def latest() -> dg.MaterializeResult:
 def no_alarm() -> dg.AssetCheckResult:
     """No motor is in alarm."""
     found = table().filter(state="alarm")
-    return dg.AssetCheckResult(passed=found.is_empty(), metadata=dict(found.select("motor_id", "sentence").iter_rows()))
+    return dg.AssetCheckResult(
+        passed=found.is_empty(), metadata=dict(found.select("motor_id", "sentence").iter_rows())
+    )
 
 
 @dg.asset_check(asset=latest)
@@ -40,5 +44,9 @@ def data_are_fresh() -> dg.AssetCheckResult:
 
 
 late = dg.build_last_update_freshness_checks(assets=[latest], lower_bound_delta=timedelta(hours=26))
-every_night = dg.ScheduleDefinition(job=dg.define_asset_job("nightly", [latest]), cron_schedule="30 7 * * *")
-defs = dg.Definitions([latest], asset_checks=[no_alarm, data_are_fresh, *late], schedules=[every_night])
+every_night = dg.ScheduleDefinition(
+    job=dg.define_asset_job("nightly", [latest]), cron_schedule="30 7 * * *"
+)
+defs = dg.Definitions(
+    [latest], asset_checks=[no_alarm, data_are_fresh, *late], schedules=[every_night]
+)

@@ -11,16 +11,72 @@ from grafana_foundation_sdk.models.dashboard import DataSourceRef
 
 SOURCE = DataSourceRef(type_val="prometheus", uid="${source}")
 WIDE, HALF = 24, 12
+# Kind, title, query, legend, unit, width.
 PANELS = (
-    # Kind, title, query, legend, unit, width
-    (stat, "Motors by state", "sum by (state) (motor_leakage_motor_state)", "{{state}}", "short", WIDE),
-    (timeseries, "Motors in alarm", 'motor_leakage_motor_state{state="alarm"} == 1', "{{motor}}", "short", HALF),
-    (timeseries, "Largest gap change", "motor_leakage_gap_change_ratio", "{{motor}} {{path}}", "percentunit", HALF),
-    (timeseries, "Age of the newest data", "time() - motor_leakage_data_timestamp_seconds", "{{motor}}", "s", HALF),
-    (timeseries, "Age of the last good run", "time() - motor_leakage_last_good_run_timestamp_seconds", "{{fleet}}", "s", HALF),
-    (timeseries, "Failed nights of the last run", "motor_leakage_failed_nights > 0", "{{motor}}", "short", HALF),
-    (timeseries, "Undelivered changes of state", "motor_leakage_undelivered_changes", "{{receiver}}", "short", HALF),
-    (timeseries, "Seconds by stage", "motor_leakage_stage_duration_seconds", "{{stage}}", "s", WIDE),
+    (
+        stat,
+        "Motors by state",
+        "sum by (state) (motor_leakage_motor_state)",
+        "{{state}}",
+        "short",
+        WIDE,
+    ),
+    (
+        timeseries,
+        "Motors in alarm",
+        'motor_leakage_motor_state{state="alarm"} == 1',
+        "{{motor}}",
+        "short",
+        HALF,
+    ),
+    (
+        timeseries,
+        "Largest gap change",
+        "motor_leakage_gap_change_ratio",
+        "{{motor}} {{path}}",
+        "percentunit",
+        HALF,
+    ),
+    (
+        timeseries,
+        "Age of the newest data",
+        "time() - motor_leakage_data_timestamp_seconds",
+        "{{motor}}",
+        "s",
+        HALF,
+    ),
+    (
+        timeseries,
+        "Age of the last good run",
+        "time() - motor_leakage_last_good_run_timestamp_seconds",
+        "{{fleet}}",
+        "s",
+        HALF,
+    ),
+    (
+        timeseries,
+        "Failed nights of the last run",
+        "motor_leakage_failed_nights > 0",
+        "{{motor}}",
+        "short",
+        HALF,
+    ),
+    (
+        timeseries,
+        "Undelivered changes of state",
+        "motor_leakage_undelivered_changes",
+        "{{receiver}}",
+        "short",
+        HALF,
+    ),
+    (
+        timeseries,
+        "Seconds by stage",
+        "motor_leakage_stage_duration_seconds",
+        "{{stage}}",
+        "s",
+        WIDE,
+    ),
 )
 
 

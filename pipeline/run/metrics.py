@@ -1,4 +1,4 @@
-"""Metrics of the last run as a text file for Prometheus (the node exporter's textfile collector)."""
+"""Metrics of the last run as a text file for the node exporter of Prometheus."""
 
 from __future__ import annotations
 
