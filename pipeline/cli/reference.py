@@ -111,7 +111,9 @@ def table_reference() -> str:
         "`<output>` is `out` in the folder from which the run was started, unless the config or "
         "`--output` says otherwise. Rows are sorted by key and no two share it. Times are UTC. "
         "Null means that there is no such figure, never 0. The table `data_dictionary` holds what "
-        "this page says.",
+        "this page says. Files of the nights of a month that is long over, or of its runs, become "
+        "one, `month=YYYY-MM/YYYY-MM.parquet` ([operations.md](operations.md#months)): globs and "
+        "keys do not change.",
         "Columns are added at the end and never removed, renamed or given another meaning. Files "
         "that an older version wrote lack what came later: have a reader match columns by name. "
         "[queries.md](queries.md) does so for DuckDB, Polars and pandas and answers common "
