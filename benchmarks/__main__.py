@@ -21,6 +21,7 @@ BENCHMARKS = (
     "mcap_reading",
     "model_choices",
     "model_verdict",
+    "month_files",
     "multi_start",
     "night_cost",
     "report",

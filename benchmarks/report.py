@@ -39,7 +39,7 @@ def main() -> None:
     """Measure and write `benchmarks/results/report.md`."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "out"
-        templates = _fitted_night(Path(folder))
+        templates = fitted_night(Path(folder))
         for number in range(NIGHTS):
             _write_night(output, templates, FIRST + dt.timedelta(days=number), number)
         request = ReportRequest(output, output / "report", execution=Execution(workers=2))
@@ -53,7 +53,7 @@ def main() -> None:
     write_results("report", title, ("what", "measured"), rows)
 
 
-def _fitted_night(folder: Path) -> Mapping[Table, pl.DataFrame]:
+def fitted_night(folder: Path) -> Mapping[Table, pl.DataFrame]:
     """The rows of one motor and night of the demo, by table."""
     demo = folder / "demo"
     write_demo(demo, nights=2, minutes=120.0, workers=2)

@@ -47,7 +47,8 @@ def answer(engine: str, question: Question) -> pl.DataFrame:
     """Answer a question on the tables in `out/tables` of the folder in which we are."""
     if engine == "DuckDB":
         with duckdb.connect() as connection:
-            connection.execute(preparation()[engine]).fetchall()
+            connection.execute("SET file_search_path = 'out'")
+            connection.execute(Path("out/views.sql").read_text("utf-8"))
             rows = connection.sql(question.queries[engine]).to_arrow_table()
     else:
         names: dict[str, object] = {}
@@ -79,7 +80,7 @@ def _queries(text: str) -> dict[str, str]:
     for engine in ENGINES[1:]:
         pattern = rf"^```python\n# {engine}\n(.*?)^```"
         found[engine] = re.findall(pattern, text, re.MULTILINE | re.DOTALL)
-    return {engine: query for engine, (query,) in found.items()}
+    return {engine: queries[0] for engine, queries in found.items() if queries}
 
 
 def _columns(text: str) -> tuple[str, ...]:

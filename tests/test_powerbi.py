@@ -20,7 +20,7 @@ CODE = {
 }
 COLUMNS = {table.name: set(table.schema) for table in TABLES}
 # Of Folder.Files, and those that the code makes itself.
-OTHER_COLUMNS = {"Content", "Extension", "Name", "Night", "fit", "motor_night"}
+OTHER_COLUMNS = {"Content", "Extension", "Name", "Night", "fit", "motor_night", "night"}
 
 
 def files(output: Path, table: Table) -> list[Path]:

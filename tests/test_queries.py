@@ -27,6 +27,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.tables import night_file, read_table, table_folder, write_table
+from pipeline.store.views import write_views
 from pipeline.trends.alarm_rows import alarm_rows
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
 from pipeline.trends.decisions import Decision
@@ -132,6 +133,7 @@ def write_trends(output: Path) -> None:
     said = [{"run_id": "made", **asdict(one)} for one in decisions()]
     whole_file = table_folder(output, DECISIONS) / "decisions.parquet"
     write_table(whole_file, frame(DECISIONS, said).sort(DECISIONS.key))
+    write_views(output)
 
 
 def decisions() -> list[Decision]:

@@ -55,7 +55,7 @@ def prune(
             line = {
                 "event": "prune",
                 "table": one.table,
-                "n_files": len(one.nights),
+                "n_files": len(one.names),
                 "size_bytes": one.size_bytes,
                 "first_night": one.nights[0].isoformat(),
                 "last_night": one.nights[-1].isoformat(),

@@ -129,6 +129,9 @@ def export(
         str | None,
         typer.Option(metavar="PLACE", help="Write Delta Lake tables below a folder or URL."),
     ] = None,
+    duckdb: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write all tables into one DuckDB file.")
+    ] = None,
     tables: Annotated[str, typer.Option(help="Tables, with commas between; all if empty.")] = "",
     motors: Annotated[
         str, typer.Option(help="Ids of the motors, with blanks between; all if empty.")
@@ -148,15 +151,24 @@ def export(
 
     Example: motor-leakage export configs/fleet.toml --delta lake
 
-    Delta Lake tables are written whole, each in one transaction.
+    Delta Lake tables are written whole, each in one transaction; a DuckDB file has all tables.
     """
     from pipeline.export.csv import Selection, export_csv, tables_named
     from pipeline.export.delta import export_delta
+    from pipeline.export.duckdb import export_duckdb
 
-    if (csv is None) == (delta is None):
-        raise UsageError("export_format", "expected --csv FOLDER or --delta PLACE")
+    if sum(place is not None for place in (csv, delta, duckdb)) != 1:
+        raise UsageError(
+            "export_format", "expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"
+        )
     fleet = loaded(config)
     root = output or fleet.output
+    if duckdb is not None:
+        if tables or motors or since or until or bom:
+            raise UsageError("export_format", "--duckdb writes all tables, whole")
+        for table in export_duckdb(root, duckdb):
+            typer.echo(f"{table.table}: {table.n_rows} rows")
+        return
     if delta is not None:
         if motors or since or until or bom:
             raise UsageError("export_format", "--delta writes whole tables: expected only --tables")

@@ -20,14 +20,13 @@ from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.settings import FleetFile, Section
 from pipeline.schema import (
-    DATA_DICTIONARY,
-    DECISIONS,
     NIGHT_TABLES,
     QUALITY,
     QUALITY_REASONS,
     SCHEMA_VERSION,
     TABLES,
     TREND_TABLES,
+    WHOLE_TABLES,
     Table,
     data_dictionary,
 )
@@ -116,7 +115,9 @@ def table_reference() -> str:
         "`<output>` is `out` in the folder from which the run was started, unless the config or "
         "`--output` says otherwise. Rows are sorted by key and no two share it. Times are UTC. "
         "Null means that there is no such figure, never 0. The table `data_dictionary` holds what "
-        "this page says.",
+        "this page says. Files of the nights of a month that is long over, or of its runs, become "
+        "one, `month=YYYY-MM/YYYY-MM.parquet` ([operations.md](operations.md#months)): globs and "
+        "keys do not change.",
         "Columns are added at the end and never removed, renamed or given another meaning. Files "
         "that an older version wrote lack what came later: have a reader match columns by name. "
         "[queries.md](queries.md) does so for DuckDB, Polars and pandas and answers common "
@@ -164,7 +165,7 @@ def _index_row(table: Table) -> Sequence[str]:
 
 def _place(table: Table) -> str:
     folder = table_folder(Path("<output>"), table).as_posix()
-    if table in (DATA_DICTIONARY, DECISIONS):
+    if table in WHOLE_TABLES:
         return f"{folder}/{table.name}.parquet"
     name = "<night>" if table in (*NIGHT_TABLES, *TREND_TABLES) else "<start of the run>"
     return f"{folder}/month=YYYY-MM/{name}.parquet"

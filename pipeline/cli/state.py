@@ -86,8 +86,9 @@ def ack(
     motor-leakage ack configs/fleet.toml CB400-02 --opened 2026-05-12 --worn piston_ring
     --sound balance_sleeve --note "rings scored"
     """
-    from pipeline.report.status import RAISED, TOLD, last_alarm
+    from pipeline.report.status import RAISED, last_alarm
     from pipeline.trends.decisions import FINDINGS, Decision, record_decision
+    from pipeline.trends.motor_states import TOLD
 
     if finding not in ("", *FINDINGS):
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")

@@ -14,8 +14,9 @@ from rich.table import Table
 
 from pipeline.errors import one_line
 from pipeline.report.findings import total
-from pipeline.report.status import FleetStatus, MotorState
+from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
+from pipeline.trends.motor_states import MotorState
 
 # Colours only support the words of a state.
 COLOURS = {

@@ -128,7 +128,7 @@ class Fleet:
     """A fleet's whole config; `settings` are those that no motor overrides.
 
     `object_store` is where the output is published; empty: nowhere else. `log_url` is as in
-    `MotorSpec`.
+    `MotorSpec`. `metrics_file` is None where none is to be written.
     """
 
     name: str
@@ -141,6 +141,7 @@ class Fleet:
     settings: Settings
     retention: Retention
     object_store: str = ""
+    metrics_file: Path | None = None
 
     @property
     def log_url(self) -> str:
@@ -204,6 +205,7 @@ def load_fleet(path: Path) -> Fleet:
         oils=oils.parsed,
         settings=fleet,
         object_store=folders.object_store,
+        metrics_file=path.absolute().parent / file if (file := fleet.metrics.textfile) else None,
     )
     if (expected := overlap(found)) is not None:
         raise ConfigError([fault_at(path.name, ("folders", "output"), expected, folders.output)])

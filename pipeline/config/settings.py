@@ -501,6 +501,13 @@ class Execution(Section):
         description="Days within which every published file is read and compared with its "
         "manifest, a share in each run [days]",
     )
+    join_months_after: int = Field(
+        14,
+        ge=0,
+        description="Nights after the end of a month until its files become one a table (all but "
+        "`block_statistics`); a night that comes later parts them until the next run without one; "
+        "0: never",
+    )
 
     @property
     def hasty(self) -> Execution:
@@ -515,6 +522,18 @@ class Retention(Section):
     starts: int | None = Field(None, ge=1, description="Nights kept of `starts`")
     residual_tests: int | None = Field(None, ge=1, description="Nights kept of `residual_tests`")
     sensitivities: int | None = Field(None, ge=1, description="Nights kept of `sensitivities`")
+
+
+class Metrics(Section):
+    """Metrics of each run as a file for Prometheus."""
+
+    textfile: str = Field(
+        "",
+        pattern=r"^$|\.prom$",
+        description="File below the folder of the node exporter's textfile collector, such as "
+        "`/var/lib/prometheus/node-exporter/motor-leakage.prom`; relative to the fleet file; "
+        "empty: none is written",
+    )
 
 
 class Settings(Section):
@@ -550,3 +569,4 @@ class FleetFile(Settings):
     folders: Folders = Field(default_factory=lambda: Folders())
     execution: Execution = Field(default_factory=lambda: Execution())
     retention: Retention = Field(default_factory=lambda: Retention())
+    metrics: Metrics = Field(default_factory=lambda: Metrics())

@@ -16,10 +16,10 @@ from typing import BinaryIO
 
 import polars as pl
 
-from pipeline.errors import StoreError, UsageError
+from pipeline.errors import UsageError
 from pipeline.schema import TABLES, TIMESTAMP, Table
 from pipeline.store.atomic_files import put, remove_leftovers
-from pipeline.store.tables import existing_tables, read_table, table_folder
+from pipeline.store.tables import existing_tables, files_of, read_table, while_listed
 
 BYTE_ORDER_MARK = "\ufeff"
 TIME_FORMAT = "%Y-%m-%dT%H:%M:%S%.6fZ"
@@ -127,26 +127,21 @@ def _export_table(
 
     def write(file: BinaryIO) -> None:
         nonlocal count
+        count = 0
         file.write((BYTE_ORDER_MARK if byte_order_mark else "").encode())
         file.write((",".join(table.schema) + "\n").encode())
         for rows in _parts(output, table, selection):
             count += rows.height
             file.write(as_text(rows).write_csv(include_header=False).encode())
 
-    put(path, write)
+    while_listed(lambda: put(path, write))
     return Exported(table.name, path, count)
 
 
 def _parts(output: Path, table: Table, selection: Selection) -> Iterator[pl.DataFrame]:
     """The chosen rows of a table, file after file: memory does not grow with the history."""
-    for path in sorted(table_folder(output, table).rglob("*.parquet")):
-        try:
-            rows = read_table(path, table)
-        except StoreError:
-            if path.exists():
-                raise
-            continue  # a run has taken it away since it was listed
-        yield rows.filter(_chosen(table, selection))
+    for path in files_of(output, table):
+        yield read_table(path, table).filter(_chosen(table, selection))
 
 
 def _chosen(table: Table, selection: Selection) -> pl.Expr:

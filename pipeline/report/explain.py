@@ -10,7 +10,6 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-from leakage.validation import is_poor
 from pipeline.errors import UsageError
 from pipeline.report.explain_residuals import explain_residuals
 from pipeline.schema import (
@@ -23,7 +22,8 @@ from pipeline.schema import (
     TRENDS,
     Table,
 )
-from pipeline.store.tables import night_file, read_table
+from pipeline.store.tables import read_rows
+from pipeline.trends.motor_states import FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
@@ -34,11 +34,6 @@ LARGEST_EFFECTS = 3
 RAISED = ("alarm", "warning", "common_cause")
 PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
 # Fits of a night by the column of `fits`, in words.
-FITS_OF_A_NIGHT = {
-    "training_fit_percent": "training",
-    "validation_fit_percent": "validation",
-    "previous_model_fit_percent": "the model before, on tonight",
-}
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -86,11 +81,8 @@ def _paragraph(title: str, lines: Iterable[str]) -> list[str]:
 
 
 def _rows(output: Path, table: Table, motor_id: str, night: dt.date) -> list[Row]:
-    path = night_file(output, table, night)
-    if not path.exists():
-        return []
-    rows = read_table(path, table).filter(motor_id=motor_id, night=night)
-    return rows.to_dicts()
+    rows = read_rows(output, table, [motor_id], nights=[night])
+    return rows.filter(night=night).to_dicts()
 
 
 def _of(fit: Row, rows: list[Row]) -> list[Row]:
@@ -161,18 +153,6 @@ def _fit(fit: Row) -> Iterator[str]:
         yield status.removeprefix("ok: ")
     elif status != "ok":
         yield f"no intervals: {status}"
-
-
-def fit_words(name: str, percent: float) -> str:
-    """A fit with its name; a poor one is called that.
-
-    Examples
-    --------
-    >>> fit_words("training", 99.14), fit_words("validation", -1295.0)
-    ('training 99.1 %', 'validation -1295.0 % (poor: worse than a constant flow)')
-    """
-    poor = " (poor: worse than a constant flow)" if is_poor(percent) else ""
-    return f"{name} {percent:.1f} %{poor}"
 
 
 def _model(fit: Row) -> Iterator[str]:

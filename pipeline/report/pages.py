@@ -22,7 +22,6 @@ from pipeline.report.fleet_page import FleetRow
 from pipeline.report.history import MotorHistory
 from pipeline.report.motor_page import reference_conditions
 from pipeline.report.sparkline import HEIGHT, STRIP_HEIGHT, WIDTH
-from pipeline.report.status import ORDER
 from pipeline.report.words import (
     ABSENT,
     DECISIONS,
@@ -35,6 +34,7 @@ from pipeline.report.words import (
     signed,
 )
 from pipeline.trends.decisions import Decision
+from pipeline.trends.motor_states import ORDER
 from pipeline.trends.words import day, name_of
 
 FOLDER = Path(__file__).parent

@@ -24,11 +24,11 @@ from pipeline.report.build import KnownMotor, ReportRequest
 from pipeline.report.first_screen import FirstScreen, Line, first_screen
 from pipeline.report.history import Course, MotorHistory, motor_histories
 from pipeline.report.names import file_names
-from pipeline.report.status import MotorState
 from pipeline.report.tables import read_tables
 from pipeline.report.trends import motor_states
 from pipeline.report.words import LEAKAGE_KINDS, figure, plain, sentence
 from pipeline.store.atomic_files import put
+from pipeline.trends.motor_states import MotorState
 from pipeline.trends.words import day
 
 Nights = NDArray[np.datetime64]

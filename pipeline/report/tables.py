@@ -7,9 +7,10 @@ the report.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -31,7 +32,7 @@ from pipeline.schema import (
     TREND_TABLES,
     Table,
 )
-from pipeline.store.tables import night_file, night_paths, read_table, table_folder
+from pipeline.store.tables import by_file, files_of, night_paths, read_table, while_listed
 from pipeline.trends.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
@@ -93,8 +94,7 @@ def read_night(output: Path, night: dt.date) -> dict[str, Read]:
     """
     found: dict[str, Read] = {}
     for table in SHOWN_TABLES:
-        path = night_file(output, table, night)
-        found[table.name] = _read([path] if path.exists() else [], table)
+        found[table.name] = _read(partial(by_file, output, table, [night]), table, nights=[night])
     fits = found["fits"].rows
     if fits["is_primary"].all():
         return found
@@ -120,11 +120,9 @@ def read_tables(output: Path) -> ReportTables:
     StoreError
         If a file is of a newer version of the program.
     """
-    fits = _read(night_paths(output, FITS).values(), FITS)
-    runs = _read(_all_files(output, RUNS), RUNS, ["started_at", "fleet"])
-    trends = {
-        table.name: _read(night_paths(output, table).values(), table) for table in TREND_TABLES
-    }
+    fits = _read(partial(_files, output, FITS), FITS)
+    runs = _read(partial(files_of, output, RUNS), RUNS, ["started_at", "fleet"])
+    trends = {table.name: _read(partial(_files, output, table), table) for table in TREND_TABLES}
     newest = runs.rows.sort("started_at").get_column("fleet").drop_nulls()
     return ReportTables(
         fits=fits.rows.filter("is_primary").sort("motor_id", "night"),
@@ -140,28 +138,38 @@ def by_motor(rows: pl.DataFrame) -> dict[str, pl.DataFrame]:
     return {part["motor_id"][0]: part for part in rows.partition_by("motor_id")}
 
 
-def _all_files(output: Path, table: Table) -> list[Path]:
-    return sorted(table_folder(output, table).rglob("*.parquet"))
+def _files(output: Path, table: Table) -> dict[Path, None]:
+    """Files of a table's nights, each once."""
+    return dict.fromkeys(night_paths(output, table).values())
 
 
 def _read(
-    paths: Iterable[Path],
+    listed: Callable[[], Iterable[Path]],
     table: Table,
     columns: Sequence[str] | None = None,
+    nights: Sequence[dt.date] | None = None,
 ) -> Read:
     """Rows of some files of a table one below the other; damaged files are left out and named."""
+    return while_listed(lambda: _read_files(list(listed()), table, columns, nights))
+
+
+def _read_files(
+    paths: Sequence[Path],
+    table: Table,
+    columns: Sequence[str] | None,
+    nights: Sequence[dt.date] | None,
+) -> Read:
     columns = list(table.schema) if columns is None else columns
 
     def part(path: Path) -> pl.DataFrame | str:
         try:
-            rows = read_table(path, table)
+            rows = read_table(path, table, nights)
         except StoreError as error:
-            if error.code != "store_read":
+            if error.code != "store_read" or isinstance(error.__cause__, FileNotFoundError):
                 raise
             return error.message
         return rows.select(columns)
 
-    paths = list(paths)
     if len(paths) < READING_THREADS:
         parts = list(map(part, paths))
     else:

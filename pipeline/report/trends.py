@@ -10,11 +10,11 @@ import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import MotorHistory
-from pipeline.report.status import ORDER, MotorState, motor_state
 from pipeline.report.tables import ReportTables, by_motor
 from pipeline.report.words import plain
 from pipeline.schema import ALARMS, TRENDS, frame
 from pipeline.thinning import keep_extremes
+from pipeline.trends.motor_states import ORDER, MotorState, motor_state
 from pipeline.trends.words import limit_dates, name_of
 
 Payload = dict[str, Any]

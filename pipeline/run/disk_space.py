@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import shutil
-from itertools import islice
 from pathlib import Path
 
 from pipeline.errors import StoreError
 from pipeline.schema import FITS
-from pipeline.store.tables import night_paths
+from pipeline.store.tables import night_paths, parts_of
 
 MIB = 1024**2
 # Staged rows are not compressed, and each table file is written beside the one that it replaces.
@@ -41,12 +40,13 @@ def require_space(output: Path, minimum_free_mib: float) -> None:
 
 def bytes_a_night(output: Path) -> int:
     """Bytes that a night of the fleet takes while it is made, from the newest nights' tables."""
-    newest = islice(reversed(night_paths(output, FITS).values()), NIGHTS_LOOKED_AT)
+    newest = list(reversed(night_paths(output, FITS).values()))[:NIGHTS_LOOKED_AT]
     sizes = [
         sum(
             one.stat().st_size
             for one in (output / "tables").glob(f"*/{path.parent.name}/{path.name}")
         )
-        for path in newest
+        // len(parts_of(path))
+        for path in dict.fromkeys(newest)
     ]
     return STAGING_FACTOR * max(sizes, default=0)

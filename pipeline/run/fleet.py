@@ -33,8 +33,14 @@ from pipeline.night.fit_night import FAILED
 from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
+from pipeline.run.metrics import metrics_text, write_metrics
 from pipeline.run.motor_task import plan_motor, run_motor
-from pipeline.run.publishing import publish_motors, publish_trends
+from pipeline.run.publishing import (
+    fleets_tonight,
+    publish_latest,
+    publish_motors,
+    publish_trends,
+)
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
 from pipeline.schema import (
     MOTOR_OUTCOMES,
@@ -50,16 +56,19 @@ from pipeline.store.atomic_files import (
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.manifest import Key, manifest_keys
+from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.publishing import Publisher
 from pipeline.store.verification import TableFault
+from pipeline.store.views import write_views
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
-from pipeline.telling.outbox import is_waiting, open_outbox, take_up
+from pipeline.telling.outbox import backlogs, is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import published_states
 from pipeline.trends.record import (
     read_record,
     trend_hash,
@@ -260,6 +269,7 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
         _tell(fleet, receivers)
+        _measure(fleet, receivers, result)
     return result
 
 
@@ -281,6 +291,25 @@ def _tell(fleet: Fleet, receivers: Sequence[Receiver]) -> None:
                     log.warning("%s", fault)
     except StoreError as error:
         log.warning("alarms: %s; what was delivered may be delivered again", error)
+
+
+def _measure(fleet: Fleet, receivers: Sequence[Receiver], result: RunResult) -> None:
+    """Write the metrics; that they cannot be written costs nobody the run."""
+    if fleet.metrics_file is None:
+        return
+    output = fleet.output
+    try:
+        text = metrics_text(
+            fleet,
+            published_states(output, [spec.motor_id for spec in fleet.motors]),
+            result.outcomes,
+            result.seconds_by_stage,
+            backlogs(output, receivers, fleet.name),
+            last_good_run(output),
+        )
+        write_metrics(fleet.metrics_file, text)
+    except StoreError as error:
+        log.warning("%s; there are no metrics of this run", error)
 
 
 def _require_logs(url: str) -> None:
@@ -411,6 +440,9 @@ def _run(
             )
         except KeyboardInterrupt:
             interrupted = True
+    with interrupts_held() as came:
+        publish_latest(publisher, fleet)
+    interrupted = interrupted or bool(came)
     finished = [_with_trends(outcome, failures.get(outcome.motor_id)) for outcome in finished]
     codes = {outcome.error_code for outcome in finished} | {one.code for one in failures.values()}
     if "store_read" in codes:
@@ -434,8 +466,26 @@ def _run(
     heartbeat.say(stage="recording")
     with interrupts_held() as came:
         _publish_run(publisher, request, result, started, config_hash)
-    interrupted = interrupted or bool(came)
+    interrupted = interrupted or bool(came) or not _join_months(fleet, request.clock, publisher)
     return replace(result, interrupted=interrupted)
+
+
+def _join_months(fleet: Fleet, clock: dt.datetime, publisher: Publisher) -> bool:
+    """Join the files of months that are long over, but for those with a night of this run.
+
+    Where that fails, the next run does it. False if it was interrupted.
+    """
+    nights = fleet.execution.join_months_after
+    try:
+        tonight = fleets_tonight(fleet, clock) if nights else None
+        if tonight is not None:
+            last = last_month_over(tonight.night, nights)
+            join_months(fleet.output, publisher.staging, last, publisher.months)
+    except StoreError as error:
+        log.warning("%s; the next run joins its month", error)
+    except KeyboardInterrupt:
+        return False
+    return True
 
 
 def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
@@ -567,6 +617,7 @@ def _publish_run(
     }
     rows = [_outcome_row(outcome, result.run_id, started) for outcome in result.outcomes]
     publisher.of_run(started, {RUNS: [run], MOTOR_OUTCOMES: rows})
+    write_views(fleet.output)
 
 
 def _outcome_row(outcome: MotorOutcome, run_id: str, started: dt.datetime) -> Mapping[str, object]:

@@ -30,7 +30,16 @@ from pipeline.store.manifest import (
     renew_manifest,
     update_manifest,
 )
-from pipeline.store.tables import ENDING, PUT_ASIDE, Proof, day_of_run, read_table, table_folder
+from pipeline.store.tables import (
+    ENDING,
+    PUT_ASIDE,
+    Proof,
+    day_of_run,
+    days_of,
+    read_table,
+    table_folder,
+    whole_file,
+)
 from pipeline.store.verification import (
     OF_MOTORS,
     OF_TRENDS,
@@ -156,9 +165,10 @@ class Damage:
             path = self.output / "tables" / one.path
             if one.code == "table_altered":
                 move(path, path.with_suffix(PUT_ASIDE))
-            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS:
-                # Tables of a run cannot be made anew.
-                update_manifest(self.output, *manifest_key(one.path), {one.path: None})
+            month, label = manifest_key(one.path)
+            if one.path.split("/")[0] not in OF_MOTORS | OF_TRENDS or label == month:
+                # Tables of a run cannot be made anew, and a month is, night by night.
+                update_manifest(self.output, month, label, {one.path: None})
 
     def _forget(self, names: Iterable[str]) -> None:
         """Let the nights of some files be made anew."""
@@ -167,9 +177,10 @@ class Damage:
         for name in names:
             table, label = name.split("/")[0], manifest_key(name)[1]
             if table in OF_MOTORS:
-                nights[dt.date.fromisoformat(label)].add(table)
+                for night in days_of(label):
+                    nights[night].add(table)
             elif table in OF_TRENDS:
-                trends.append(dt.date.fromisoformat(label))
+                trends.append(days_of(label)[0])
         if nights:
             refit = {night for night, tables in nights.items() if tables <= FROM_BLOCKS}
             for motor_id, some in forget_nights(self.output, nights, refit=refit).items():
@@ -186,10 +197,12 @@ class Damage:
             if table not in TABLE_OF or (month != WHOLE and table not in OF_MOTORS | OF_TRENDS):
                 continue
             now = fault_of(self.output, path)
-            if now is not None or not (self.output / "tables" / path).exists():
+            gone = label != month and not (self.output / "tables" / path).exists()
+            if now is not None or gone:
                 yield self._not_made(now or fault)
             elif table in OF_MOTORS:
-                mended.setdefault(dt.date.fromisoformat(label), path)
+                for night in days_of(label):
+                    mended.setdefault(night, path)
         for night, path in mended.items():
             lost = [
                 motor_id
@@ -244,7 +257,7 @@ def _is_called_as_ours(name: str) -> bool:
     if table not in TABLE_OF or not name.endswith(ENDING):
         return False
     try:
-        return table not in OF_MOTORS | OF_TRENDS or bool(dt.date.fromisoformat(label))
+        return table not in OF_MOTORS | OF_TRENDS or bool(days_of(label))
     except ValueError:
         return False
 
@@ -265,7 +278,7 @@ def restore_decisions(output: Path) -> None:
     StoreError
         If the journal cannot be read or written.
     """
-    path = table_folder(output, DECISIONS) / f"{DECISIONS.name}{ENDING}"
+    path = whole_file(output, DECISIONS)
     if not path.exists() or fault_of(output, path.relative_to(output / "tables").as_posix()):
         return
     try:

@@ -63,7 +63,7 @@ from pipeline.run.tasks import (
 )
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
 from pipeline.store.atomic_files import scratch
-from pipeline.store.tables import night_file, read_rows, stage
+from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.workers.process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -181,7 +181,7 @@ def _tells_roller(outcome: NightOutcome) -> bool | None:
 
 def _still_published(ledger: Ledger, output: Path) -> Ledger:
     """A ledger without the nights whose tables somebody removed: they are to be made anew."""
-    gone = {label for label in ledger.nights if not night_file(output, FITS, label).exists()}
+    gone = ledger.nights.keys() - set(nights_back(output, FITS))
     return Ledger(
         files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
         nights={label: one for label, one in ledger.nights.items() if label not in gone},

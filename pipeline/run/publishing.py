@@ -21,6 +21,7 @@ from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
+    LATEST,
     NIGHT_TABLES,
     TREND_TABLES,
     TRENDS,
@@ -30,6 +31,7 @@ from pipeline.schema import (
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.trends.decisions import read_decisions
+from pipeline.trends.motor_states import latest_rows, latest_states
 from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
     TrendOutcome,
@@ -118,6 +120,17 @@ def publish_trends(
     with interrupts_held() as came:
         alarms = _publish_trend_rows(publisher, made, fleet.settings.trend.false_discovery_rate)
     return failures, alarms, bool(came)
+
+
+def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
+    """Publish the state of each motor; where a table is damaged, that of the run before stays."""
+    try:
+        states = latest_states(publisher.output, [spec.motor_id for spec in fleet.motors])
+    except StoreError as error:
+        log.warning("%s; the table `latest` stays as it was", error)
+        return
+    rows = latest_rows(states, publisher.run_id)
+    publisher.whole(LATEST, frame(LATEST, rows).sort(LATEST.key))
 
 
 def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:

@@ -51,6 +51,7 @@ from pipeline.schema.trends import (
     BASELINES,
     CHANGE_POINTS,
     DECISIONS,
+    LATEST,
     TRENDS,
 )
 
@@ -66,6 +67,7 @@ __all__ = [
     "FITS",
     "FIT_KEY_NAMES",
     "INPUT_FILES",
+    "LATEST",
     "MOTOR_OUTCOMES",
     "NIGHT_TABLES",
     "NUMBERS",
@@ -87,6 +89,7 @@ __all__ = [
     "TIMESTAMP",
     "TRENDS",
     "TREND_TABLES",
+    "WHOLE_TABLES",
     "Column",
     "Table",
     "data_dictionary",
@@ -114,7 +117,10 @@ NIGHT_TABLES = (
 # The same, made from the tables above after all motors are done.
 TREND_TABLES = (TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
 
-TABLES = (*NIGHT_TABLES, *TREND_TABLES, DECISIONS, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
+# One file each.
+WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
+
+TABLES = (LATEST, *NIGHT_TABLES, *TREND_TABLES, DECISIONS, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pl.DataFrame:

@@ -1,8 +1,9 @@
 """Manifests: the SHA-256 of every published table file proves it, its footer included.
 
-One manifest a night (and a run). Page checksums do not cover a footer, and a query engine checks
-neither. Before files are put into their places their manifest lists old and new digests, afterwards
-the new ones: every file can be proven at any moment, wherever a run was broken off.
+One manifest a night, a joined month, and a run. Page checksums do not cover a footer, and a query
+engine checks neither. Before files are put into their places their manifest lists old and new
+digests, afterwards the new ones: every file can be proven at any moment, wherever a run was broken
+off.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path, PurePosixPath
 
-from pipeline.store.atomic_files import put
+from pipeline.store.atomic_files import put, remove
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, seal, unseal
 
 MONTH_PREFIX = "month="
@@ -53,9 +54,9 @@ def manifest_file(output: Path, month: str, name: str) -> Path:
     return output / "manifest" / f"{MONTH_PREFIX}{month}" / f"{name}.json"
 
 
-def manifest_keys(output: Path) -> list[Key]:
-    """Month and name of each manifest, sorted."""
-    paths = (output / "manifest").glob(f"{MONTH_PREFIX}*/*.json")
+def manifest_keys(output: Path, month: str = "*") -> list[Key]:
+    """Month and name of each manifest, or of those of a month, sorted."""
+    paths = (output / "manifest").glob(f"{MONTH_PREFIX}{month}/*.json")
     return sorted((path.parent.name.removeprefix(MONTH_PREFIX), path.stem) for path in paths)
 
 
@@ -66,6 +67,8 @@ def manifest_key(name: str) -> Key:
     --------
     >>> manifest_key("fits/month=2026-03/2026-03-02.parquet")
     ('2026-03', '2026-03-02')
+    >>> manifest_key("fits/month=2026-03/2026-03.parquet")
+    ('2026-03', '2026-03')
     >>> manifest_key("decisions/decisions.parquet")
     ('whole', 'decisions')
     """
@@ -130,7 +133,11 @@ def update_manifest(output: Path, month: str, name: str, files: Mapping[str, str
     listed: dict[str, str | None] = {**before.files, **files}
     kept = {one: digest for one, digest in listed.items() if digest is not None}
     coming = {one: some for one, some in before.coming.items() if one not in files}
-    put_sealed(manifest_file(output, month, name), asdict(Manifest(kept, coming)))
+    path = manifest_file(output, month, name)
+    if kept or coming:
+        put_sealed(path, asdict(Manifest(kept, coming)))
+    else:
+        remove(path)
 
 
 def renew_manifest(output: Path, month: str, name: str) -> None:

@@ -15,6 +15,7 @@ import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame
+from pipeline.store.atomic_files import move
 from pipeline.store.manifest import (
     Manifest,
     announce,
@@ -22,15 +23,19 @@ from pipeline.store.manifest import (
     read_manifest,
     update_manifest,
 )
+from pipeline.store.months import part_month
 from pipeline.store.tables import (
+    PUT_ASIDE,
     NightFile,
     StagedRows,
+    days_of,
     encode_table,
+    month_file,
     prepare_file,
     prepare_night,
     read_rows,
     run_file,
-    table_folder,
+    whole_file,
 )
 
 # Completes all rows of a night, given the motors whose rows are new.
@@ -58,6 +63,8 @@ class Publisher:
         have to be made anew.
     damaged
         Files that were put aside for it, by path relative to the folder of the tables.
+    months
+        Months in which it has published nights, YYYY-MM.
     """
 
     output: Path
@@ -65,6 +72,7 @@ class Publisher:
     run_id: str
     lost: dict[dt.date, set[str]] = field(default_factory=dict)
     damaged: list[str] = field(default_factory=list)
+    months: set[str] = field(default_factory=set)
 
     def nights(
         self,
@@ -91,10 +99,15 @@ class Publisher:
             If a file cannot be written.
         """
         staged = {table: self.staged(table, motor_ids) for table in tables}
+        nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
+        months = {f"{night:%Y-%m}" for night in nights}
+        self.months |= months
+        for month in sorted(months):
+            for table in part_month(self.output, self.staging, staged, month):
+                self._give_up(table, month, staged[table], forget)
         for table, motors in staged.items():
             if "night" not in table.key:
                 self._vacate(table, motors, forget)
-        nights = {n for motors in staged.values() for rows in motors.values() for n in rows.nights}
         for night in sorted(nights):
             # One table at a time: all rows of a large fleet would fill the memory.
             here = {table: partial(_of_night, some, night) for table, some in staged.items()}
@@ -105,6 +118,20 @@ class Publisher:
         folder = self.staging / table.name
         paths = {motor_id: folder / f"{motor_id}.arrow" for motor_id in motor_ids}
         return {motor_id: StagedRows(path) for motor_id, path in paths.items() if path.exists()}
+
+    def _give_up(
+        self, table: Table, month: str, staged: Mapping[str, StagedRows], forget: Forget
+    ) -> None:
+        """Put a damaged file of a month aside, and let its nights be made anew."""
+        path = month_file(self.output, table, month)
+        name = path.relative_to(self.output / "tables").as_posix()
+        self.damaged.append(name)
+        for night in days_of(month):
+            new = {motor_id for motor_id, rows in staged.items() if night in rows.nights}
+            self.lost.setdefault(night, set()).update(new)
+            forget(self.output, (night,), new)
+        move(path, path.with_suffix(PUT_ASIDE))
+        update_manifest(self.output, month, month, {name: None})
 
     def _vacate(self, table: Table, staged: Mapping[str, StagedRows], forget: Forget) -> None:
         """Remove rows that move to an earlier night from the later one, before they are there.
@@ -166,8 +193,7 @@ class Publisher:
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file; raises as `nights`."""
-        path = table_folder(self.output, table) / f"{table.name}.parquet"
-        self._put({path: rows})
+        self._put({whole_file(self.output, table): rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]

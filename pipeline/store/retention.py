@@ -41,10 +41,11 @@ LOSSES: Mapping[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class OldFiles:
-    """Files of a table that are to be removed: their nights, sorted, and what is lost with them."""
+    """Files of a table that are to be removed: nights and names, and what is lost with them."""
 
     table: str
     nights: tuple[dt.date, ...]
+    names: tuple[str, ...]
     size_bytes: int
     loss: str
 
@@ -90,7 +91,10 @@ def nights_kept(retention: Retention, tables: Sequence[str], keep: int | None) -
 def old_files(
     output: Path, kept: Mapping[str, int], tonight: dt.date | None
 ) -> tuple[OldFiles, ...]:
-    """Files older than the days kept of each table, counted back from tonight; None: none are."""
+    """Files older than the days kept of each table, counted back from tonight; None: none are.
+
+    A joined month is as old as its last night.
+    """
     if tonight is None:
         return ()
     found = []
@@ -98,11 +102,14 @@ def old_files(
         if table.name not in kept:
             continue
         first_kept = tonight - dt.timedelta(days=kept[table.name] - 1)
-        files = {night: path.stat().st_size for night, path in night_paths(output, table).items()}
-        old = {night: size for night, size in files.items() if night < first_kept}
+        nights = night_paths(output, table)
+        last = {path: night for night, path in nights.items()}
+        old = [path for path, night in last.items() if night < first_kept]
         if old:
-            size = sum(old.values())
-            found.append(OldFiles(table.name, tuple(old), size, LOSSES[table.name]))
+            gone = tuple(night for night, path in nights.items() if path in old)
+            names = tuple(path.relative_to(output / "tables").as_posix() for path in old)
+            size = sum(path.stat().st_size for path in old)
+            found.append(OldFiles(table.name, gone, names, size, LOSSES[table.name]))
     return tuple(found)
 
 
@@ -116,8 +123,7 @@ def prune(output: Path, old: Sequence[OldFiles]) -> None:
     """
     going: defaultdict[Key, list[str]] = defaultdict(list)
     for one in old:
-        for night in one.nights:
-            name = f"{one.table}/month={night:%Y-%m}/{night}.parquet"
+        for name in one.names:
             going[manifest_key(name)].append(name)
     for key, names in sorted(going.items()):
         manifest = read_manifest(output, *key) or Manifest()

@@ -1,7 +1,8 @@
 """Tables on disk: one Parquet file for each table and night, replaced whole or not at all.
 
 A motor's task stages its rows in a file of its own; the run then publishes night by night, so that
-its memory does not grow with the fleet's history.
+its memory does not grow with the fleet's history. Nights of a month that is long over are joined in
+one file (`pipeline/store/months.py`), night after night; its footer says which, with their rows.
 """
 
 from __future__ import annotations
@@ -9,14 +10,19 @@ from __future__ import annotations
 import datetime as dt
 import errno
 import hashlib
+import json
 import logging
 import os
 import re
+from bisect import bisect_right
+from calendar import monthrange
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
+from itertools import accumulate
 from pathlib import Path
+from typing import Any, TypeVar
 
 import polars as pl
 import pyarrow as pa
@@ -30,7 +36,15 @@ from pipeline.store.manifest import MONTH_PREFIX, Manifest, manifest_key, read_m
 
 log = logging.getLogger(__name__)
 
+Made = TypeVar("Made")
+
 VERSION_KEY = "motor_leakage_schema_version"
+# Nights (or runs) of a joined file and their numbers of rows, in the order of its rows.
+PARTS_KEY = "motor_leakage_parts"
+# Joined nights share a row group up to about so many rows.
+ROWS_A_GROUP = 122_880
+# Most tries to read files that were listed and are gone.
+TIMES_LISTED = 3
 # Ending of a damaged file that a run has put aside.
 PUT_ASIDE = ".damaged"
 UNREADABLE = "unreadable"
@@ -40,6 +54,11 @@ FILES_AT_ONCE = 32
 MONTH_FOLDER = re.compile(r"month=\d{4}-(0[1-9]|1[0-2])")
 # Raised by reading a damaged file; a damaged name gives UnicodeDecodeError, a ValueError.
 DAMAGE = (OSError, ValueError, pa.ArrowException, PolarsError, PanicException)
+
+
+def files_of(output: Path, table: Table) -> list[Path]:
+    """All files of a table, in time order."""
+    return sorted(table_folder(output, table).rglob(f"*{ENDING}"))
 
 
 def existing_tables(output: Path) -> Path:
@@ -61,30 +80,76 @@ def table_folder(output: Path, table: Table) -> Path:
     return output / "tables" / table.name
 
 
+def whole_file(output: Path, table: Table) -> Path:
+    """File of a table that is one file."""
+    return table_folder(output, table) / f"{table.name}{ENDING}"
+
+
 def night_file(output: Path, table: Table, night: dt.date) -> Path:
     """File of a table's night."""
     return table_folder(output, table) / f"month={night:%Y-%m}" / f"{night}.parquet"
 
 
+def month_file(output: Path, table: Table, month: str) -> Path:
+    """File of a table's joined month, YYYY-MM."""
+    return table_folder(output, table) / f"{MONTH_PREFIX}{month}" / f"{month}{ENDING}"
+
+
+def place_of(output: Path, table: Table, night: dt.date) -> Path | None:
+    """File with a table's night, its own or that of its joined month; None without one."""
+    places = (night_file(output, table, night), month_file(output, table, f"{night:%Y-%m}"))
+    return next((path for path in places if path.exists()), None)
+
+
+def parts_of(path: Path) -> dict[str, int]:
+    """Numbers of rows of a file by night (or start of a run), in the order of its rows.
+
+    Raises
+    ------
+    StoreError
+        If its footer is damaged.
+    """
+    try:
+        return _parts(pq.read_metadata(path)) or {path.stem: 0}
+    except DAMAGE as error:
+        raise StoreError("store_read", f"{path.name} is damaged: {error}") from error
+
+
+def _parts(footer: pq.FileMetaData) -> dict[str, int]:
+    """The same of a joined file; empty for another."""
+    told = (footer.metadata or {}).get(PARTS_KEY.encode())
+    return {} if told is None else {str(name): int(rows) for name, rows in json.loads(told)}
+
+
 def nights_back(output: Path, table: Table) -> Iterator[dt.date]:
-    """Nights of a table's files, the newest first; a file may have no rows."""
-    folder = table_folder(output, table)
-    for month in sorted((entry.name for entry in _entries(folder)), reverse=True):
-        for name in sorted((entry.name for entry in _entries(folder / month)), reverse=True):
-            night = night_named(name)
-            if night is not None and month == f"{MONTH_PREFIX}{night:%Y-%m}":
-                yield night
+    """Nights of a table's files, the newest first; a night may have no rows."""
+    months = (entry.name for entry in _entries(table_folder(output, table)))
+    for month in sorted(months, reverse=True):
+        yield from sorted(
+            night_paths(output, table, month.removeprefix(MONTH_PREFIX)), reverse=True
+        )
 
 
 def night_paths(output: Path, table: Table, month: str = "*") -> dict[dt.date, Path]:
     """Files of a table by night, in time order; files of other names are left out."""
-    paths = sorted(table_folder(output, table).glob(f"{MONTH_PREFIX}{month}/*{ENDING}"))
-    found = ((night_named(path.name), path) for path in paths)
-    return {
-        night: path
-        for night, path in found
-        if night is not None and path == night_file(output, table, night)
-    }
+    folder = table_folder(output, table)
+    months = [f"{MONTH_PREFIX}{month}"]
+    if month == "*":
+        months = [entry.name for entry in _entries(folder)]
+    found = [
+        (night, folder / name / entry.name)
+        for name in months
+        for entry in _entries(folder / name)
+        if entry.name.endswith(ENDING)
+        for label in _labels(folder / name / entry.name)
+        if (night := night_named(f"{label}{ENDING}")) and name == f"{MONTH_PREFIX}{night:%Y-%m}"
+    ]
+    return dict(sorted(found))
+
+
+def _labels(path: Path) -> Iterable[str]:
+    """Nights of a file by its name, or by its footer if it is that of a month."""
+    return parts_of(path) if path.parent.name == f"{MONTH_PREFIX}{path.stem}" else (path.stem,)
 
 
 def night_named(name: str) -> dt.date | None:
@@ -94,6 +159,25 @@ def night_named(name: str) -> dt.date | None:
     except ValueError:
         return None
     return night if name == f"{night}{ENDING}" else None
+
+
+def days_of(label: str) -> list[dt.date]:
+    """Nights that a file's name says: one, or all of a month.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+
+    Examples
+    --------
+    >>> days_of("2026-02-03"), len(days_of("2026-02"))
+    ([datetime.date(2026, 2, 3)], 28)
+    """
+    if len(label) == len("2026-02"):
+        first = dt.date.fromisoformat(f"{label}-01")
+        return [first.replace(day=one + 1) for one in range(monthrange(first.year, first.month)[1])]
+    return [dt.date.fromisoformat(label)]
 
 
 def month_stamps(output: Path, table: Table) -> dict[str, int]:
@@ -109,14 +193,15 @@ def month_stamps(output: Path, table: Table) -> dict[str, int]:
 
 
 def night_stamps(output: Path, table: Table, month: str) -> dict[str, str]:
-    """Size, time and inode of each file of a month, as text by night: another file differs."""
-    found = {}
-    for entry in _entries(table_folder(output, table) / f"{MONTH_PREFIX}{month}"):
+    """Size, time and inode of each night's file of a month, as text: another file differs."""
+    found: dict[str, str] = {}
+    folder = table_folder(output, table) / f"{MONTH_PREFIX}{month}"
+    for entry in _entries(folder):
         night = night_named(entry.name)
-        if night is not None and f"{night:%Y-%m}" == month:
+        if entry.name == f"{month}{ENDING}" or (night and f"{night:%Y-%m}" == month):
             state = entry.stat()
             stamp = f"{state.st_size:x}.{state.st_mtime_ns:x}.{state.st_ino:x}"
-            found[entry.name.removesuffix(ENDING)] = stamp
+            found |= dict.fromkeys(_labels(folder / entry.name), stamp)
     return found
 
 
@@ -162,30 +247,88 @@ def encode_table(name: str, rows: pl.DataFrame) -> bytes:
     return encoded
 
 
-def _as_parquet(rows: pl.DataFrame, version: int) -> bytes:
-    content = rows.to_arrow(compat_level=pl.CompatLevel.oldest())
+def _as_parquet(rows: pl.DataFrame, version: int, parts: Mapping[str, int] | None = None) -> bytes:
+    begins = accumulate((parts or {}).values(), initial=0)
+    named = [
+        (name, rows.slice(begin, count))
+        for begin, (name, count) in zip(begins, (parts or {}).items(), strict=False)
+    ]
     stream = pa.BufferOutputStream()
+    write_parts(stream, rows.schema, named or [("", rows)], version)
+    return bytes(stream.getvalue())
+
+
+def write_parts(
+    stream: Any,
+    schema: Mapping[str, pl.DataType | type[pl.DataType]],
+    parts: Iterable[tuple[str, pl.DataFrame]],
+    version: int = SCHEMA_VERSION,
+) -> None:
+    """Write a file of the rows of named nights to a stream; an empty name is not noted."""
+    counts: list[tuple[str, int]] = []
+
+    def counted() -> Iterator[pl.DataFrame]:
+        for name, rows in parts:
+            counts.append((name, rows.height))
+            yield rows
+
+    oldest = pl.CompatLevel.oldest()
     with pq.ParquetWriter(
         stream,
-        content.schema,
+        pl.DataFrame(schema=schema).to_arrow(compat_level=oldest).schema,
         compression="zstd",
         write_page_checksum=True,
         store_schema=False,
     ) as table:
-        table.write_table(content)
+        for group in row_groups(counted()):
+            content = group.to_arrow(compat_level=oldest)
+            table.write_table(content, row_group_size=max(group.height, 1))
         # Metadata of the schema would be left out with it.
-        table.add_key_value_metadata({VERSION_KEY: str(version)})
-    return bytes(stream.getvalue())
+        told = {VERSION_KEY: str(version)}
+        if any(name for name, _ in counts):
+            told[PARTS_KEY] = json.dumps(counts, separators=(",", ":"))
+        table.add_key_value_metadata(told)
 
 
-def _from_parquet(encoded: bytes) -> pa.Table:
-    return pq.read_table(
-        pa.BufferReader(encoded), page_checksum_verification=True, partitioning=None
-    )
+def row_groups(parts: Iterable[pl.DataFrame]) -> Iterator[pl.DataFrame]:
+    """Nights put together up to the rows of a row group; each lies whole in one."""
+    waiting: list[pl.DataFrame] = []
+    for rows in parts:
+        waiting.append(rows)
+        if sum(one.height for one in waiting) >= ROWS_A_GROUP:
+            yield pl.concat(waiting, rechunk=True)
+            waiting = []
+    if waiting:
+        yield pl.concat(waiting, rechunk=True)
 
 
-def read_table(path: Path, table: Table) -> pl.DataFrame:
+def _from_parquet(
+    encoded: bytes, names: Collection[str] | None = None, columns: Sequence[str] | None = None
+) -> pa.Table:
+    """Rows of a file's content; of a joined file those of some nights alone, if they are named."""
+    file = pq.ParquetFile(pa.BufferReader(encoded), page_checksum_verification=True)
+    parts = _parts(file.metadata)
+    if names is None or not parts:
+        return file.read(columns=columns, use_threads=False)
+    sizes = (file.metadata.row_group(place).num_rows for place in range(file.num_row_groups))
+    begins = list(accumulate(sizes, initial=0))
+    groups: dict[int, pa.Table] = {}
+    found, begin = [], 0
+    for name, count in parts.items():
+        if name in names:
+            # A night lies in one row group; one without rows may lie behind the last.
+            place = min(bisect_right(begins, begin), file.num_row_groups) - 1
+            if place not in groups:
+                groups[place] = file.read_row_group(place, columns=columns, use_threads=False)
+            found.append(groups[place].slice(begin - begins[place], count))
+        begin += count
+    return pa.concat_tables(found or [file.read_row_group(0, columns=columns).slice(0, 0)])
+
+
+def read_table(path: Path, table: Table, nights: Collection[dt.date] | None = None) -> pl.DataFrame:
     """Rows of a table file; columns that an older version lacks are null.
+
+    Of a joined file those of some nights alone, if they are named.
 
     Raises
     ------
@@ -197,12 +340,14 @@ def read_table(path: Path, table: Table) -> pl.DataFrame:
         content = read(path)
     except OSError as error:
         raise _damaged(path, table, error) from error
-    return _decode(path, table, content)
+    return _decode(path, table, content, None if nights is None else {str(one) for one in nights})
 
 
-def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
+def _decode(
+    path: Path, table: Table, encoded: bytes, names: Collection[str] | None = None
+) -> pl.DataFrame:
     try:
-        rows, _ = _rows_of(path, table, encoded)
+        rows, _ = _rows_of(path, table, encoded, names)
         absent = [
             pl.lit(None, dtype=kind).alias(name)
             for name, kind in table.schema.items()
@@ -213,9 +358,11 @@ def _decode(path: Path, table: Table, encoded: bytes) -> pl.DataFrame:
         raise _damaged(path, table, error) from error
 
 
-def _rows_of(path: Path, table: Table, encoded: bytes) -> tuple[pl.DataFrame, int]:
+def _rows_of(
+    path: Path, table: Table, encoded: bytes, names: Collection[str] | None = None
+) -> tuple[pl.DataFrame, int]:
     """Rows of a table file, and its schema version."""
-    content = _from_parquet(encoded)
+    content = _from_parquet(encoded, names)
     version = int((content.schema.metadata or {}).get(VERSION_KEY.encode(), b"0"))
     if version > SCHEMA_VERSION:
         # This version of the program would lose its new columns.
@@ -274,36 +421,77 @@ def read_rows(
         If a file is damaged, or is not what its manifest says.
     """
     chosen = list(columns or table.schema)
-    if nights is None:
-        paths = list(night_paths(output, table, month).values())
-    else:
-        files = (night_file(output, table, night) for night in sorted(nights))
-        paths = [path for path in files if path.exists()]
-    if not paths:
-        return pl.DataFrame(schema={name: table.schema[name] for name in chosen})
-    parts = [
-        _read_motors(output, paths[at : at + FILES_AT_ONCE], table, motor_ids, chosen)
-        for at in range(0, len(paths), FILES_AT_ONCE)
-    ]
-    return pl.concat(parts)
+    wanted = pl.col("motor_id").is_in(list(motor_ids))
+    if nights is not None:
+        wanted &= pl.col("night").is_in(list(nights))
+
+    def read_all() -> list[pl.DataFrame]:
+        found = (
+            night_paths(output, table, month).values()
+            if nights is None
+            else by_file(output, table, nights)
+        )
+        paths = list(dict.fromkeys(found))
+        return [
+            _read_some(output, paths[at : at + FILES_AT_ONCE], table, wanted, chosen)
+            for at in range(0, len(paths), FILES_AT_ONCE)
+        ]
+
+    empty = pl.DataFrame(schema={name: table.schema[name] for name in chosen})
+    return pl.concat([empty, *while_listed(read_all)])
 
 
-def _read_motors(
-    output: Path, paths: Sequence[Path], table: Table, motor_ids: Sequence[str], chosen: list[str]
+def by_file(output: Path, table: Table, nights: Iterable[dt.date]) -> dict[Path, list[str]]:
+    """Names of nights by the file that holds them, as far as there is one."""
+    found: dict[Path, list[str]] = {}
+    for night in sorted(nights):
+        path = place_of(output, table, night)
+        if path is not None:
+            found.setdefault(path, []).append(str(night))
+    return found
+
+
+def while_listed(read: Callable[[], Made]) -> Made:
+    """Result of a function that lists files of tables and then reads them.
+
+    A run that joins a month meanwhile, or parts it, takes listed files away: it is called again.
+    """
+    for _ in range(TIMES_LISTED):
+        try:
+            return read()
+        except StoreError as error:
+            if not isinstance(error.__cause__, FileNotFoundError):
+                raise
+    return read()
+
+
+def _read_some(
+    output: Path, paths: Sequence[Path], table: Table, wanted: pl.Expr, chosen: list[str]
 ) -> pl.DataFrame:
-    """Some motors' rows of some files, in one scan: one for each takes five times as long."""
+    """Wanted rows of some files, in one scan: one for each takes five times as long."""
     try:
         contents = [_published_content(output, path, table) for path in paths]
         rows = pl.scan_parquet(
             contents, schema=table.schema, missing_columns="insert", extra_columns="ignore"
         )
-        return rows.filter(pl.col("motor_id").is_in(list(motor_ids))).select(chosen).collect()
+        return rows.filter(wanted).select(chosen).collect()
     except DAMAGE as error:
         if len(paths) == 1:
             raise _damaged(paths[0], table, error) from error
     for path in paths:  # to name the damaged one
-        _read_motors(output, [path], table, motor_ids, chosen)
+        _read_some(output, [path], table, wanted, chosen)
     raise _damaged(paths[0].parent, table, ValueError("its files do not fit together"))
+
+
+def published_rows(
+    output: Path, path: Path, table: Table, names: Collection[str] | None = None
+) -> pl.DataFrame:
+    """Rows of a file that is what its manifest says, or of some nights; raises as `read_table`."""
+    try:
+        content = _published_content(output, path, table)
+    except OSError as error:
+        raise _damaged(path, table, error) from error
+    return _decode(path, table, content, names)
 
 
 def _published_content(output: Path, path: Path, table: Table) -> bytes:
@@ -341,10 +529,14 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
     try:
         content = read(path)
         rows, version = _rows_of(path, table, content)
+        parts = _parts(pq.read_metadata(pa.BufferReader(content)))
         of_night = path.parent.name.startswith(MONTH_PREFIX) and "night" in rows.columns
-        if of_night and {str(night) for night in rows["night"].unique().drop_nulls()} - {path.stem}:
+        nights = (
+            {str(night) for night in rows["night"].unique().drop_nulls()} if of_night else set()
+        )
+        if nights - (parts.keys() or {path.stem}):
             raise ValueError("it has rows of other nights")
-        same = _as_parquet(rows, version) == content
+        same = _as_parquet(rows, version, parts) == content
     except DAMAGE as error:
         raise _damaged(path, table, error) from error
     return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES

@@ -182,6 +182,8 @@ def test_tables_lie_where_the_page_says(after_a_run: Path) -> None:
 def test_readme_duckdb_query_works() -> None:
     (query,) = blocks(README, "sql")
     with duckdb.connect() as connection:
+        connection.execute("SET file_search_path = 'out'")
+        connection.execute(Path("out/views.sql").read_text("utf-8"))
         rows = connection.execute(query).fetchall()
     motors = {f"CB{n}-0{i}" for n in (400, 560, 1120) for i in (1, 2)}
     assert {motor for motor, *_ in rows} == motors

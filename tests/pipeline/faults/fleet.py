@@ -207,7 +207,7 @@ def check_tables(output: Path, fleet: TinyFleet) -> None:
             assert same(now.get(name), after.get(name)), name
 
 
-LASTING = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json"}
+LASTING = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json", "views.sql"}
 
 
 def temporary(output: Path) -> list[Path]:

@@ -18,19 +18,17 @@ from pipeline.report.status import (
     ORDER,
     RAISED,
     TOLD,
-    MotorState,
     age_in_hours,
     fleet_status,
     last_alarm,
     last_findings,
-    motor_state,
-    urgency,
 )
 from pipeline.report.words import STATES
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.motor_states import MotorState, motor_state, urgency
 from pipeline.trends.trend_rows import trend_rows
 from pipeline.trends.words import FALL, size_words
 from tests.pipeline.cli.test_cli import Call

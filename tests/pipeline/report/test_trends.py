@@ -8,7 +8,6 @@ from typing import Any
 import polars as pl
 
 from pipeline.report.history import motor_histories
-from pipeline.report.status import motor_state
 from pipeline.report.tables import ReportTables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
 from pipeline.schema import (
@@ -20,6 +19,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.trends.decisions import Decision
+from pipeline.trends.motor_states import motor_state
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit
 from tests.pipeline.report.packed import unpacked
 

@@ -186,7 +186,7 @@ def test_the_partition_of_a_month_is_that_of_its_nights(fitted_output: Path) -> 
 
 
 def test_nothing_but_tables_and_what_saves_work_is_left(fitted_output: Path) -> None:
-    left = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json"}
+    left = {"tables", "ledger", "manifest", "history", "lock", "heartbeat.json", "views.sql"}
     assert {path.name for path in fitted_output.iterdir()} == left
     assert not (fitted_output / "staging").exists()
     assert not list(fitted_output.rglob(".writing-*"))

@@ -21,11 +21,12 @@ from pipeline.export.csv import Selection, export_csv
 from pipeline.ingest.table import is_of_file
 from pipeline.logs.files import find_logs
 from pipeline.report import ReportRequest, build_report
-from pipeline.report.status import FleetStatus, MotorState
+from pipeline.report.status import FleetStatus
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.setup.check import check_fleet
 from pipeline.telling.command import Command
 from pipeline.telling.delivery import Delivery, UndeliveredError
+from pipeline.trends.motor_states import MotorState
 from tests.pipeline.simulated import load_motor, motor_toml, write_configs
 
 FILE_NAMES = [

@@ -9,7 +9,6 @@ import shutil
 from pathlib import Path
 
 import polars as pl
-import pyarrow.parquet as pq
 import pytest
 
 import pipeline.store.tables
@@ -92,12 +91,12 @@ def test_what_reads_back_otherwise_is_not_published(
     path = tmp_path / "table.parquet"
     write_table(path, pl.DataFrame({"a": [1.0, float("nan"), None]}))
     before = path.read_bytes()
-    read = pq.read_table
+    read = pipeline.store.tables._from_parquet
 
     def other(*arguments: object, **settings: object) -> object:
         return read(*arguments, **settings).slice(1)
 
-    monkeypatch.setattr(pipeline.store.tables.pq, "read_table", other)
+    monkeypatch.setattr(pipeline.store.tables, "_from_parquet", other)
     with pytest.raises(StoreError, match="not what was written"):
         write_table(path, pl.DataFrame({"a": [1.0, 2.0, 3.0]}))
     assert path.read_bytes() == before

@@ -1,0 +1,91 @@
+"""All tables in one DuckDB file, with the views and the words of `views.sql`."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import polars as pl
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.schema import TABLES, Table
+from pipeline.store.atomic_files import TEMPORARY_PREFIX, Prepared, make_folders, remove_leftovers
+from pipeline.store.tables import existing_tables, files_of, read_table, while_listed
+from pipeline.store.views import columns_of, statements_of
+
+if TYPE_CHECKING:
+    from duckdb import DuckDBPyConnection
+
+
+@dataclass(frozen=True, slots=True)
+class ExportedRows:
+    """A table in the file, with the number of its rows."""
+
+    table: str
+    n_rows: int
+
+
+def export_duckdb(output: Path, path: Path) -> Iterator[ExportedRows]:
+    """Write a DuckDB file whole or not at all; one of that name is replaced.
+
+    Parameters
+    ----------
+    output
+        Output folder of the runs.
+    path
+        The file.
+
+    Yields
+    ------
+    ExportedRows
+        Each table as it is finished; the file is there after the last.
+
+    Raises
+    ------
+    UsageError
+        ``duckdb_missing`` without the extra; ``no_tables`` if there are none; ``duckdb_file`` if
+        the file lies within the tables, or is a folder.
+    StoreError
+        If a table is damaged, or the file cannot be written.
+    """
+    try:
+        import duckdb
+    except ImportError as error:
+        raise UsageError(
+            "duckdb_missing", f"--duckdb needs the extra `duckdb` ({error}): motor-leakage[duckdb]"
+        ) from error
+    tables = existing_tables(output)
+    if path.is_dir() or path.resolve().is_relative_to(tables.resolve()):
+        raise UsageError("duckdb_file", f"{path} is a folder or lies within the tables")
+    new = Prepared(path, path.parent / f"{TEMPORARY_PREFIX}{secrets.token_hex(8)}", "")
+    try:
+        make_folders(path.parent)
+        remove_leftovers([path.parent], below=False)
+        with duckdb.connect(str(new.temporary)) as connection:
+            for table in TABLES:
+                columns = ", ".join(f"{name} {kind}" for name, kind in columns_of(table))
+                connection.execute(f"CREATE TABLE {table.name} ({columns})")
+                count = while_listed(partial(_fill, connection, output, table))
+                yield ExportedRows(table.name, count)
+            connection.execute("\n".join(statements_of(TABLES, "TABLE")))
+        new.land()
+    except (duckdb.Error, OSError) as error:
+        raise StoreError("store_write", f"{path} cannot be written: {error}") from error
+    finally:
+        new.drop()
+
+
+def _fill(connection: DuckDBPyConnection, output: Path, table: Table) -> int:
+    """Fill a table, file after file: memory does not grow with the history."""
+    connection.execute(f"DELETE FROM {table.name}")  # noqa: S608 - a name of the schema
+    count = 0
+    for path in files_of(output, table):
+        rows = read_table(path, table).to_arrow(compat_level=pl.CompatLevel.oldest())
+        connection.register("rows", rows)
+        connection.execute(f"INSERT INTO {table.name} BY NAME SELECT * FROM rows")  # noqa: S608
+        count += rows.num_rows
+    return count

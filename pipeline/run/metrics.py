@@ -1,0 +1,108 @@
+"""Metrics of the last run as a text file for the node exporter of Prometheus."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+from pipeline.config import Fleet
+from pipeline.config.nights import night
+from pipeline.errors import StoreError
+from pipeline.night.fit_night import FAILED
+from pipeline.run.tasks import MotorOutcome
+from pipeline.store.atomic_files import put, read, remove_leftovers
+from pipeline.telling.outbox import Backlog
+from pipeline.trends.motor_states import ORDER, MotorState
+
+HEAD = "# Made by motor-leakage"
+# Labels and value of a sample.
+Sample = tuple[Mapping[str, str], float]
+
+
+def write_metrics(path: Path, text: str) -> None:
+    """Replace a text file whole; its folder is not made, and a file of others stays.
+
+    Raises
+    ------
+    StoreError
+        ``metrics_file``, if it cannot be written.
+    """
+    try:
+        if not path.parent.is_dir():
+            raise StoreError("metrics_file", f"{path.parent} is no folder; make it")
+        if path.exists() and not read(path).startswith(HEAD.encode()):
+            raise StoreError("metrics_file", f"{path} is not of this program; choose another name")
+        remove_leftovers([path.parent], below=False)
+        put(path, text.encode(), durable=False)
+    except OSError as error:
+        raise StoreError("metrics_file", f"{path}: {error.strerror}") from error
+
+
+def metrics_text(
+    fleet: Fleet,
+    states: Sequence[MotorState],
+    outcomes: Sequence[MotorOutcome],
+    seconds_by_stage: Mapping[str, float],
+    backlogs: Sequence[Backlog],
+    last_good_run: dt.datetime | None,
+) -> str:
+    """The metrics in Prometheus's text format, each with the label `fleet`."""
+    nights = fleet.settings.nights
+    families: dict[tuple[str, str], list[Sample]] = {
+        ("motor_state", "1 for the state of a motor, 0 for the others"): [
+            ({"motor": one.motor_id, "state": state}, float(one.state == state))
+            for one in states
+            for state in ORDER
+        ],
+        ("gap_change_ratio", "Largest gap change of a motor since its baseline"): [
+            ({"motor": one.motor_id, "path": one.gap_path or ""}, one.gap_change_percent / 100)
+            for one in states
+            if one.gap_change_percent is not None
+        ],
+        ("data_timestamp_seconds", "End of the newest night with samples of a motor"): [
+            ({"motor": one.motor_id}, night(one.data_night, nights).end_us / 1e6)
+            for one in states
+            if one.data_night is not None
+        ],
+        ("failed_nights", "Nights of a motor that failed in the last run"): [
+            ({"motor": one.motor_id}, float(one.counts.get(FAILED, 0))) for one in outcomes
+        ],
+        ("undelivered_changes", "Changes of state that are not delivered to a receiver"): [
+            ({"receiver": one.receiver}, float(one.undelivered)) for one in backlogs
+        ],
+        ("stage_duration_seconds", "Wall-clock time of the last run by stage"): [
+            ({"stage": stage.removesuffix("_s")}, taken)
+            for stage, taken in seconds_by_stage.items()
+        ],
+        ("last_good_run_timestamp_seconds", "End of the last run through all motors"): [
+            ({}, last_good_run.timestamp()) for _ in [0] if last_good_run is not None
+        ],
+    }
+    lines = (
+        line
+        for (name, words), samples in families.items()
+        for line in _family(f"motor_leakage_{name}", words, fleet.name, samples)
+    )
+    return "\n".join([HEAD, *lines]) + "\n"
+
+
+def _family(name: str, words: str, fleet: str, samples: Iterable[Sample]) -> Iterator[str]:
+    yield f"# HELP {name} {words}."
+    yield f"# TYPE {name} gauge"
+    for labels, value in samples:
+        told = ",".join(
+            f'{key}="{_escaped(text)}"' for key, text in {"fleet": fleet, **labels}.items()
+        )
+        yield f"{name}{{{told}}} {value!r}"
+
+
+def _escaped(text: str) -> str:
+    """A label's value.
+
+    Examples
+    --------
+    >>> print(_escaped('a"b'))
+    a\\"b
+    """
+    return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")

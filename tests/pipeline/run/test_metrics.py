@@ -1,0 +1,120 @@
+"""Metrics: what Prometheus's own tool takes, and a folder that is absent, full or foreign."""
+
+from __future__ import annotations
+
+import datetime as dt
+import shutil
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import pytest
+
+from pipeline.config import Fleet
+from pipeline.config.settings import Settings
+from pipeline.errors import StoreError
+from pipeline.run.metrics import HEAD, metrics_text, write_metrics
+from pipeline.run.tasks import MotorOutcome
+from pipeline.telling.outbox import Backlog
+from pipeline.trends.motor_states import MotorState
+from tests.pipeline.faults.disk import Disk, on
+
+WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
+NAME = 'Mill "A"\\ north'
+
+
+@dataclass(frozen=True)
+class SomeFleet:
+    name: str = NAME
+    settings: Settings = Settings()  # noqa: RUF009 - frozen
+
+
+@dataclass(frozen=True)
+class SomeOutcome:
+    motor_id: str = "M1"
+    counts: dict[str, int] = ()  # type: ignore[assignment]
+
+
+def metrics() -> str:
+    """Metrics of a fleet of one motor."""
+    state = MotorState(
+        "M1", "alarm", gap_path="piston_ring", gap_change_percent=25.0, data_night=WHEN.date()
+    )
+    return metrics_text(
+        cast(Fleet, SomeFleet()),
+        [state, MotorState("M2", "insufficient")],
+        [cast(MotorOutcome, SomeOutcome(counts={"failed": 2, "ok": 1}))],
+        {"motors_s": 1.5, "trends_s": 0.25},
+        [Backlog("hook", WHEN, 3, WHEN, None)],
+        WHEN,
+    )
+
+
+def samples() -> dict[str, float]:
+    lines = [line for line in metrics().splitlines() if not line.startswith("#")]
+    return {name: float(value) for name, _, value in (line.rpartition(" ") for line in lines)}
+
+
+def test_figures() -> None:
+    found = samples()
+    fleet = 'fleet="Mill \\"A\\"\\\\ north"'
+    assert found[f'motor_leakage_motor_state{{{fleet},motor="M1",state="alarm"}}'] == 1.0
+    assert sum(value for name, value in found.items() if "motor_state{" in name) == 2.0
+    ring = f'motor_leakage_gap_change_ratio{{{fleet},motor="M1",path="piston_ring"}}'
+    assert found[ring] == 0.25
+    # The night of 2 March ends at 06:00 UTC.
+    newest = f'motor_leakage_data_timestamp_seconds{{{fleet},motor="M1"}}'
+    assert found[newest] == WHEN.timestamp()
+    assert found[f"motor_leakage_last_good_run_timestamp_seconds{{{fleet}}}"] == WHEN.timestamp()
+    assert found[f'motor_leakage_failed_nights{{{fleet},motor="M1"}}'] == 2.0
+    assert found[f'motor_leakage_undelivered_changes{{{fleet},receiver="hook"}}'] == 3.0
+    assert found[f'motor_leakage_stage_duration_seconds{{{fleet},stage="trends"}}'] == 0.25
+
+
+@pytest.mark.skipif(shutil.which("promtool") is None, reason="no promtool here")
+def test_promtool_takes_them() -> None:
+    done = subprocess.run(
+        ["promtool", "check", "metrics"],
+        input=metrics(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_replaced_whole(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.prom"
+    for text in (f"{HEAD}\nfirst\n", f"{HEAD}\nsecond\n"):
+        write_metrics(path, text)
+        assert path.read_text() == text
+    assert [one.name for one in tmp_path.iterdir()] == ["fleet.prom"]
+
+
+def test_an_absent_folder_is_not_made(tmp_path: Path) -> None:
+    with pytest.raises(StoreError, match="is no folder"):
+        write_metrics(tmp_path / "absent" / "fleet.prom", HEAD)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["file", "folder"])
+def test_what_others_wrote_stays(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "fleet.prom"
+    if kind == "folder":
+        path.mkdir()
+    else:
+        path.write_text("node_time 1\n")
+    with pytest.raises(StoreError) as caught:
+        write_metrics(path, HEAD)
+    assert caught.value.code == "metrics_file"
+    assert path.is_dir() or path.read_text() == "node_time 1\n"
+
+
+def test_a_full_disk_leaves_the_metrics_before(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.prom"
+    write_metrics(path, f"{HEAD}\nfirst\n")
+    with on(Disk("ENOSPC", 2, lasting=True)), pytest.raises(StoreError):
+        write_metrics(path, f"{HEAD}\nsecond\n")
+    assert path.read_text() == f"{HEAD}\nfirst\n"
+    assert [one.name for one in tmp_path.iterdir()] == ["fleet.prom"]

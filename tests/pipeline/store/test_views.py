@@ -1,0 +1,73 @@
+"""Views of all tables: they hold on an empty output, and on one of an older version."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import duckdb
+import pytest
+
+from pipeline.schema import FITS, LATEST, TABLES, frame
+from pipeline.store.tables import whole_file, write_table
+from pipeline.store.views import JOINS, NAME, write_views
+
+
+def opened(output: Path, monkeypatch: pytest.MonkeyPatch) -> duckdb.DuckDBPyConnection:
+    """As `duckdb -init views.sql` in the output folder."""
+    monkeypatch.chdir(output)
+    connection = duckdb.connect()
+    connection.execute(Path(NAME).read_text("utf-8"))
+    return connection
+
+
+def test_views_on_an_empty_output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_views(tmp_path)
+    with opened(tmp_path, monkeypatch) as connection:
+        for table in TABLES:
+            view = connection.table(table.name)
+            assert (view.columns, view.fetchall()) == (list(table.schema), [])
+        for name in JOINS:
+            assert connection.table(name).fetchall() == []
+
+
+def test_types_of_an_empty_view_are_those_of_its_files(
+    tmp_path: Path, fitted_output: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_views(tmp_path)
+    with opened(tmp_path, monkeypatch) as empty, opened(fitted_output, monkeypatch) as full:
+        for table in TABLES:
+            assert empty.table(table.name).types == full.table(table.name).types, table.name
+
+
+def test_every_column_has_the_words_of_the_dictionary(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_views(tmp_path)
+    with opened(tmp_path, monkeypatch) as connection:
+        told = connection.execute(
+            "SELECT table_name, column_name FROM duckdb_columns() WHERE comment IS NOT NULL"
+        ).fetchall()
+        (words,) = connection.execute(
+            "SELECT comment FROM duckdb_columns() "
+            "WHERE table_name = 'fits' AND column_name = 'reference_leakage_lower'"
+        ).fetchall()
+    assert set(told) == {(table.name, name) for table in TABLES for name in table.schema}
+    (column,) = (one for one in FITS.columns if one.name == "reference_leakage_lower")
+    assert words == (f"{column.description} [{column.unit}]",)
+
+
+def test_a_table_with_its_first_file_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = [{"motor_id": "M1", "state": "ok", "run_id": "r"}]
+    write_table(whole_file(tmp_path, LATEST), frame(LATEST, rows))
+    write_views(tmp_path)
+    with opened(tmp_path, monkeypatch) as connection:
+        assert connection.execute("SELECT motor_id, state FROM latest").fetchall() == [("M1", "ok")]
+
+
+def test_unchanged_views_are_not_written_again(tmp_path: Path) -> None:
+    write_views(tmp_path)
+    before = (tmp_path / NAME).stat()
+    write_views(tmp_path)
+    assert (tmp_path / NAME).stat() == before

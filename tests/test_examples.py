@@ -1,0 +1,184 @@
+"""The examples: real tools take them, and they call commands that there are.
+
+The long ones run in environments of their own, each made once, below the folder of the variable
+MOTOR_LEAKAGE_TEST_ENVIRONMENTS or of the session.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import typer.main
+
+from pipeline.cli import app
+from pipeline.schema import LATEST, frame
+from pipeline.store.tables import whole_file, write_table
+from tests.pipeline.run.test_metrics import metrics
+
+EXAMPLES = Path(__file__).parent.parent / "examples"
+UNITS = sorted((EXAMPLES / "systemd").iterdir())
+SERVICES = [path for path in UNITS if path.suffix == ".service"]
+
+
+def test_each_timer_has_its_service() -> None:
+    timers = {path.stem for path in UNITS if path.suffix == ".timer"}
+    assert timers == {path.stem for path in SERVICES} != set()
+
+
+@pytest.mark.parametrize("path", SERVICES, ids=lambda path: path.stem)
+def test_services_call_commands_and_options_that_there_are(path: Path) -> None:
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    calls = re.findall(r"^ExecStart=\S+/motor-leakage (.+)$", path.read_text("utf-8"), re.MULTILINE)
+    assert calls
+    for call in calls:
+        name, *rest = call.split()
+        options = {option for one in known[name].params for option in one.opts}
+        assert {word for word in rest if word.startswith("--")} <= options
+        assert "${FLEET}" in rest
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd-analyze here")
+def test_systemd_takes_the_units(tmp_path: Path) -> None:
+    command = shutil.which("true")
+    assert command is not None
+    copies = []
+    for unit in UNITS:
+        text = re.sub(r"/opt/\S+/motor-leakage ", f"{command} ", unit.read_text("utf-8"))
+        copies.append(tmp_path / unit.name)
+        copies[-1].write_text(text, "utf-8")
+    done = subprocess.run(
+        ["systemd-analyze", "verify", "--man=no", *map(str, copies)],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    own = [line for line in done.stderr.splitlines() if "motor-leakage" in line]
+    assert own == []
+
+
+CALLING = ("cron/motor-leakage", "kubernetes/cronjob.yaml")
+
+
+@pytest.mark.parametrize("name", CALLING)
+def test_other_schedulers_call_commands_and_options_that_there_are(name: str) -> None:
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    text = (EXAMPLES / name).read_text("utf-8")
+    calls = re.findall(r"motor-leakage (fit-fleet|report|status)\b([^;&|>]*)", text)
+    assert calls
+    for command, rest in calls:
+        options = {option for one in known[command].params for option in one.opts}
+        assert set(re.findall(r"--[a-z-]+", rest)) <= options
+
+
+def test_the_dashboard_asks_for_metrics_that_there_are() -> None:
+    dashboard = json.loads((EXAMPLES / "grafana" / "dashboard.json").read_text("utf-8"))
+    queries = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
+    named = {name for query in queries for name in re.findall(r"motor_leakage_\w+", query)}
+    assert named == set(re.findall(r"^# TYPE (\w+)", metrics(), re.MULTILINE))
+
+
+@pytest.fixture(scope="session")
+def environments(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    named = os.environ.get("MOTOR_LEAKAGE_TEST_ENVIRONMENTS")
+    return Path(named) if named else tmp_path_factory.mktemp("environments")
+
+
+@pytest.fixture
+def plant(tmp_path: Path) -> dict[str, str]:
+    """An environment with a fleet of one motor in alarm, and a command whose run ends with 1."""
+    rows = [{"motor_id": "M1", "state": "alarm", "sentence": "it grew", "data_age_nights": 0}]
+    write_table(whole_file(tmp_path / "out", LATEST), frame(LATEST, rows))
+    command = tmp_path / "bin" / "motor-leakage"
+    command.parent.mkdir()
+    command.write_text("#!/bin/sh\nexit 1\n")
+    command.chmod(0o755)
+    own = {"FLEET": "fleet.toml", "OUTPUT": str(tmp_path / "out"), "DAGSTER_HOME": str(tmp_path)}
+    own |= {"AIRFLOW_HOME": str(tmp_path), "AIRFLOW__CORE__LOAD_EXAMPLES": "False"}
+    own |= {"AIRFLOW__CORE__DAGS_FOLDER": str(EXAMPLES / "airflow")}
+    return {**os.environ, **own, "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}"}
+
+
+def run_in(
+    environments: Path, packages: list[str], command: list[str], variables: dict[str, str]
+) -> str:
+    """What a command of an environment with some packages says; it ends well."""
+    folder = environments / packages[0]
+    if not (folder / "ready").exists():
+        subprocess.run([sys.executable, "-m", "venv", folder], check=True)
+        subprocess.run([folder / "bin" / "pip", "install", "--quiet", *packages], check=True)
+        (folder / "ready").touch()
+    done = subprocess.run(
+        [folder / "bin" / command[0], *command[1:]],
+        env=variables,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.full
+def test_kubernetes_takes_the_job(environments: Path, plant: dict[str, str]) -> None:
+    job = str(EXAMPLES / "kubernetes" / "cronjob.yaml")
+    said = run_in(
+        environments, ["kubernetes-validate"], ["kubernetes-validate", "--strict", job], plant
+    )
+    assert "failed" not in said
+
+
+@pytest.mark.full
+def test_grafana_s_own_package_makes_and_reads_the_dashboard(
+    environments: Path, plant: dict[str, str], tmp_path: Path
+) -> None:
+    shutil.copy(EXAMPLES / "grafana" / "dashboard.py", tmp_path)
+    code = """
+import json, dashboard
+from grafana_foundation_sdk.cog.plugins import register_default_plugins
+from grafana_foundation_sdk.models.dashboard import Dashboard
+register_default_plugins()
+dashboard.main()
+made = json.load(open("dashboard.json"))
+read = [(one.title, one.targets[0].expr) for one in Dashboard.from_json(made).panels]
+assert read == [(one["title"], one["targets"][0]["expr"]) for one in made["panels"]]
+"""
+    command = ["python", "-c", f"import os; os.chdir({str(tmp_path)!r}){code}"]
+    run_in(environments, ["grafana-foundation-sdk"], command, plant | {"PYTHONPATH": str(tmp_path)})
+    made = (tmp_path / "dashboard.json").read_bytes()
+    assert made == (EXAMPLES / "grafana" / "dashboard.json").read_bytes()
+
+
+@pytest.mark.full
+def test_dagster_makes_the_asset_and_its_checks(environments: Path, plant: dict[str, str]) -> None:
+    code = """
+import dagster, fleet
+dagster.Definitions.validate_loadable(fleet.defs)
+made = dagster.materialize([fleet.latest, fleet.no_alarm, fleet.data_are_fresh])
+print(made.success, sorted((one.check_name, one.passed)
+                           for one in made.get_asset_check_evaluations()))
+"""
+    variables = plant | {"PYTHONPATH": str(EXAMPLES / "dagster")}
+    said = run_in(environments, ["dagster", "polars"], ["python", "-c", code], variables)
+    assert said == "True [('data_are_fresh', True), ('no_alarm', False)]\n"
+
+
+@pytest.mark.full
+def test_airflow_runs_the_dag(environments: Path, plant: dict[str, str]) -> None:
+    variables = plant | {"PYTHONPATH": str(EXAMPLES / "airflow")}
+    packages = ["apache-airflow", "polars"]
+    run_in(environments, packages, ["airflow", "db", "migrate"], variables)
+    code = """
+import fleet
+run = fleet.motor_leakage().test()
+print("ended:", sorted((one.task_id, one.state) for one in run.get_task_instances()))
+"""
+    said = run_in(environments, packages, ["python", "-c", code], variables)
+    assert "ended: [('fit', 'success'), ('no_alarm', 'failed')]" in said
