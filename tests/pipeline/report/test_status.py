@@ -15,9 +15,7 @@ import pytest
 from leakage.monitoring import ChangeSize
 from pipeline.errors import UsageError
 from pipeline.report.status import (
-    ORDER,
     RAISED,
-    TOLD,
     age_in_hours,
     fleet_status,
     last_alarm,
@@ -28,7 +26,7 @@ from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.motor_states import MotorState, motor_state, urgency
+from pipeline.trends.motor_states import ORDER, TOLD, MotorState, motor_state, urgency
 from pipeline.trends.trend_rows import trend_rows
 from pipeline.trends.words import FALL, size_words
 from tests.pipeline.cli.test_cli import Call
