@@ -222,7 +222,8 @@ def test_page_has_the_questions_in_order_and_no_other_code() -> None:
     assert list(QUESTIONS) == list(range(1, len(QUESTIONS) + 1))
     assert len(QUESTIONS) >= 10
     text = PAGE.read_text("utf-8")
-    assert text.count("```") == 2 * len(ENGINES) * (len(QUESTIONS) + 1)
+    # For DuckDB, the program's own `views.sql` is all the preparation.
+    assert text.count("```") == 2 * (len(ENGINES) * (len(QUESTIONS) + 1) - 1)
     longest = max(text.split("On the demo:\n\n")[1:], key=lambda part: part.count("\n| "))
     assert longest.split("\n\n")[0].count("\n| ") <= MOST_ROWS + 1
 

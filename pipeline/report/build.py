@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from pathlib import Path
@@ -280,9 +281,10 @@ def _table_states(output: Path, nights: Mapping[dt.date, object]) -> dict[dt.dat
     for table in SHOWN_TABLES:
         for night, path in night_paths(output, table).items():
             if night in states:
-                status = path.stat()
-                state = f"{table.name} {status.st_size} {status.st_mtime_ns};"
-                states[night].update(state.encode())
+                with suppress(FileNotFoundError):  # a run joins its month: it is made anew
+                    status = path.stat()
+                    state = f"{table.name} {status.st_size} {status.st_mtime_ns};"
+                    states[night].update(state.encode())
     return {night: state.hexdigest()[:16] for night, state in states.items()}
 
 

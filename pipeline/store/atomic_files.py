@@ -326,6 +326,18 @@ def move(path: Path, place: Path) -> None:
         flush_folder(place.parent)
 
 
+def can_exchange(folder: Path) -> bool:
+    """True if folders below a folder of scratch files can be exchanged."""
+    one, other = folder / "one", folder / "other"
+    try:
+        make_folders(one)
+        make_folders(other)
+        exchange(one, other)
+    except (StoreError, OSError):
+        return False
+    return True
+
+
 def exchange(folder: Path, place: Path) -> None:
     """Put a folder into the place of another, and that one into its, in one step.
 

@@ -27,7 +27,7 @@ from pipeline.schema import (
     TREND_TABLES,
     Table,
 )
-from pipeline.store.atomic_files import exchange, flush_all, put, read, remove_all
+from pipeline.store.atomic_files import can_exchange, exchange, flush_all, put, read, remove_all
 from pipeline.store.manifest import (
     Key,
     Manifest,
@@ -80,7 +80,10 @@ def join_months(output: Path, staging: Path, last: str, but: Collection[str] = (
         If a manifest cannot be read or written; nothing is lost, and the next run goes on.
     """
     months = {month for table in JOINED for month in month_stamps(output, table)}
-    for month in sorted(one for one in months if one <= last and one not in but):
+    months = {month for month in months if month <= last and month not in but}
+    if not months or not can_exchange(staging / ASIDE):
+        return
+    for month in sorted(months):
         settle(output, month)
         remove_all(staging / ASIDE)
         made: dict[Table, Path] = {}
@@ -107,8 +110,8 @@ def part_month(output: Path, staging: Path, tables: Iterable[Table], month: str)
     joined = [table for table in tables if month_file(output, table, month).exists()]
     made: dict[Table, Path] = {}
     damaged = []
+    settle(output, month)
     if joined:
-        settle(output, month)
         remove_all(staging / ASIDE)
     for table in joined:
         try:

@@ -221,7 +221,7 @@ def test_tables_by_name() -> None:
     with pytest.raises(UsageError) as caught:
         tables_named(["fits", "../fits", "fit"])
     assert caught.value.code == "unknown_table"
-    assert "no table ../fits, fit; there are fits, parameters" in str(caught.value)
+    assert "no table ../fits, fit; there are latest, fits, parameters" in str(caught.value)
 
 
 # Files
@@ -331,13 +331,13 @@ def test_command_says_what_it_wrote(
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        ([], 2, "export_format: expected --csv FOLDER or --delta PLACE"),
+        ([], 2, "export_format: expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"),
         (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
         (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: --motors: no motor CB9"),
         (["--csv", "csv", "--since", "x"], 2, "date: --since: got 'x'"),
         (["--csv", "csv", "--since", "2026-01-03", "--until", "2026-01-02"], 2, "is after"),
         (["--csv", "csv", "--output", "none"], 2, "no_tables: there are no tables in"),
-        (["--csv", "file"], 4, "store_write: fits.csv cannot be written"),
+        (["--csv", "file"], 4, "store_write: latest.csv cannot be written"),
     ],
 )
 def test_command_with_bad_input(

@@ -234,6 +234,8 @@ def test_where_folders_cannot_be_exchanged_nights_stay(
     monkeypatch.setattr(months, "exchange", not_here)
     with pytest.raises(StoreError):
         join(output)
+    monkeypatch.setattr(atomic_files, "exchange", not_here)
+    join(output)
     assert (everything(output), names(output, QUALITY)) == (before, files)
     assert list(verify_tables(output)) == []
 
