@@ -61,9 +61,9 @@ class FleetStatus:
     last_good_run: dt.datetime | None
     findings_confirmed: int
     findings: int
-    parts: Mapping[str, Score] = field(default_factory=dict)
     beat: Beat | None = None
     receivers: tuple[Backlog, ...] = ()
+    parts: Mapping[str, Score] = field(default_factory=dict)
     n_by_rules: int = 0
     damage: tuple[TableFault, ...] = ()
 
@@ -87,9 +87,9 @@ def fleet_status(
         last_good_run(output),
         findings.count("confirmed"),
         len(findings),
-        _scores(output, motor_ids, decisions),
         read_heartbeat(output),
         backlogs(output, receivers, fleet),
+        _scores(output, motor_ids, decisions),
         changed_by_rules(alarms).height,
         compare_published(output, manifest_keys(output), lambda _: False).faults,
     )
