@@ -43,8 +43,11 @@ WORDS = {"source", "note"}
 SETTINGS_NAMED = 4
 # Sections that shape trends and alarms alone: no night is made anew for them.
 OF_TRENDS = ("trend.", "alarms.")
-# Settings that shape no figure: how people are told.
-UNSHAPING = {"alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"}}
+# Settings that shape no figure of a night: how people are told, and looks within the day.
+UNSHAPING: Mapping[str, Any] = {
+    "alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"},
+    "look": True,
+}
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
 
 
@@ -124,7 +127,7 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
         ),
         "type": spec.motor_type.model_dump(mode="json"),
         "oils": {name: oil.model_dump(mode="json") for name, oil in sorted(spec.oils.items())},
-        "settings": spec.settings.model_dump(mode="json", exclude=UNSHAPING),
+        "settings": spec.settings.model_dump(mode="json", exclude=dict(UNSHAPING)),
     }
 
 

@@ -50,6 +50,7 @@ from pipeline.schema.trends import (
     BASELINES,
     CHANGE_POINTS,
     DECISIONS,
+    LOOKS,
     TRENDS,
 )
 
@@ -64,6 +65,7 @@ __all__ = [
     "FITS",
     "FIT_KEY_NAMES",
     "INPUT_FILES",
+    "LOOKS",
     "MOTOR_OUTCOMES",
     "NIGHT_TABLES",
     "NUMBERS",
@@ -112,7 +114,7 @@ NIGHT_TABLES = (
 # The same, made from the tables above after all motors are done.
 TREND_TABLES = (TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
 
-TABLES = (*NIGHT_TABLES, *TREND_TABLES, DECISIONS, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
+TABLES = (*NIGHT_TABLES, *TREND_TABLES, LOOKS, DECISIONS, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pl.DataFrame:

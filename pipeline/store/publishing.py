@@ -167,7 +167,7 @@ class Publisher:
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file; raises as `nights`."""
         path = table_folder(self.output, table) / f"{table.name}.parquet"
-        self._put({path: rows})
+        self.put({path: rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
@@ -177,10 +177,10 @@ class Publisher:
             run_file(self.output, table, started): frame(table, some)
             for table, some in rows.items()
         }
-        self._put(files)
+        self.put(files)
 
-    def _put(self, files: Mapping[Path, pl.DataFrame]) -> None:
-        """Publish files that replace the present ones as a whole."""
+    def put(self, files: Mapping[Path, pl.DataFrame]) -> None:
+        """Publish files of one manifest that replace the present ones; raises as `nights`."""
         with ExitStack() as undone:
             prepared = []
             for path, rows in files.items():
