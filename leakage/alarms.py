@@ -37,6 +37,9 @@ class Levels:
     least_sd
         Least height of a level, in standard deviations of the nights (the upper 95 % bound that
         the baseline gives), so that widely scattered nights do not reach it by chance.
+    sudden_sd
+        One night above the alarm level and above this many standard deviations turns both levels
+        on.
 
     Raises
     ------
@@ -51,6 +54,7 @@ class Levels:
     of_nights: int = 5
     off_nights: int = 5
     least_sd: float = 4.5
+    sudden_sd: float = 8.0
 
     def __post_init__(self) -> None:
         if not (0 < self.warning <= self.alarm and 0 <= self.deadband < self.warning):
@@ -76,6 +80,16 @@ class Levels:
         """
         least = self.least_sd * sd
         return max(self.warning, least), max(self.alarm, least)
+
+    def sudden(self, sd: float) -> float:
+        """Deviation that is told on its first night, over nights of a relative sd, [-].
+
+        Examples
+        --------
+        >>> Levels().sudden(0.01), Levels().sudden(0.05)
+        (0.3, 0.4)
+        """
+        return max(self.alarm, self.sudden_sd * sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,7 +121,9 @@ class StateChange:
     after: State
 
 
-def above_level(values: Array, level: float, deadband: float, rule: Levels) -> NDArray[np.bool_]:
+def above_level(
+    values: Array, level: float, deadband: float, rule: Levels, sudden: float = np.inf
+) -> NDArray[np.bool_]:
     """True where a level is on, night by night.
 
     Parameters
@@ -120,6 +136,8 @@ def above_level(values: Array, level: float, deadband: float, rule: Levels) -> N
         The level goes off below `level` less this.
     rule
         Number of nights that it takes.
+    sudden
+        One night above this is enough.
 
     Returns
     -------
@@ -136,6 +154,7 @@ def above_level(values: Array, level: float, deadband: float, rule: Levels) -> N
     above = values[good] > level
     below = values[good] < level - deadband
     goes_on = above & (_count(above, rule.of_nights) >= rule.on_nights)
+    goes_on |= values[good] > sudden
     goes_off = _count(below, rule.off_nights) == rule.off_nights
     is_on = np.zeros(len(values), dtype=np.bool_)
     if len(good):
@@ -162,8 +181,29 @@ def level_severity(deviation: Array, sd: float, rule: Levels) -> Severities:
     """
     found = np.zeros(len(deviation), dtype=np.int64)
     for severity, level in enumerate(rule.in_effect(sd), start=1):
-        found[above_level(deviation, level, rule.deadband, rule)] = severity
+        found[above_level(deviation, level, rule.deadband, rule, rule.sudden(sd))] = severity
     return found
+
+
+def is_sudden(deviation: Array, sd: float, rule: Levels) -> bool:
+    """True if the last night alone turned the levels on: too few of those before lie above them.
+
+    Parameters
+    ----------
+    deviation, sd, rule
+        As for :func:`level_severity`, up to the night in question.
+
+    Examples
+    --------
+    >>> is_sudden(np.array([0.0, 0.01, 0.8]), 0.01, Levels())
+    True
+    >>> is_sudden(np.array([0.8, 0.8, 0.8]), 0.01, Levels())
+    False
+    """
+    good = deviation[np.isfinite(deviation)]
+    warning, _ = rule.in_effect(sd)
+    is_beyond = len(good) > 0 and bool(good[-1] > rule.sudden(sd))
+    return is_beyond and int(_count(good > warning, rule.of_nights)[-1]) < rule.on_nights
 
 
 def limit_severity(values: Array, limits: Limits, rule: Levels) -> Severities:

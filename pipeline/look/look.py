@@ -256,15 +256,3 @@ def _tell(output: Path, receivers: Sequence[Receiver], fleet: str) -> None:
                 log.warning("%s", fault)
     except StoreError as error:
         log.warning("looks: %s; the next look tells of them", error)
-
-
-def look_words(state: LookState) -> str:
-    """State of a motor's looks in words, for people.
-
-    Examples
-    --------
-    >>> look_words(LookState(reason="12 of 30 good nights"))
-    'look not ready: 12 of 30 good nights'
-    """
-    since = f" since {utc(state.since_us):%Y-%m-%d %H:%M} UTC" if state.since_us else ""
-    return f"look {state.state.replace('_', ' ')}{since}: {state.reason}"

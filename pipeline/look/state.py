@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import datetime as dt
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from leakage.step_detection import StepWatch
+from pipeline.arrays import utc
 from pipeline.ingest import Place
 from pipeline.look.reading import End, FileSeen
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
@@ -160,3 +162,52 @@ def write_state(output: Path, motor_id: str, state: LookState) -> None:
         "scores": asdict(state.scores),
     }
     put_sealed(state_file(output, motor_id), document)
+
+
+@dataclass(frozen=True, slots=True)
+class LookStanding:
+    """State of a motor's looks, for people.
+
+    Attributes
+    ----------
+    state, since, reason
+        As of `LookState`; since None: no change of state yet.
+    told, confirmed, withdrawn
+        Rises told, and those that a night confirmed or withdrew.
+    """
+
+    state: str
+    since: dt.datetime | None
+    reason: str
+    told: int = 0
+    confirmed: int = 0
+    withdrawn: int = 0
+
+    @property
+    def words(self) -> str:
+        """State in words.
+
+        Examples
+        --------
+        >>> LookStanding("not_ready", None, "12 of 30 good nights").words
+        'look not ready: 12 of 30 good nights'
+        """
+        since = "" if self.since is None else f" since {self.since:%Y-%m-%d %H:%M} UTC"
+        return f"look {self.state.replace('_', ' ')}{since}: {self.reason}"
+
+
+def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:
+    """Standings of some motors that were looked at, by motor.
+
+    Raises
+    ------
+    StoreError
+        If a state cannot be read.
+    """
+    found = {}
+    for motor_id in motor_ids:
+        one = read_state(output, motor_id)
+        if one != LookState():
+            since = utc(one.since_us) if one.since_us else None
+            found[motor_id] = LookStanding(one.state, since, one.reason, **asdict(one.scores))
+    return found

@@ -14,6 +14,7 @@ import polars as pl
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
+from pipeline.look.state import look_standings
 from pipeline.report.encoding import script_json
 from pipeline.report.fleet_page import FleetRow, fleet_rows, fleet_span
 from pipeline.report.history import MotorHistory, motor_histories
@@ -298,7 +299,8 @@ def _make_pages(
     motors = list(motor_histories(history, list(names)))
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    rows = fleet_rows(motors, names, types, motor_states(history, names))
+    states = motor_states(history, names, look_standings(request.output, names))
+    rows = fleet_rows(motors, names, types, states)
     facts = FleetFacts(
         name=request.fleet or history.fleet or "Fleet",
         first=span[0] if span else None,

@@ -12,6 +12,7 @@ import polars as pl
 
 from leakage.validation import is_poor
 from pipeline.errors import UsageError
+from pipeline.look.state import CLEAR, LOOK_NOW, LookStanding, look_standings
 from pipeline.report.explain import FITS_OF_A_NIGHT, fit_words
 from pipeline.schema import ALARMS, FITS, TRENDS
 from pipeline.store.heartbeat import Beat, last_good_run, read_heartbeat
@@ -77,6 +78,8 @@ class MotorState:
         That loss factors change with temperature, in words; empty where they do not.
     model_misfit
         That the model does not describe the motor, in words; empty where it does.
+    look
+        Standing of the looks within the day; None where there was none.
     """
 
     motor_id: str
@@ -102,6 +105,7 @@ class MotorState:
     limit_dates: str = ""
     temperature_effect: str = ""
     model_misfit: str = ""
+    look: LookStanding | None = None
 
     @property
     def why(self) -> str:
@@ -109,7 +113,8 @@ class MotorState:
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         reason = self.reason or "no change of external leakage"
         beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
-        parts = (reason, dates, *beside)
+        look = "" if self.look is None or self.look.state == CLEAR else self.look.words
+        parts = (look, reason, dates, *beside)
         words = "; ".join(part for part in parts if part)
         return f"{words} (acknowledged: {self.acknowledged})" if self.acknowledged else words
 
@@ -158,12 +163,14 @@ def fleet_status(
     columns = (*keys, "reference_verdict", *TONIGHTS_FITS)
     fits = read_rows(output, FITS, motor_ids, columns)
     decisions = read_decisions(output)
+    looks = look_standings(output, motor_ids)
     motors = [
         motor_state(
             motor_id,
             trends.filter(motor_id=motor_id),
             fits.filter(motor_id=motor_id),
             [one for one in decisions if one.motor_id == motor_id],
+            looks.get(motor_id),
         )
         for motor_id in motor_ids
     ]
@@ -191,16 +198,21 @@ def last_findings(decisions: Sequence[Decision]) -> list[str]:
 
 def urgency(motor: MotorState) -> tuple[int, float, str]:
     """Sort key of motors; a failed night ranks no later than a stale motor."""
-    place = ORDER.index(motor.state)
+    is_sudden = motor.look is not None and motor.look.state == LOOK_NOW
+    place = 0 if is_sudden else ORDER.index(motor.state)
     if motor.failure:
         place = min(place, ORDER.index("stale"))
     return place, -(motor.deviation_percent or 0.0), motor.motor_id
 
 
 def motor_state(
-    motor_id: str, trends: pl.DataFrame, fits: pl.DataFrame, decisions: Sequence[Decision]
+    motor_id: str,
+    trends: pl.DataFrame,
+    fits: pl.DataFrame,
+    decisions: Sequence[Decision],
+    look: LookStanding | None = None,
 ) -> MotorState:
-    """The state of one motor, from its own rows of `trends` and `fits` and its decisions."""
+    """The state of one motor, from its own rows of `trends` and `fits`, decisions and looks."""
     state = MotorState(
         motor_id=motor_id,
         state="insufficient",
@@ -209,6 +221,7 @@ def motor_state(
         last_good_night=_last(fits.filter(status="ok")),
         poor_fit=_poor_fit(fits),
         failure=_failure(fits),
+        look=look,
     )
     if trends.is_empty():
         return state

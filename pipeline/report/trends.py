@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 import polars as pl
 
+from pipeline.look.state import LookStanding
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.status import ORDER, MotorState, motor_state
 from pipeline.report.tables import ReportTables, by_motor
@@ -54,7 +55,9 @@ COURSES = (
 )
 
 
-def motor_states(history: ReportTables, motors: Iterable[str]) -> dict[str, MotorState]:
+def motor_states(
+    history: ReportTables, motors: Iterable[str], looks: Mapping[str, LookStanding]
+) -> dict[str, MotorState]:
     """The state of each motor, the same that `motor-leakage status` prints."""
     trends = by_motor(history.trends.get(TRENDS.name, frame(TRENDS, [])))
     fits = by_motor(history.fits)
@@ -65,6 +68,7 @@ def motor_states(history: ReportTables, motors: Iterable[str]) -> dict[str, Moto
             trends.get(motor_id, no_trends),
             fits.get(motor_id, no_fits),
             [one for one in history.decisions if one.motor_id == motor_id],
+            looks.get(motor_id),
         )
         for motor_id in motors
     }
