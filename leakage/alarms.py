@@ -38,8 +38,8 @@ class Levels:
         Least height of a level, in standard deviations of the nights (the upper 95 % bound that
         the baseline gives), so that widely scattered nights do not reach it by chance.
     sudden_sd
-        One night above the alarm level and above this many standard deviations turns both levels
-        on.
+        A night that rises at once by more than the alarm level and this many standard deviations
+        turns the levels on by itself.
 
     Raises
     ------
@@ -81,16 +81,6 @@ class Levels:
         least = self.least_sd * sd
         return max(self.warning, least), max(self.alarm, least)
 
-    def sudden(self, sd: float) -> float:
-        """Deviation that is told on its first night, over nights of a relative sd, [-].
-
-        Examples
-        --------
-        >>> Levels().sudden(0.01), Levels().sudden(0.05)
-        (0.3, 0.4)
-        """
-        return max(self.alarm, self.sudden_sd * sd)
-
 
 @dataclass(frozen=True, slots=True)
 class Limits:
@@ -122,7 +112,11 @@ class StateChange:
 
 
 def above_level(
-    values: Array, level: float, deadband: float, rule: Levels, sudden: float = np.inf
+    values: Array,
+    level: float,
+    deadband: float,
+    rule: Levels,
+    sudden: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """True where a level is on, night by night.
 
@@ -137,7 +131,7 @@ def above_level(
     rule
         Number of nights that it takes.
     sudden
-        One night above this is enough.
+        Nights that turn it on by themselves, shape (n,); None: none does.
 
     Returns
     -------
@@ -154,7 +148,8 @@ def above_level(
     above = values[good] > level
     below = values[good] < level - deadband
     goes_on = above & (_count(above, rule.of_nights) >= rule.on_nights)
-    goes_on |= values[good] > sudden
+    if sudden is not None:
+        goes_on |= above & sudden[good]
     goes_off = _count(below, rule.off_nights) == rule.off_nights
     is_on = np.zeros(len(values), dtype=np.bool_)
     if len(good):
@@ -180,30 +175,42 @@ def level_severity(deviation: Array, sd: float, rule: Levels) -> Severities:
         0, 1 or 2, shape (n,).
     """
     found = np.zeros(len(deviation), dtype=np.int64)
+    sudden = sudden_nights(deviation, sd, rule)
     for severity, level in enumerate(rule.in_effect(sd), start=1):
-        found[above_level(deviation, level, rule.deadband, rule, rule.sudden(sd))] = severity
+        found[above_level(deviation, level, rule.deadband, rule, sudden)] = severity
     return found
 
 
-def is_sudden(deviation: Array, sd: float, rule: Levels) -> bool:
-    """True if the last night alone turned the levels on: too few of those before lie above them.
+def sudden_nights(deviation: Array, sd: float, rule: Levels) -> NDArray[np.bool_]:
+    """Nights that rose at once by more than both the alarm level and so many deviations.
 
     Parameters
     ----------
     deviation, sd, rule
-        As for :func:`level_severity`, up to the night in question.
+        As for :func:`level_severity`.
+
+    Returns
+    -------
+    ndarray
+        True where a night lies so far above the median of the good nights before it, at most
+        `of_nights`, or above the baseline where there is none; shape (n,).
 
     Examples
     --------
-    >>> is_sudden(np.array([0.0, 0.01, 0.8]), 0.01, Levels())
-    True
-    >>> is_sudden(np.array([0.8, 0.8, 0.8]), 0.01, Levels())
-    False
+    >>> sudden_nights(np.array([0.0, 0.01, 0.8, 0.8, 0.8]), 0.01, Levels()).astype(int).tolist()
+    [0, 0, 1, 1, 1]
+    >>> sudden_nights(np.array([0.2, 0.25, 0.3, 0.35, 0.4]), 0.01, Levels()).any()
+    np.False_
     """
-    good = deviation[np.isfinite(deviation)]
-    warning, _ = rule.in_effect(sd)
-    is_beyond = len(good) > 0 and bool(good[-1] > rule.sudden(sd))
-    return is_beyond and int(_count(good > warning, rule.of_nights)[-1]) < rule.on_nights
+    found = np.zeros(len(deviation), dtype=np.bool_)
+    least = max(rule.alarm, rule.sudden_sd * sd)
+    good = np.flatnonzero(np.isfinite(deviation))
+    for place, night in enumerate(good.tolist()):
+        if deviation[night] > least:
+            before = deviation[good[max(place - rule.of_nights, 0) : place]]
+            usual = float(np.median(before)) if len(before) else 0.0
+            found[night] = deviation[night] - usual > least
+    return found
 
 
 def limit_severity(values: Array, limits: Limits, rule: Levels) -> Severities:

@@ -184,8 +184,8 @@ ALARMS = Table(
             "way",
             pl.String,
             "",
-            "Into a warning or an alarm: level, change (cumulative sum), both, sudden (a level "
-            "passed by far in one night), jump (a change that no event explains) or drift (of a "
+            "Into a warning or an alarm: level, change (cumulative sum), both, sudden (by "
+            "far, in one night), jump (a change that no event explains) or drift (of a "
             "sensor's zero); stale; common_cause; baseline; recovered; recomputed: what was told "
             "before is not in the figures now",
         ),

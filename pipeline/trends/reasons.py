@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import is_sudden
+from leakage.alarms import sudden_nights
 from leakage.hypotheses import Posterior
 from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
 from pipeline.trends.explanation_words import why_words
@@ -83,7 +83,7 @@ def way_of(standing: Standing, name: str, place: int) -> str:
     if not own.severity[inside] and not own.limit_severity[inside]:
         return "jump"
     levels, sd = watched.settings.levels, standing.relative_sd(name, place)
-    if is_sudden(own.deviation[: inside + 1], sd, levels):
+    if sudden_nights(own.deviation[: inside + 1], sd, levels)[-1]:
         return "sudden"
     by_sum = bool(own.onset[inside] >= 0)
     warning, _ = levels.in_effect(sd)
