@@ -57,7 +57,7 @@ def test_the_statistic_is_the_likelihood_ratio_of_all_blocks_at_once() -> None:
     inverse = np.linalg.inv(covariance(number, flow))
     seen = 0
     for _ in range(20):
-        error = drawn(rng, number, flow) + 0.1 * flow * (number >= 9)
+        error = drawn(rng, 1, number, flow)[0] + 0.1 * flow * (number >= 9)
         found = followed(number, flow, error)[-1]
         best = 0.0
         began, rise = -1, 0.0
@@ -126,9 +126,7 @@ def test_the_errors_of_blocks_are_found_across_gaps_and_faults() -> None:
     rng = np.random.default_rng(3)
     number = np.concatenate([1000 * day + np.arange(200) for day in range(40)])
     flow = rng.uniform(1.5, 2.5, len(number))
-    slow = np.concatenate(
-        [drawn(rng, np.arange(200), np.ones(200), replace(ERRORS, white_sd=0.0)) for _ in range(40)]
-    )
+    slow = drawn(rng, 40, np.arange(200), np.ones(200), replace(ERRORS, white_sd=0.0)).ravel()
     error = flow * slow + 0.03 * rng.standard_normal(len(number))
     error[::500] += 20.0
     found = block_errors(number, flow, error)
@@ -157,10 +155,8 @@ def test_a_healthy_motor_is_left_alone_and_a_broken_ring_is_told_in_minutes() ->
     rng = np.random.default_rng(6)
     number, flow = np.arange(200), np.full(200, 2.0)
 
-    root = np.linalg.cholesky(covariance(number, flow))
-
     def days(n: int) -> Array:
-        return np.asarray(rng.standard_normal((n, len(number))) @ root.T)
+        return drawn(rng, n, number, flow)
 
     def largest(error: Array) -> Array:
         watch, found = StepWatch.begin(ERRORS, (len(error),)), []
