@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import polars as pl
 from threadpoolctl import threadpool_limits
 
@@ -25,7 +24,7 @@ from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash, hash_of
 from pipeline.errors import MotorLeakageError, StoreError
 from pipeline.look.baseline import baseline_of
-from pipeline.look.motor import Change, errors_within, looked_at, without_baseline
+from pipeline.look.motor import Change, change_within, looked_at, without_baseline
 from pipeline.look.state import LookState, Rise, read_state, write_state
 from pipeline.look.verdicts import verdicts
 from pipeline.schema import LOOKS, frame
@@ -219,11 +218,9 @@ def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:
 
 def _change_since(rise: Rise, state: LookState) -> float | None:
     """Change of another motor's relative error since a rise; None where too little is known."""
-    before = list(errors_within(state, rise.began_us - HOUR_US, rise.began_us))
-    since = list(errors_within(state, rise.began_us, rise.told_us))
-    if len(before) < LEAST_BEFORE or len(since) < LEAST_SINCE:
-        return None
-    return float(np.mean(since) - np.mean(before))
+    before = change_within(state, rise.began_us - HOUR_US, rise.began_us, LEAST_BEFORE)
+    since = change_within(state, rise.began_us, rise.told_us, LEAST_SINCE)
+    return None if before is None or since is None else since - before
 
 
 def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -258,7 +258,7 @@ def _advanced(
         np.array(expected),
         np.array(error),
     )
-    recent = (*state.recent, (end_us, error / expected))[-MOST_RECENT:]
+    recent = (*state.recent, (end_us, expected, error))[-MOST_RECENT:]
     state = replace(state, watch=watch, recent=recent, judged_us=end_us, cause="")
     if state.state == LOOK_NOW:
         return _ended(state, end_us)
@@ -277,8 +277,9 @@ def _ended(state: LookState, end_us: int) -> tuple[LookState, list[Change]]:
     """End a rise where the flow is back."""
     rise = state.rise
     assert rise is not None
-    latest = [error for end, error in state.recent if end > rise.told_us][-BLOCKS_OF_END:]
-    if len(latest) < BLOCKS_OF_END or np.mean(latest) >= SHARE_OF_END * rise.change:
+    last = state.recent[-BLOCKS_OF_END:]
+    change = change_within(state, max(rise.told_us, last[0][0] - 1), end_us, BLOCKS_OF_END)
+    if change is None or change >= SHARE_OF_END * rise.change:
         return state, []
     words = f"the drain flow is back within {100 * SHARE_OF_END:.0f} % of the rise, or the nights "
     return _moved(state, end_us, CLEAR, words + "have taken it up", rise)
@@ -345,6 +346,10 @@ def scored(state: LookState, verdict: str, rise: Rise) -> LookState:
     return replace(state, scores=scores, waiting=waiting)
 
 
-def errors_within(state: LookState, first_us: int, end_us: int) -> Iterator[float]:
-    """Relative errors of the remembered blocks that end in some time."""
-    return (error for end, error in state.recent if first_us < end <= end_us)
+def change_within(state: LookState, first_us: int, end_us: int, least_blocks: int) -> float | None:
+    """Relative error of the remembered blocks that end in some time; None for too few."""
+    chosen = [one for one in state.recent if first_us < one[0] <= end_us]
+    if len(chosen) < least_blocks:
+        return None
+    _, expected, error = np.sum(chosen, axis=0)
+    return float(error / expected)

@@ -76,7 +76,7 @@ class LookState:
     watch
         The filter.
     recent
-        End and relative error of the latest judged blocks.
+        End, expected flow, and measured less expected [l/min] of the latest judged blocks.
     rise
         The rise that is told; None where none is.
     waiting
@@ -97,7 +97,7 @@ class LookState:
     cause: str = ""
     baseline: str = ""
     watch: StepWatch | None = None
-    recent: tuple[tuple[int, float], ...] = ()
+    recent: tuple[tuple[int, float, float], ...] = ()
     rise: Rise | None = None
     waiting: tuple[Rise, ...] = ()
     scores: Scores = Scores()
@@ -131,7 +131,7 @@ def _decoded(document: Mapping[str, Any]) -> LookState:
             **document,
             "files": files,
             "watch": None if watch is None else StepWatch(*map(np.array, watch)),
-            "recent": tuple((int(end), float(error)) for end, error in document["recent"]),
+            "recent": tuple((int(end), flow, error) for end, flow, error in document["recent"]),
             "rise": None if rise is None else Rise(**rise),
             "waiting": tuple(Rise(**one) for one in document["waiting"]),
             "scores": Scores(**document["scores"]),

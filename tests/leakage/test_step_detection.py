@@ -25,12 +25,15 @@ ERRORS = BlockErrors(correlation=0.9, slow_sd=0.02, white_sd=0.03)
 
 
 def drawn(
-    rng: np.random.Generator, number: NDArray[np.int64], flow: Array, errors: BlockErrors = ERRORS
+    rng: np.random.Generator,
+    days: int,
+    number: NDArray[np.int64],
+    flow: Array,
+    errors: BlockErrors = ERRORS,
 ) -> Array:
-    """Errors of blocks by their covariance."""
-    return np.asarray(
-        rng.multivariate_normal(np.zeros(len(flow)), covariance(number, flow, errors))
-    )
+    """Errors of the blocks of some days by their covariance, shape (days, n)."""
+    root = np.linalg.cholesky(covariance(number, flow, errors) + 1e-12 * np.eye(len(flow)))
+    return np.asarray(rng.standard_normal((days, len(flow))) @ root.T)
 
 
 def covariance(number: NDArray[np.int64], flow: Array, errors: BlockErrors = ERRORS) -> Array:

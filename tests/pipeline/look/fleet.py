@@ -1,0 +1,124 @@
+"""A fleet whose motors log to growing CSV files: published nights, and a day that is going on."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import utc
+from pipeline.config import Fleet, MotorSpec, load_fleet
+from pipeline.look.look import MotorLook, look_at_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema import LOOKS
+from pipeline.store.tables import read_table
+from tests.pipeline.simulated import Operation, motor_toml, operate, write_configs
+from tests.pipeline.workshop import DAY, MINI, QUICK
+
+FIRST = dt.date(2026, 1, 2)
+NIGHTS = 30
+TODAY = FIRST + NIGHTS * DAY
+BEGIN = dt.datetime.combine(TODAY - DAY, dt.time(22), dt.UTC)
+MINUTES = 50.0
+HEADER = "time,pressure_difference,oil_temperature,speed,leakage_flow\n"
+LOOK = "[look]\nwarm_up_minutes = 4.0\n"
+
+
+def rows_of(operation: Operation, flow: NDArray[np.float64]) -> list[str]:
+    """Rows of a log."""
+    columns = (operation.pressure_bar, operation.temperature_c, operation.speed_rpm, flow)
+    times = (f"{utc(one):%Y-%m-%dT%H:%M:%SZ}" for one in operation.time_us.tolist())
+    return [
+        f"{time},{p:.3f},{t:.3f},{w:.3f},{y:.5f}\n"
+        for time, p, t, w, y in zip(times, *(one.tolist() for one in columns), strict=True)
+    ]
+
+
+def night_rows(
+    spec: MotorSpec, label: dt.date, seed: int, rise: float = 0.0, after_minutes: float = 30.0
+) -> list[str]:
+    """Rows of a night; the flow rises by a share of it after some minutes."""
+    operation = operate(label, MINUTES, seed)
+    flow = operation.flow(spec.motor(label, "none"))
+    flow = flow * (1.0 + rise * (np.arange(len(flow)) >= after_minutes * 60))
+    noise = np.random.default_rng(seed).normal(0.0, 0.01, len(flow))
+    return rows_of(operation, flow + noise)
+
+
+@dataclass(frozen=True, slots=True)
+class Growing:
+    """The fleet, in a folder."""
+
+    folder: Path
+
+    @property
+    def fleet(self) -> Fleet:
+        return load_fleet(self.folder / "configs" / "fleet.toml")
+
+    @property
+    def output(self) -> Path:
+        return self.folder / "out"
+
+    def log(self, motor: str = "M1") -> Path:
+        """The log that grows today."""
+        return self.folder / "logs" / motor / "today.csv"
+
+    def append(self, rows: Sequence[str], motor: str = "M1") -> None:
+        path = self.log(motor)
+        is_new = not path.exists()
+        with path.open("a", encoding="utf-8") as file:
+            file.write((HEADER if is_new else "") + "".join(rows))
+
+    def look(self, minutes: float = MINUTES) -> tuple[MotorLook, ...]:
+        """Look so long after the begin of today's log."""
+        return look_at_fleet(self.fleet, clock=BEGIN + dt.timedelta(minutes=minutes))
+
+    def run(self, *, days: int = 1) -> None:
+        """The nightly run, so many mornings after today's log began."""
+        clock = BEGIN + days * DAY
+        assert not run_fleet(RunRequest(self.fleet, clock=clock)).failed
+
+    def rows(self) -> list[dict[str, object]]:
+        """Published rows of `looks`, in order."""
+        files = sorted((self.output / "tables" / "looks").rglob("*.parquet"))
+        return [row for path in files for row in read_table(path, LOOKS).to_dicts()]
+
+    def told(self) -> list[dict[str, object]]:
+        """Changes that were delivered, in order."""
+        path = self.folder / "told.jsonl"
+        lines = path.read_text("utf-8").splitlines() if path.exists() else []
+        return [change for line in lines for change in json.loads(line)["changes"]]
+
+    def copy(self, folder: Path) -> Growing:
+        """The same in another folder."""
+        shutil.copytree(self.folder, folder, dirs_exist_ok=True)
+        return Growing(folder)
+
+
+def growing(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "") -> Growing:
+    """A fleet with its nights published; changes are told to a file beside them."""
+    more = f'oil_circuit = "{circuit}"\n' if circuit else ""
+    texts = {}
+    for motor in motors:
+        text = motor_toml(motor, "MINI", files=f'"{motor}/*.csv"')
+        text = text.replace('format = "parquet"', 'format = "csv"\ntime = "time"')
+        texts[motor] = text.replace("[logs]", f"{more}[logs]", 1)
+    teller = '[alarms]\ncommand = ["sh", "-c", "cat >> told.jsonl; echo >> told.jsonl"]\n'
+    file = write_configs(folder, texts, {"MINI": MINI}, QUICK + LOOK)
+    for number, spec in enumerate(load_fleet(file).motors):
+        logs = folder / "logs" / spec.motor_id
+        logs.mkdir(parents=True)
+        for night in range(NIGHTS):
+            label = FIRST + night * DAY
+            rows = night_rows(spec, label, seed=100 * number + night)
+            (logs / f"{label}.csv").write_text(HEADER + "".join(rows), "utf-8")
+    made = Growing(folder)
+    assert not run_fleet(RunRequest(made.fleet, clock=BEGIN)).failed
+    file.write_text(QUICK + LOOK + teller, "utf-8")
+    return made
