@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 # Raise it when the same nights give another baseline.
 VERSION = 1
 # Blocks beyond these shares of the baseline's are outside its conditions.
-SEEN_PERCENTILES = (0.5, 99.5)
+SEEN_PERCENTILES = (0.1, 99.9)
 # Blocks that tell the errors of others.
 LEAST_BLOCKS = 100
 # Nights of whose deviations the median is the level of now.

@@ -36,6 +36,7 @@ BLOCKS_BEFORE, SETTLE_US = 2, 30 * SECOND_US
 LONGEST_WAY_BACK = dt.timedelta(days=2)
 # Blocks in a row whose mean ends a rise, below this share of it.
 BLOCKS_OF_END, SHARE_OF_END = 5, 0.5
+NOTHING = "nothing to judge since then"
 # Of a 95 % interval, in standard deviations.
 TWO_SIDED_95 = 1.96
 
@@ -97,8 +98,7 @@ def looked_at(
     list of Change
         In order.
     """
-    changes: list[Change] = []
-    state = _begun(spec, baseline, state, last_night, now_us)
+    state, changes = _begun(spec, baseline, state, last_night, now_us)
     most_bytes = PASS_BYTES
     while (news := _news(spec, state, latest_us, most_bytes)) is not None:
         before = state.next_us
@@ -117,17 +117,18 @@ def _begun(
     state: LookState,
     last_night: dt.date,
     now_us: int,
-) -> LookState:
+) -> tuple[LookState, list[Change]]:
     """The state with a filter of this baseline, at a begin."""
     if state.baseline != baseline.key:
         watch = StepWatch.begin(baseline.errors)
         state = replace(state, baseline=baseline.key, watch=watch, recent=())
     if state.next_us:
-        return state
+        return state, []
     nights = spec.settings.nights
     earliest = night_of(now_us, nights) - LONGEST_WAY_BACK
     first = max(last_night, earliest - dt.timedelta(days=1))
-    return replace(state, next_us=night_labelled(first, nights).end_us)
+    begin_us = night_labelled(first, nights).end_us
+    return _moved(replace(state, next_us=begin_us), begin_us, BLIND, "nothing was judged yet")
 
 
 def _news(spec: MotorSpec, state: LookState, latest_us: int, most_bytes: int) -> News | None:
@@ -307,7 +308,7 @@ def _went_blind(spec: MotorSpec, state: LookState, until_us: int) -> tuple[LookS
     if state.state != CLEAR or until_us <= blind_us:
         return state, []
     why = state.cause or "no new samples"
-    return _moved(state, blind_us, BLIND, f"nothing to judge since then: {why}")
+    return _moved(state, blind_us, BLIND, f"{NOTHING}: {why}")
 
 
 def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Change]) -> LookState:
@@ -316,10 +317,8 @@ def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Change
         state = replace(state, cause="no new samples")
     state, found = _went_blind(spec, state, now_us)
     changes += found
-    if state.state == NOT_READY:
-        # There is a baseline, and nothing has been judged yet.
-        state, found = _moved(state, state.next_us, BLIND, state.cause or "no new samples")
-        changes += found
+    if state.state == BLIND and state.cause:
+        state = replace(state, reason=f"{NOTHING}: {state.cause}")
     return state
 
 

@@ -14,11 +14,20 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import utc
 from pipeline.config import Fleet, MotorSpec, load_fleet
+from pipeline.look.baseline import LookBaseline, calibrated
+from pipeline.look.blocks import Blocks, blocks_within
 from pipeline.look.look import MotorLook, look_at_fleet
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import LOOKS
 from pipeline.store.tables import read_table
-from tests.pipeline.simulated import Operation, motor_toml, operate, write_configs
+from tests.pipeline.simulated import (
+    Operation,
+    motor_toml,
+    night_of,
+    operate,
+    raw,
+    write_configs,
+)
 from tests.pipeline.workshop import DAY, MINI, QUICK
 
 FIRST = dt.date(2026, 1, 2)
@@ -35,7 +44,7 @@ def rows_of(operation: Operation, flow: NDArray[np.float64]) -> list[str]:
     columns = (operation.pressure_bar, operation.temperature_c, operation.speed_rpm, flow)
     times = (f"{utc(one):%Y-%m-%dT%H:%M:%SZ}" for one in operation.time_us.tolist())
     return [
-        f"{time},{p:.3f},{t:.3f},{w:.3f},{y:.5f}\n"
+        f"{time},{p:.3f},{t:.3f},{w:.3f},{y:.7f}\n"
         for time, p, t, w, y in zip(times, *(one.tolist() for one in columns), strict=True)
     ]
 
@@ -47,8 +56,12 @@ def night_rows(
     operation = operate(label, MINUTES, seed)
     flow = operation.flow(spec.motor(label, "none"))
     flow = flow * (1.0 + rise * (np.arange(len(flow)) >= after_minutes * 60))
-    noise = np.random.default_rng(seed).normal(0.0, 0.01, len(flow))
-    return rows_of(operation, flow + noise)
+    return rows_of(operation, flow * (1.0 + noise(seed, len(flow))))
+
+
+def noise(seed: int, n: int) -> NDArray[np.float64]:
+    """Relative errors of samples."""
+    return np.asarray(np.random.default_rng(seed).normal(0.0, 0.1, n))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,28 +110,57 @@ class Growing:
 
     def copy(self, folder: Path) -> Growing:
         """The same in another folder."""
-        shutil.copytree(self.folder, folder, dirs_exist_ok=True)
+        shutil.copytree(self.folder, folder)
+        file = folder / "configs" / "fleet.toml"
+        file.write_text(file.read_text("utf-8").replace(f"{self.folder}/", f"{folder}/"), "utf-8")
         return Growing(folder)
 
 
-def growing(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "") -> Growing:
-    """A fleet with its nights published; changes are told to a file beside them."""
+def configured(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "") -> Growing:
+    """A fleet without a night; changes are told to a file beside it."""
     more = f'oil_circuit = "{circuit}"\n' if circuit else ""
     texts = {}
     for motor in motors:
         text = motor_toml(motor, "MINI", files=f'"{motor}/*.csv"')
         text = text.replace('format = "parquet"', 'format = "csv"\ntime = "time"')
         texts[motor] = text.replace("[logs]", f"{more}[logs]", 1)
-    teller = '[alarms]\ncommand = ["sh", "-c", "cat >> told.jsonl; echo >> told.jsonl"]\n'
-    file = write_configs(folder, texts, {"MINI": MINI}, QUICK + LOOK)
-    for number, spec in enumerate(load_fleet(file).motors):
-        logs = folder / "logs" / spec.motor_id
-        logs.mkdir(parents=True)
-        for night in range(NIGHTS):
-            label = FIRST + night * DAY
-            rows = night_rows(spec, label, seed=100 * number + night)
-            (logs / f"{label}.csv").write_text(HEADER + "".join(rows), "utf-8")
-    made = Growing(folder)
-    assert not run_fleet(RunRequest(made.fleet, clock=BEGIN)).failed
-    file.write_text(QUICK + LOOK + teller, "utf-8")
+        (folder / "logs" / motor).mkdir(parents=True)
+    file = folder / "told.jsonl"
+    teller = f'[alarms]\ncommand = ["sh", "-c", "cat >> {file}; echo >> {file}"]\n'
+    write_configs(folder, texts, {"MINI": MINI}, QUICK + LOOK + teller)
+    return Growing(folder)
+
+
+def published(folder: Path) -> Growing:
+    """The fleet with its nights published."""
+    made = configured(folder)
+    (spec,) = made.fleet.motors
+    for night in range(NIGHTS):
+        label = FIRST + night * DAY
+        rows = night_rows(spec, label, seed=night)
+        (made.log().parent / f"{label}.csv").write_text(HEADER + "".join(rows), "utf-8")
+    made.run(days=0)
     return made
+
+
+def made_baseline(spec: MotorSpec) -> LookBaseline:
+    """A baseline of five made nights, for a motor that has none published."""
+    parts, labels = [], [FIRST + night * DAY for night in range(5)]
+    for seed, label in enumerate(labels):
+        operation = operate(label, MINUTES, seed)
+        motor = spec.motor(label, "none")
+        flow = operation.flow(motor)
+        flow = flow * (1.0 + noise(seed, len(flow)))
+        channels = raw(operation.time_us, operation.channels(flow))
+        night = night_of(label)
+        parts.append(blocks_within(spec, night, channels, night.start_us, night.end_us)[0])
+    blocks = Blocks(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("start_us", "means", "conditions")
+        )
+    )
+    theta = np.array([blocks.means[:, -1].sum() / blocks.means[:, 0].sum(), 0.0])
+    found = calibrated(spec, blocks, "made", labels, theta, None)
+    assert isinstance(found, LookBaseline), found
+    return found
