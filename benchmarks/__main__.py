@@ -28,6 +28,7 @@ BENCHMARKS = (
     "scale",
     "speed",
     "table_reading",
+    "within_day",
 )
 
 

@@ -21,6 +21,7 @@ from pipeline.config.settings import FleetFile, Section
 from pipeline.schema import (
     DATA_DICTIONARY,
     DECISIONS,
+    LOOKS,
     NIGHT_TABLES,
     QUALITY,
     QUALITY_REASONS,
@@ -163,6 +164,8 @@ def _place(table: Table) -> str:
     if table in (DATA_DICTIONARY, DECISIONS):
         return f"{folder}/{table.name}.parquet"
     name = "<night>" if table in (*NIGHT_TABLES, *TREND_TABLES) else "<start of the run>"
+    if table is LOOKS:
+        name = "looks-<day>"
     return f"{folder}/month=YYYY-MM/{name}.parquet"
 
 
