@@ -17,7 +17,7 @@ from pipeline.ingest import RawLog
 from pipeline.logs.files import reaches_us, slice_night
 from pipeline.look.baseline import LookBaseline
 from pipeline.look.blocks import Blocks, block_us, blocks_within
-from pipeline.look.reading import PASS_BYTES, News, read_news
+from pipeline.look.reading import PASS_BYTES, News, newest_us_of, read_news
 from pipeline.look.state import (
     BLIND,
     CLEAR,
@@ -32,7 +32,7 @@ from pipeline.look.state import (
 # Blocks before the first new one whose samples are cleaned with it, and the wait for the samples
 # behind it that the rules look at.
 BLOCKS_BEFORE, SETTLE_US = 2, 30 * SECOND_US
-# Longest way back at a first look, or after many nights without a published one.
+# Longest way back: what is older is left to the nights.
 LONGEST_WAY_BACK = dt.timedelta(days=2)
 # Blocks in a row whose mean ends a rise, below this share of it.
 BLOCKS_OF_END, SHARE_OF_END = 5, 0.5
@@ -122,12 +122,14 @@ def _begun(
     if state.baseline != baseline.key:
         watch = StepWatch.begin(baseline.errors)
         state = replace(state, baseline=baseline.key, watch=watch, recent=())
-    if state.next_us:
-        return state, []
     nights = spec.settings.nights
     earliest = night_of(now_us, nights) - LONGEST_WAY_BACK
-    first = max(last_night, earliest - dt.timedelta(days=1))
-    begin_us = night_labelled(first, nights).end_us
+    if state.next_us:
+        begin_us = night_labelled(earliest, nights).start_us
+        return replace(state, next_us=max(state.next_us, begin_us)), []
+    begin_us = max(
+        night_labelled(last_night, nights).end_us, night_labelled(earliest, nights).start_us
+    )
     return _moved(replace(state, next_us=begin_us), begin_us, BLIND, "nothing was judged yet")
 
 
@@ -142,8 +144,8 @@ def _taken_up(
 ) -> tuple[LookState, list[Change]]:
     """Take up all blocks whose samples are there."""
     changes: list[Change] = []
-    newest_us = max((one.last_us for one in news.logs if one.last_us), default=0)
-    state = replace(state, files=news.files, newest_us=max(newest_us, state.newest_us))
+    newest_us = max((one.newest_us for one in news.files.values()), default=0)
+    state = replace(state, files=news.files, newest_us=newest_us)
     if news.fault:
         state = replace(state, cause=news.fault)
     while True:
@@ -172,7 +174,7 @@ def _ready_us(spec: MotorSpec, news: News, next_us: int) -> int:
     for log in news.logs:
         for name, channel in log.channels.items():
             if len(channel.time_us):
-                lasts[name] = max(lasts.get(name, 0), int(channel.time_us.max()))
+                lasts[name] = max(lasts.get(name, 0), newest_us_of(channel))
     if not lasts:
         return next_us
     periodic = [

@@ -7,16 +7,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.ingest import Place, RawLog, can_grow, read_log, read_piece
+from pipeline.ingest import Place, RawChannel, RawLog, can_grow, read_log, read_piece
 from pipeline.logs.files import find_logs
 
 # Bytes of a growing file read at once, and in one go before its blocks are made.
 PIECE_BYTES, PASS_BYTES = 2**20, 2**23
 # A file last written to so long before the samples that are wanted holds none of them.
 OLD_US = 86_400 * SECOND_US
+# Latest samples of a channel that say how far it goes.
+LATEST = 5
 # Bytes at a file's begin and before a place that show that it is still the same file.
 HEAD_BYTES, TAIL_BYTES = 4096, 256
 
@@ -167,7 +171,7 @@ def _read(
     file = spec.file
     if not can_grow(path, file.logs):
         whole = read_log(path, file.logs, file.channels, latest_us)
-        return _still_needed([whole], needed_us), replace(now, newest_us=whole.last_us or 0)
+        return _still_needed([whole], needed_us), replace(now, newest_us=_newest_us(whole))
     known = before.ends if before is not None and _is_continued(path, before) else ()
     ends = [*[one for one in known if one.newest_us < needed_us][-1:]]
     place = ends[-1].place if ends else Place()
@@ -178,7 +182,7 @@ def _read(
         if log is None:
             break
         logs += _still_needed([log], needed_us)
-        ends.append(End(place, max(log.last_us or 0, ends[-1].newest_us if ends else 0)))
+        ends.append(End(place, max(_newest_us(log), ends[-1].newest_us if ends else 0)))
     kept = [*[one for one in ends if one.newest_us < needed_us][-1:]]
     kept += [one for one in ends if one.newest_us >= needed_us]
     found = replace(
@@ -189,6 +193,16 @@ def _read(
         is_read=log is None,
     )
     return logs, found
+
+
+def newest_us_of(channel: RawChannel) -> int:
+    """Time of a channel's latest samples: a single wrong stamp does not say it."""
+    return int(np.median(channel.time_us[-LATEST:]))
+
+
+def _newest_us(log: RawLog) -> int:
+    channels = (one for one in log.channels.values() if len(one.time_us))
+    return max(map(newest_us_of, channels), default=0)
 
 
 def _still_needed(logs: list[RawLog], needed_us: int) -> list[RawLog]:
