@@ -7,6 +7,7 @@ import json
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +65,11 @@ def noise(seed: int, n: int) -> NDArray[np.float64]:
     return np.asarray(np.random.default_rng(seed).normal(0.0, 0.1, n))
 
 
+@lru_cache(maxsize=64)
+def _loaded(file: Path) -> Fleet:
+    return load_fleet(file)
+
+
 @dataclass(frozen=True, slots=True)
 class Growing:
     """The fleet, in a folder."""
@@ -72,7 +78,7 @@ class Growing:
 
     @property
     def fleet(self) -> Fleet:
-        return load_fleet(self.folder / "configs" / "fleet.toml")
+        return _loaded(self.folder / "configs" / "fleet.toml")
 
     @property
     def output(self) -> Path:
