@@ -133,6 +133,9 @@ def read_news(
                     spec, paths[name], now, before, needed_us, latest_us, most_bytes
                 )
                 logs += read
+            except OSError as error:  # rotated away in between, or out of reach
+                fault = f"{name}: {error.strerror}"
+                files |= {} if before is None else {name: before}
             except LogError as error:
                 fault = error.message
                 # One that is damaged is tried again once it has changed.
