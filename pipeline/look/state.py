@@ -190,10 +190,10 @@ class LookStanding:
         Examples
         --------
         >>> LookStanding("not_ready", None, "12 of 30 good nights").words
-        'look not ready: 12 of 30 good nights'
+        'within the day not ready: 12 of 30 good nights'
         """
         since = "" if self.since is None else f" since {self.since:%Y-%m-%d %H:%M} UTC"
-        return f"look {self.state.replace('_', ' ')}{since}: {self.reason}"
+        return f"within the day {self.state.replace('_', ' ')}{since}: {self.reason}"
 
 
 def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:

@@ -197,9 +197,9 @@ def last_findings(decisions: Sequence[Decision]) -> list[str]:
 
 
 def urgency(motor: MotorState) -> tuple[int, float, str]:
-    """Sort key of motors; a failed night ranks no later than a stale motor."""
+    """Sort key of motors: a sudden rise first; a failed night no later than a stale motor."""
     is_sudden = motor.look is not None and motor.look.state == LOOK_NOW
-    place = 0 if is_sudden else ORDER.index(motor.state)
+    place = -1 if is_sudden else ORDER.index(motor.state)
     if motor.failure:
         place = min(place, ORDER.index("stale"))
     return place, -(motor.deviation_percent or 0.0), motor.motor_id

@@ -14,6 +14,7 @@ import pytest
 
 from leakage.monitoring import ChangeSize
 from pipeline.errors import UsageError
+from pipeline.look.state import LookStanding
 from pipeline.report.status import (
     RAISED,
     TOLD,
@@ -548,3 +549,14 @@ def test_dates_and_the_effect_of_temperature_stand_in_the_words_of_a_state() -> 
     assert found.why == (
         "piston ring leakage +18 %; its limit not before August 2027; K falls by 0.97 % a kelvin"
     )
+
+
+def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown() -> None:
+    since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
+    rise = LookStanding("look_now", since, "drain flow +82 % [75, 90]", told=1)
+    worn = motor_state("M1", rows_of("M1", K_piston_ring=WORN), fits_of("M1"), ())
+    broken = motor_state("M2", rows_of("M2"), fits_of("M2"), (), rise)
+    quiet = motor_state("M3", rows_of("M3"), fits_of("M3"), (), LookStanding("clear", since, "x"))
+    assert min((worn, quiet, broken), key=urgency).motor_id == "M2"
+    assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
+    assert "clear" not in quiet.why
