@@ -1,8 +1,8 @@
 """Delay and false alarms of looks within the day, over simulated motors.
 
 Each motor has 60 days of two-minute blocks that calibrate it, days that nothing happens on, and
-days with a step. Its errors are those of the noise library, of blocks of 10 Hz samples, or follow
-those of the pump records of `shared/data/pump_rig` (surrogates: correlated over 15 to 20 minutes,
+days with a step. Its errors are those of the noise library, means of 10 Hz samples, or follow
+those of two records of real pumps, UT2 and UT3 (surrogates: correlated over 15 to 20 minutes,
 1.5 % for UT3 and 20 % for UT2; the records themselves have half a day). All have the wander of
 sensors from night to night. Beside the look: a fixed limit on the drain flow, and a moving mean of
 the relative error over half an hour, each with the limit that gives it the same false alarms on
