@@ -10,8 +10,8 @@ DEMO   := demo
 # Only variables that are set are passed on; the config decides the rest.
 OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
-.PHONY: help install fit-fleet report check demo-logs lint format test test-full bench bench-guard docs docs-site \
-        pictures wheelhouse clean
+.PHONY: help install fit-fleet look report check demo-logs lint format test test-full bench bench-guard docs \
+        docs-site pictures wheelhouse clean
 
 help:            ## list of targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*## */\t/' | expand -t 14
@@ -30,12 +30,15 @@ ifdef CONFIG
 FLEET := $(CONFIG)
 else
 FLEET := configs/fleet.toml
-fit-fleet report check: demo-logs
+fit-fleet report check look: demo-logs
 report: fit-fleet
 endif
 
 fit-fleet: $(READY) ## fit a fleet: CONFIG=configs/fleet.toml JOBS=2 MOTORS="A B" SINCE=2026-01-01 UNTIL=...
 	$(BIN)/motor-leakage fit-fleet $(FLEET) $(OPTIONS)
+
+look: $(READY)   ## new minutes of growing logs, told at once: CONFIG=... EVERY=10min
+	$(BIN)/motor-leakage look $(FLEET) $(if $(EVERY),--every $(EVERY)) $(if $(MOTORS),--motors "$(MOTORS)")
 
 report: $(READY) ## pages of the fleet and its motors: CONFIG=configs/fleet.toml
 	$(BIN)/motor-leakage report $(FLEET) --jobs $(JOBS)

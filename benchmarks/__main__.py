@@ -29,6 +29,7 @@ BENCHMARKS = (
     "scale",
     "speed",
     "table_reading",
+    "within_day",
 )
 
 

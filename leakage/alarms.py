@@ -39,6 +39,9 @@ class Levels:
     least_sd
         Least height of a level, in standard deviations of the nights (the upper 95 % bound that
         the baseline gives), so that widely scattered nights do not reach it by chance.
+    sudden_sd
+        A night that rises at once by more than the alarm level and this many standard deviations
+        turns the levels on by itself.
 
     Raises
     ------
@@ -53,6 +56,7 @@ class Levels:
     of_nights: int = 5
     off_nights: int = 5
     least_sd: float = 4.5
+    sudden_sd: float = 8.0
 
     def __post_init__(self) -> None:
         if not (0 < self.warning <= self.alarm and 0 <= self.deadband < self.warning):
@@ -109,7 +113,13 @@ class StateChange:
     after: State
 
 
-def above_level(values: Array, level: float, deadband: float, rule: Levels) -> NDArray[np.bool_]:
+def above_level(
+    values: Array,
+    level: float,
+    deadband: float,
+    rule: Levels,
+    sudden: NDArray[np.bool_] | None = None,
+) -> NDArray[np.bool_]:
     """True where a level is on, night by night.
 
     Parameters
@@ -122,6 +132,8 @@ def above_level(values: Array, level: float, deadband: float, rule: Levels) -> N
         The level goes off below `level` less this.
     rule
         Number of nights that it takes.
+    sudden
+        Nights that turn it on by themselves, shape (n,); None: none does.
 
     Returns
     -------
@@ -138,6 +150,8 @@ def above_level(values: Array, level: float, deadband: float, rule: Levels) -> N
     above = values[good] > level
     below = values[good] < level - deadband
     goes_on = above & (_count(above, rule.of_nights) >= rule.on_nights)
+    if sudden is not None:
+        goes_on |= above & sudden[good]
     goes_off = _count(below, rule.off_nights) == rule.off_nights
     is_on = np.zeros(len(values), dtype=np.bool_)
     if len(good):
@@ -163,8 +177,41 @@ def level_severity(deviation: Array, sd: float, rule: Levels) -> Severities:
         0, 1 or 2, shape (n,).
     """
     found = np.zeros(len(deviation), dtype=np.int64)
+    sudden = sudden_nights(deviation, sd, rule)
     for severity, level in enumerate(rule.in_effect(sd), start=1):
-        found[above_level(deviation, level, rule.deadband, rule)] = severity
+        found[above_level(deviation, level, rule.deadband, rule, sudden)] = severity
+    return found
+
+
+def sudden_nights(deviation: Array, sd: float, rule: Levels) -> NDArray[np.bool_]:
+    """Nights that rose at once by more than both the alarm level and so many deviations.
+
+    Parameters
+    ----------
+    deviation, sd, rule
+        As for :func:`level_severity`.
+
+    Returns
+    -------
+    ndarray
+        True where a night lies so far above the median of the good nights before it, at most
+        `of_nights`, or above the baseline where there is none; shape (n,).
+
+    Examples
+    --------
+    >>> sudden_nights(np.array([0.0, 0.01, 0.8, 0.8, 0.8]), 0.01, Levels()).astype(int).tolist()
+    [0, 0, 1, 1, 1]
+    >>> sudden_nights(np.array([0.2, 0.25, 0.3, 0.35, 0.4]), 0.01, Levels()).any()
+    np.False_
+    """
+    found = np.zeros(len(deviation), dtype=np.bool_)
+    least = max(rule.alarm, rule.sudden_sd * sd)
+    good = np.flatnonzero(np.isfinite(deviation))
+    for place, night in enumerate(good.tolist()):
+        if deviation[night] > least:
+            before = deviation[good[max(place - rule.of_nights, 0) : place]]
+            usual = float(np.median(before)) if len(before) else 0.0
+            found[night] = deviation[night] - usual > least
     return found
 
 

@@ -106,9 +106,9 @@ def check(
 
 def _check_tables(config: Path | None, output: Path | None, *, as_json: bool, mend: bool) -> int:
     """Compare the files of an output with their manifests; returns the exit code."""
-    from pipeline.run.fleet import locked
     from pipeline.run.mending import mend_output
     from pipeline.run.verification import verify_tables
+    from pipeline.store.locks import locked
     from pipeline.store.tables import existing_tables
     from pipeline.store.working_copy import working_copy
 

@@ -34,8 +34,8 @@ def prune(
 
     Example: motor-leakage prune configs/fleet.toml --tables predictions,starts --keep 400
     """
-    from pipeline.run.fleet import locked
     from pipeline.run.publishing import fleets_tonight
+    from pipeline.store.locks import locked
     from pipeline.store.retention import nights_kept, old_files
     from pipeline.store.retention import prune as remove
     from pipeline.store.tables import existing_tables

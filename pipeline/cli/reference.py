@@ -20,6 +20,7 @@ from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.config.oil_samples import OilCircuitFile
 from pipeline.config.settings import FleetFile, Section
 from pipeline.schema import (
+    LOOKS,
     NIGHT_TABLES,
     QUALITY,
     QUALITY_REASONS,
@@ -168,6 +169,8 @@ def _place(table: Table) -> str:
     if table in WHOLE_TABLES:
         return f"{folder}/{table.name}.parquet"
     name = "<night>" if table in (*NIGHT_TABLES, *TREND_TABLES) else "<start of the run>"
+    if table is LOOKS:
+        name = "looks-<day>"
     return f"{folder}/month=YYYY-MM/{name}.parquet"
 
 

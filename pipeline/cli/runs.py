@@ -69,7 +69,7 @@ def fit_fleet(
     Exit code 0: no motor failed; 1: at least one did, the others are done, or published rows are
     lost; 2: wrong usage or config; 3: another run holds the output; 4: nothing could be published.
     """
-    with _stoppable():
+    with stoppable():
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -103,7 +103,7 @@ def retry(
 
     Exit codes as those of fit-fleet.
     """
-    with _stoppable():
+    with stoppable():
         from pipeline.run.fleet import RunRequest
 
         fleet = load(config, output, jobs)
@@ -176,7 +176,7 @@ class _Terminated(KeyboardInterrupt):
 
 
 @contextmanager
-def _stoppable() -> Iterator[None]:
+def stoppable() -> Iterator[None]:
     """Let SIGTERM end a command as SIGINT does, each with its exit code.
 
     What a run is not done with is done by the next one.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict
 
@@ -84,6 +85,14 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     if found.damage:
         first, n = found.damage[0], len(found.damage)
         yield f"{n} published files are damaged or missing, such as {first.path}: {first.code}"
+    looks = [motor.look for motor in found.motors if motor.look is not None]
+    if looks:
+        counts = Counter(one.state.replace("_", " ") for one in looks)
+        states = ", ".join(f"{n} {state}" for state, n in sorted(counts.items()))
+        told, confirmed, withdrawn = (
+            sum(getattr(one, name) for one in looks) for name in ("told", "confirmed", "withdrawn")
+        )
+        yield f"looks: {states}; rises told {told}, confirmed {confirmed}, withdrawn {withdrawn}"
     if found.findings:
         share = 100 * found.findings_confirmed / found.findings
         yield (

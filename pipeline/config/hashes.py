@@ -43,8 +43,11 @@ WORDS = {"source", "note"}
 SETTINGS_NAMED = 4
 # Sections that shape trends and alarms alone: no night is made anew for them.
 OF_TRENDS = ("trend.", "alarms.")
-# Settings that shape no figure: how people are told.
-UNSHAPING = {"alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"}}
+# Settings that shape no figure of a night: how people are told, and looks within the day.
+UNSHAPING: Mapping[str, Any] = {
+    "alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"},
+    "look": True,
+}
 # Key of a motor whose rollers' scale is free.
 ROLLER = "roller"
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
@@ -130,7 +133,7 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
         "circuit_samples": [
             one.model_dump(mode="json", exclude={"note"}) for one in spec.circuit_samples
         ],
-        "settings": spec.settings.model_dump(mode="json", exclude=UNSHAPING),
+        "settings": spec.settings.model_dump(mode="json", exclude=dict(UNSHAPING)),
         **_roller(spec),
     }
 

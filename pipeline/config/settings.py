@@ -432,6 +432,18 @@ class Alarms(Section):
         return secret
 
 
+class Look(Section):
+    """Looks within the day; nothing here changes a figure of a night."""
+
+    warm_up_minutes: NonNegative = Field(
+        20.0,
+        description="Minutes after a start that are not judged, if the motor had stood for as long",
+    )
+    blind_after_minutes: Positive = Field(
+        60.0, description="Minutes without anything to judge after which a motor is `blind`"
+    )
+
+
 class Execution(Section):
     """Execution of a run; nothing here changes a figure."""
 
@@ -551,6 +563,7 @@ class Settings(Section):
     sensor_health: SensorHealth = Field(default_factory=lambda: SensorHealth())
     trend: Trend = Field(default_factory=lambda: Trend())
     alarms: Alarms = Field(default_factory=lambda: Alarms())
+    look: Look = Field(default_factory=lambda: Look())
 
     @model_validator(mode="after")
     def _smoothing_fits_a_block(self) -> Settings:

@@ -11,13 +11,14 @@ from types import MappingProxyType
 from typing import NamedTuple
 
 from pipeline.config.motors import Channels, Logs
-from pipeline.ingest.contract import RawChannel, RawLog, readable
-from pipeline.ingest.csv.log import csv_time_span, read_csv_log
+from pipeline.ingest.contract import Place, RawChannel, RawLog, readable
+from pipeline.ingest.csv.log import csv_time_span, read_csv_log, read_csv_piece
+from pipeline.ingest.csv.text import is_packed, is_utf8
 from pipeline.ingest.mcap.log import mcap_time_span, read_mcap_log
 from pipeline.ingest.parquet.log import parquet_time_span, read_parquet_log
 from pipeline.units import CHANNELS
 
-__all__ = ["RawChannel", "RawLog", "read_log", "time_span"]
+__all__ = ["Place", "RawChannel", "RawLog", "can_grow", "read_log", "read_piece", "time_span"]
 
 
 class _Reader(NamedTuple):
@@ -60,6 +61,53 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
     """
     with readable(path):
         return _READERS[logs.format].read(path, logs, _in_order(channels), latest_us)
+
+
+def can_grow(path: Path, logs: Logs) -> bool:
+    """True for a log that is read from a place on: plain text, to which rows are appended.
+
+    Raises
+    ------
+    LogError
+        As `read_log`.
+    """
+    with readable(path):
+        return logs.format == "csv" and is_utf8(logs.encoding) and not is_packed(path)
+
+
+def read_piece(
+    path: Path,
+    logs: Logs,
+    channels: Channels,
+    latest_us: int | None,
+    place: Place,
+    most_bytes: int,
+) -> tuple[RawLog | None, Place]:
+    """Read what follows a place of a log that can grow.
+
+    Parameters
+    ----------
+    path, logs, channels, latest_us
+        As for `read_log`.
+    place
+        Where the piece before ended; that of a new `Place` is the file's begin.
+    most_bytes
+        Size of the piece; it ends behind a whole row.
+
+    Returns
+    -------
+    RawLog or None
+        Its rows; None where no whole row follows.
+    Place
+        Behind them.
+
+    Raises
+    ------
+    LogError
+        As `read_log`.
+    """
+    with readable(path):
+        return read_csv_piece(path, logs, _in_order(channels), latest_us, place, most_bytes)
 
 
 def time_span(

@@ -132,6 +132,14 @@ class RawLog:
         return different_stamps(self.channels.values())
 
 
+@dataclass(frozen=True, slots=True)
+class Place:
+    """A place in a growing text: its byte, and the names of the header that holds there."""
+
+    position: int = 0
+    columns: tuple[str, ...] = ()
+
+
 def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:
     """Time stamps of channels, the empty ones left out, and what several share once.
 

@@ -118,7 +118,7 @@ def fit_night(
     rows: Rows = {}
     try:
         with _timed(seconds, "clean_s"):
-            samples, quality = _clean(spec, night, channels)
+            samples, quality = clean(spec, night, channels)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             counter = channels.get(RUNNING_HOURS)
             rows["operation"] = [operation_row(spec, night, samples, counter)]
@@ -188,9 +188,16 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
         seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - begin
 
 
-def _clean(
+def clean(
     spec: MotorSpec, night: Night, channels: MutableMapping[str, RawChannel]
 ) -> tuple[Samples, tuple[Quality, ...]]:
+    """The kept samples of a night, or of a part of it, and what each rule refused.
+
+    Raises
+    ------
+    Insufficient
+        If a channel has no samples.
+    """
     cleaning = spec.settings.cleaning
     too_long = means_too_long(spec.file.channels, cleaning)
     if too_long is not None:

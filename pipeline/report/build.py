@@ -16,6 +16,7 @@ import polars as pl
 
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
+from pipeline.look.state import look_standings
 from pipeline.report.encoding import script_json
 from pipeline.report.findings import scores
 from pipeline.report.first_screen import first_screen
@@ -321,7 +322,8 @@ def _make_pages(
     motors = list(motor_histories(history, list(names)))
     span = fleet_span(motors)
     types = {motor_id: one.motor_type for motor_id, one in request.known.items()}
-    rows = fleet_rows(motors, names, types, motor_states(history, names))
+    states = motor_states(history, names, look_standings(request.output, names))
+    rows = fleet_rows(motors, names, types, states)
     name = request.fleet or history.fleet or "Fleet"
     waiting = backlogs(request.output, request.receivers, name)
     facts = FleetFacts(

@@ -19,6 +19,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from pipeline.errors import UsageError
+from pipeline.look.state import look_standings
 from pipeline.palette import COLOURS
 from pipeline.report.build import KnownMotor, ReportRequest
 from pipeline.report.first_screen import FirstScreen, Line, first_screen
@@ -61,7 +62,7 @@ def write_paper(request: ReportRequest, motor_id: str, folder: Path) -> Path:
     (motor,) = motor_histories(history, [motor_id])
     if not motor.nights:
         raise UsageError("unknown_motor", f"no night of motor {motor_id!r} is in the tables")
-    state = motor_states(history, [motor_id])[motor_id]
+    state = motor_states(history, [motor_id], look_standings(request.output, [motor_id]))[motor_id]
     known = request.known.get(motor_id, KnownMotor(""))
     screen = first_screen(motor, state, known.paths)
     path = folder / f"{file_names([motor_id])[motor_id]}.pdf"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import polars as pl
 
 from pipeline.errors import UsageError
+from pipeline.look.state import look_standings
 from pipeline.report.findings import COLUMNS as SCORED
 from pipeline.report.findings import Score, scores
 from pipeline.schema import ALARMS, FITS, TRENDS
@@ -80,6 +81,8 @@ def fleet_status(
     """
     motors = published_states(output, motor_ids)
     decisions = read_decisions(output)
+    looks = look_standings(output, motor_ids)
+    motors = [replace(one, look=looks.get(one.motor_id)) for one in motors]
     findings = last_findings(decisions)
     alarms = read_rows(output, ALARMS, motor_ids, ("rules", "state_before_rules", "to_state"))
     return FleetStatus(

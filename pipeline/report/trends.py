@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from pipeline.report.tables import ReportTables, by_motor
 from pipeline.report.words import plain
 from pipeline.schema import ALARMS, TRENDS, frame
 from pipeline.thinning import keep_extremes
-from pipeline.trends.motor_states import ORDER, MotorState, motor_state
+from pipeline.trends.motor_states import ORDER, LookStanding, MotorState, motor_state
 from pipeline.trends.words import limit_dates, name_of
 
 Payload = dict[str, Any]
@@ -58,17 +59,22 @@ COURSES = (
 )
 
 
-def motor_states(history: ReportTables, motors: Iterable[str]) -> dict[str, MotorState]:
+def motor_states(
+    history: ReportTables, motors: Iterable[str], looks: Mapping[str, LookStanding]
+) -> dict[str, MotorState]:
     """The state of each motor, the same that `motor-leakage status` prints."""
     trends = by_motor(history.trends.get(TRENDS.name, frame(TRENDS, [])))
     fits = by_motor(history.fits)
     no_trends, no_fits = frame(TRENDS, []), history.fits.clear()
     return {
-        motor_id: motor_state(
-            motor_id,
-            trends.get(motor_id, no_trends),
-            fits.get(motor_id, no_fits),
-            [one for one in history.decisions if one.motor_id == motor_id],
+        motor_id: replace(
+            motor_state(
+                motor_id,
+                trends.get(motor_id, no_trends),
+                fits.get(motor_id, no_fits),
+                [one for one in history.decisions if one.motor_id == motor_id],
+            ),
+            look=looks.get(motor_id),
         )
         for motor_id in motors
     }

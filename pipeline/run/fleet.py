@@ -7,16 +7,13 @@ motor its run and no other: what was finished is kept, and each lost task is tri
 from __future__ import annotations
 
 import datetime as dt
-import fcntl
 import hashlib
 import logging
-import os
 import secrets
-import socket
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -48,13 +45,13 @@ from pipeline.schema import (
     SCHEMA_VERSION,
 )
 from pipeline.store.atomic_files import (
-    make_folders,
     make_private_folder,
     remove_all,
     remove_leftovers,
 )
 from pipeline.store.heartbeat import Heartbeat, last_good_run
 from pipeline.store.interrupts import interrupts_held
+from pipeline.store.locks import locked
 from pipeline.store.manifest import Key, manifest_keys
 from pipeline.store.months import join_months, last_month_over
 from pipeline.store.object_store import ObjectStore
@@ -509,38 +506,6 @@ def _motors(
             raise
         log.warning("%s; what is finished is kept", error)
         yield from (lost(task, Loss(error.code, error.message)) for task in left.values())
-
-
-@contextmanager
-def locked(output: Path) -> Iterator[None]:
-    """Hold the output for one run; the lock ends with the process, however that ends."""
-    holder = (
-        f"process {os.getpid()} on {socket.gethostname()} "
-        f"since {dt.datetime.now(dt.UTC):%Y-%m-%d %H:%M:%S} UTC\n"
-    )
-    try:
-        make_folders(output)
-        stream = (output / "lock").open("a+", encoding="utf-8")
-    except OSError as error:
-        raise StoreError(
-            "store_write", f"{output} cannot be written: {error.strerror}; choose another output"
-        ) from error
-    with stream:
-        try:
-            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            stream.seek(0)
-            holder = stream.read().strip() or "unknown"
-            raise LockedError("locked", f"another run writes to this output: {holder}") from None
-        except OSError as error:
-            raise StoreError(
-                "store_write", f"{output} cannot be locked: {error.strerror}; choose a local folder"
-            ) from error
-        # On a full disk nobody can be told who holds the lock; it is held all the same.
-        with suppress(OSError):
-            os.truncate(stream.fileno(), 0)
-            os.write(stream.fileno(), holder.encode())
-        yield
 
 
 @contextmanager

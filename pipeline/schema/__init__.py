@@ -52,6 +52,7 @@ from pipeline.schema.trends import (
     CHANGE_POINTS,
     DECISIONS,
     LATEST,
+    LOOKS,
     TRENDS,
 )
 
@@ -68,6 +69,7 @@ __all__ = [
     "FIT_KEY_NAMES",
     "INPUT_FILES",
     "LATEST",
+    "LOOKS",
     "MOTOR_OUTCOMES",
     "NIGHT_TABLES",
     "NUMBERS",
@@ -120,7 +122,16 @@ TREND_TABLES = (TRENDS, ALARMS, BASELINES, CHANGE_POINTS)
 # One file each.
 WHOLE_TABLES = (LATEST, DECISIONS, DATA_DICTIONARY)
 
-TABLES = (LATEST, *NIGHT_TABLES, *TREND_TABLES, DECISIONS, RUNS, MOTOR_OUTCOMES, DATA_DICTIONARY)
+TABLES = (
+    LATEST,
+    *NIGHT_TABLES,
+    *TREND_TABLES,
+    LOOKS,
+    DECISIONS,
+    RUNS,
+    MOTOR_OUTCOMES,
+    DATA_DICTIONARY,
+)
 
 
 def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pl.DataFrame:

@@ -191,10 +191,10 @@ ALARMS = Table(
             "way",
             pl.String,
             "",
-            "Into a warning or an alarm: level, change (cumulative sum), both, jump (a sudden "
-            "change that no event explains) or drift (of a sensor's zero); stale; common_cause; "
-            "duty_outside; baseline; recovered; recomputed: what was told before is not in the "
-            "figures now",
+            "Into a warning or an alarm: level, change (cumulative sum), both, sudden (by "
+            "far, in one night), jump (a change that no event explains) or drift (of a "
+            "sensor's zero); stale; common_cause; duty_outside; baseline; recovered; recomputed: "
+            "what was told before is not in the figures now",
         ),
         Column("path", pl.String, "", "Path whose growth explains the change"),
         Column(
@@ -216,6 +216,36 @@ ALARMS = Table(
 )
 # Columns of what a row says; the others are its key, or follow from it.
 ALARM_CONTENT = ("from_state", "to_state", "way", "path", "reason")
+
+LOOKS = Table(
+    "looks",
+    "a change of state of the look within the day",
+    ("motor_id", "time", "to_state"),
+    (
+        MOTOR_ID,
+        Column("time", TIMESTAMP, "UTC", "End of the block that shows it, never the clock"),
+        Column("from_state", pl.String, "", "State before"),
+        Column(
+            "to_state",
+            pl.String,
+            "",
+            "look_now (sudden rise), clear, blind (nothing to judge) or not_ready (no baseline)",
+        ),
+        Column("since", TIMESTAMP, "UTC", "Begin of the rise; null without one"),
+        Column("change_percent", pl.Float64, "%", "Rise of the drain flow over the baseline"),
+        Column("change_lower", pl.Float64, "%", "Lower end of its 95 % interval"),
+        Column("change_upper", pl.Float64, "%", "Upper end"),
+        Column("reason", pl.String, "", "In words, with what to do"),
+        Column(
+            "verdict",
+            pl.String,
+            "",
+            "told; confirmed or withdrawn: by the night, in a row of its own; else null",
+        ),
+        Column("confirmed_by", pl.Date, "", "Night that gave the verdict"),
+        RUN_ID,
+    ),
+)
 
 BASELINES = Table(
     "baselines",

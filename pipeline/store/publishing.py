@@ -193,7 +193,7 @@ class Publisher:
 
     def whole(self, table: Table, rows: pl.DataFrame) -> None:
         """Publish a table that is one file; raises as `nights`."""
-        self._put({whole_file(self.output, table): rows})
+        self.put({whole_file(self.output, table): rows})
 
     def of_run(
         self, started: dt.datetime, rows: Mapping[Table, Sequence[Mapping[str, Any]]]
@@ -203,10 +203,10 @@ class Publisher:
             run_file(self.output, table, started): frame(table, some)
             for table, some in rows.items()
         }
-        self._put(files)
+        self.put(files)
 
-    def _put(self, files: Mapping[Path, pl.DataFrame]) -> None:
-        """Publish files that replace the present ones as a whole."""
+    def put(self, files: Mapping[Path, pl.DataFrame]) -> None:
+        """Publish files of one manifest that replace the present ones; raises as `nights`."""
         with ExitStack() as undone:
             prepared = []
             for path, rows in files.items():

@@ -9,7 +9,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
-from pipeline.telling.outbox import Outbox, Queue, Waiting, read_outbox, write_outbox
+from pipeline.telling.outbox import (
+    TOLD_ALARMS,
+    Outbox,
+    Queue,
+    Told,
+    Waiting,
+    read_outbox,
+    write_outbox,
+)
 
 # Waits before a delivery is tried again in the same run [s].
 PAUSES_S = (1.0, 4.0)
@@ -22,6 +30,7 @@ def deliver(
     receivers: Sequence[Receiver],
     fleet: str,
     pause: Callable[[float], None] = time.sleep,
+    told: Told = TOLD_ALARMS,
 ) -> tuple[str, ...]:
     """Deliver what waits in the outbox, which is written after each delivery.
 
@@ -33,6 +42,8 @@ def deliver(
         The receivers.
     pause
         Waits for some seconds.
+    told
+        Rows that the outbox is of.
 
     Returns
     -------
@@ -44,13 +55,14 @@ def deliver(
     StoreError
         If the outbox cannot be read or written: deliveries may then be repeated.
     """
-    outbox, faults = read_outbox(output) or Outbox(), []
+    folder, faults = output / told.folder, []
+    outbox = read_outbox(folder) or Outbox()
     for receiver in receivers:
         if receiver.name not in outbox.queues:
             continue
-        for queue in _after_each(outbox.queues[receiver.name], receiver, fleet, pause):
+        for queue in _after_each(outbox.queues[receiver.name], receiver, fleet, told, pause):
             outbox = replace(outbox, queues={**outbox.queues, receiver.name: queue})
-            write_outbox(output, outbox)
+            write_outbox(folder, outbox)
         left = outbox.queues[receiver.name]
         if left.waiting:
             n = sum(len(one.changes) for one in left.waiting)
@@ -59,7 +71,7 @@ def deliver(
 
 
 def _after_each(
-    queue: Queue, receiver: Receiver, fleet: str, pause: Callable[[float], None]
+    queue: Queue, receiver: Receiver, fleet: str, told: Told, pause: Callable[[float], None]
 ) -> Iterator[Queue]:
     """The queue after each delivery that was tried; a failed one goes to its end.
 
@@ -70,7 +82,7 @@ def _after_each(
     for one in queue.waiting:
         rest = tuple(other for other in queue.waiting if other is not one)
         try:
-            _take(receiver, _delivery(one, fleet), pauses, pause)
+            _take(receiver, _delivery(one, fleet, told), pauses, pause)
         except UndeliveredError as error:
             pauses, failures = (), failures + 1
             queue = replace(queue, waiting=(*rest, one), fault=error.why)
@@ -98,6 +110,6 @@ def _take(
     return receiver.take(delivery)
 
 
-def _delivery(one: Waiting, fleet: str) -> Delivery:
-    document = {"id": one.id, "type": "alarms", "fleet": fleet, "changes": one.changes}
+def _delivery(one: Waiting, fleet: str, told: Told) -> Delivery:
+    document = {"id": one.id, "type": told.table.name, "fleet": fleet, "changes": one.changes}
     return Delivery(one.id, json.dumps(document, sort_keys=True).encode())

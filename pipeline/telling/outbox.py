@@ -3,7 +3,7 @@
 Rows come from the published table alone, and each is known by its key and its content: a run may be
 broken off anywhere, and a row that is made anew is delivered again only if it has changed. A failed
 delivery waits, unchanged, for the next run. The outbox is two sealed files with the same content;
-one of them is enough.
+one of them is enough. Rows of `looks` have one of their own: a look never waits for a run.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
-from pipeline.schema import ALARM_CONTENT, ALARMS
+from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
 from pipeline.telling.delivery import Receiver
@@ -31,6 +31,38 @@ OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
 MOST_CHANGES = 500
 
 Change = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """Rows of a table that receivers are told.
+
+    Attributes
+    ----------
+    table
+        The table.
+    said
+        Columns with a row's content; others are its key or follow from it.
+    folder
+        Folder of its outbox, below the output.
+    states
+        States into or out of which a row is told; empty: all.
+    """
+
+    table: Table
+    said: tuple[str, ...]
+    folder: str = ""
+    states: frozenset[str] = frozenset()
+
+    def tells(self, row: Mapping[str, Any]) -> bool:
+        """True for a row that is told."""
+        return not self.states or not self.states.isdisjoint((row["from_state"], row["to_state"]))
+
+
+TOLD_ALARMS = Told(ALARMS, ALARM_CONTENT)
+TOLD_LOOKS = Told(
+    LOOKS, ("from_state", "to_state", "reason", "verdict"), "look", frozenset({"look_now"})
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +189,7 @@ def write_outbox(output: Path, outbox: Outbox) -> None:
         put_sealed(output / name, document)
 
 
-def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:
+def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOLD_ALARMS) -> None:
     """Give the receivers of a config their queues, before a run publishes anything.
 
     Rows that the run before has published and not taken up go to the receivers of that time. A new
@@ -168,59 +200,61 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str) -> None:
     StoreError
         If the outbox cannot be read or written.
     """
-    before = read_outbox(output)
+    before = read_outbox(output / told.folder)
     if not names and (before is None or not before.queues):
         return
-    outbox = taken_up(before or Outbox(), output, fleet)
+    outbox = taken_up(before or Outbox(), output, fleet, told)
     for name in sorted(outbox.queues.keys() - set(names)):
         if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
             log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
     for name in sorted(set(names) - outbox.queues.keys()):
         if outbox.known:
             log.warning(
-                "alarms: the %s is told from now on; the %d rows of `alarms` so far are not sent",
+                "alarms: the %s is told from now on; the %d rows of `%s` so far are not sent",
                 name,
                 len(outbox.known),
+                told.table.name,
             )
     now = dt.datetime.now(dt.UTC)
     queues = {name: outbox.queues.get(name, Queue(now)) for name in names}
-    write_outbox(output, replace(outbox, queues=queues))
+    write_outbox(output / told.folder, replace(outbox, queues=queues))
 
 
-def take_up(output: Path, fleet: str) -> None:
-    """Put new rows of `alarms` into all queues.
+def take_up(output: Path, fleet: str, told: Told = TOLD_ALARMS) -> None:
+    """Put new rows into all queues.
 
     Raises
     ------
     StoreError
         If the outbox cannot be read or written.
     """
-    before = read_outbox(output)
+    before = read_outbox(output / told.folder)
     if before is not None and before.queues:
-        after = taken_up(before, output, fleet)
+        after = taken_up(before, output, fleet, told)
         if after != before:
-            write_outbox(output, after)
+            write_outbox(output / told.folder, after)
 
 
-def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
+def taken_up(outbox: Outbox, output: Path, fleet: str, told: Told = TOLD_ALARMS) -> Outbox:
     """The outbox with new rows of the months that were written to since."""
-    stamps = month_stamps(output, ALARMS)
+    stamps = month_stamps(output, told.table)
     known, changes, since = dict(outbox.known), list[Change](), 0
     for month, stamp in sorted(stamps.items()):
         if outbox.stamps.get(month) == stamp:
             continue
-        rows, whole = _rows_of(output, month)
+        rows, whole = _rows_of(output, month, told)
         if not whole:
             del stamps[month]
         for row in rows:
-            key, said = _digest([str(row[name]) for name in ALARMS.key]), _digest_of(row)
+            key = _digest([str(row[name]) for name in told.table.key])
+            said = _digest([row[name] for name in told.said])
             before, _, times = known.get(key, "-").partition("-")
             if before != said:
                 # Counted: a row that changes back is delivered again.
                 known[key] = f"{said}-{int(times) + 1 if before else 0}"
-                if row["is_silent"]:
+                if row.get("is_silent"):
                     continue
-                what = "rules" if row["rules"] else "changed" if before else "new"
+                what = "rules" if row.get("rules") else "changed" if before else "new"
                 changes.append({"id": f"{key}-{known[key]}", "change": what, **_plain(row)})
                 since = max(since, stamp)
     when = dt.datetime.fromtimestamp(since / 1e9, dt.UTC)
@@ -231,20 +265,16 @@ def taken_up(outbox: Outbox, output: Path, fleet: str) -> Outbox:
     return Outbox(queues, known, stamps)
 
 
-def _rows_of(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
+def _rows_of(output: Path, month: str, told: Told) -> tuple[list[dict[str, Any]], bool]:
     """Rows of a month's files that are whole, and True if all are."""
     rows, whole = list[dict[str, Any]](), True
-    for path in sorted((table_folder(output, ALARMS) / f"month={month}").glob("*.parquet")):
+    for path in sorted((table_folder(output, told.table) / f"month={month}").glob("*.parquet")):
         try:
-            rows += read_table(path, ALARMS).to_dicts()
+            rows += filter(told.tells, read_table(path, told.table).to_dicts())
         except StoreError as error:
             log.warning("alarms: %s; its rows wait until it is whole", error)
             whole = False
     return rows, whole
-
-
-def _digest_of(row: Mapping[str, Any]) -> str:
-    return _digest([row[name] for name in ALARM_CONTENT])
 
 
 def _digest(parts: object) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +40,8 @@ FIT_KEYS = ("motor_id", "night", "status", "reason", "is_primary", "reference_ve
 FIT_COLUMNS = (*FIT_KEYS, *TONIGHTS_FITS)
 # States that ask for something.
 TOLD = (*CHANGED, "stale")
+# States of the looks within the day: a sudden rise, and none.
+LOOK_NOW, CLEAR = "look_now", "clear"
 ADVICE = {
     "common_cause": "Check oil, temperature and charge pressure of the circuit first.",
     "duty_outside": "Begin a new baseline if this duty is to stay.",
@@ -47,6 +49,38 @@ ADVICE = {
     "insufficient": "Wait for more good nights.",
     "ok": "Nothing to do.",
 }
+
+
+@dataclass(frozen=True, slots=True)
+class LookStanding:
+    """State of a motor's looks, for people.
+
+    Attributes
+    ----------
+    state, since, reason
+        As of `LookState`; since None: no change of state yet.
+    told, confirmed, withdrawn
+        Rises told, and those that a night confirmed or withdrew.
+    """
+
+    state: str
+    since: dt.datetime | None
+    reason: str
+    told: int = 0
+    confirmed: int = 0
+    withdrawn: int = 0
+
+    @property
+    def words(self) -> str:
+        """State in words.
+
+        Examples
+        --------
+        >>> LookStanding("not_ready", None, "12 of 30 good nights").words
+        'within the day not ready: 12 of 30 good nights'
+        """
+        since = "" if self.since is None else f" since {self.since:%Y-%m-%d %H:%M} UTC"
+        return f"within the day {self.state.replace('_', ' ')}{since}: {self.reason}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +135,9 @@ class MotorState:
         alarms or common causes; None of a motor that is ok.
     days_to_limit, days_to_limit_lower, days_to_limit_upper, days_to_limit_status
         Of the indicator that tells the state, as in `trends`.
+    look
+        Standing of the looks within the day, which the table `latest` does not hold; None where
+        there was none.
     data_night, data_age_nights
         Newest night with samples, and nights from it to the fleet's newest such night.
     """
@@ -139,13 +176,16 @@ class MotorState:
     days_to_limit_lower: float | None = None
     days_to_limit_upper: float | None = None
     days_to_limit_status: str | None = None
+    look: LookStanding | None = None
     data_night: dt.date | None = None
     data_age_nights: int | None = None
 
     @property
     def sentence(self) -> str:
-        """The state in words."""
-        return self.reason or "no change of external leakage"
+        """The state in words, a rise within the day first."""
+        look = "" if self.look is None or self.look.state == CLEAR else self.look.words
+        words = (look, self.reason or "no change of external leakage")
+        return "; ".join(part for part in words if part)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -178,7 +218,16 @@ class MotorState:
     @property
     def needs_attention(self) -> bool:
         """The state asks for something, or the last night failed."""
-        return self.state in TOLD or bool(self.failure)
+        return self.is_sudden or self.state in TOLD or bool(self.failure)
+
+    @property
+    def is_sudden(self) -> bool:
+        """A sudden rise within the day stands."""
+        return self.look is not None and self.look.state == LOOK_NOW
+
+
+# What `latest` holds.
+STORED = tuple(one.name for one in fields(MotorState) if one.name != "look")
 
 
 def latest_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
@@ -214,7 +263,8 @@ def latest_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
 
 def latest_rows(states: Iterable[MotorState], run_id: str) -> list[Row]:
     """Rows of `latest`."""
-    return [asdict(one) | {"sentence": one.why, "run_id": run_id} for one in states]
+    own = ({name: getattr(one, name) for name in STORED} | {"sentence": one.why} for one in states)
+    return [row | {"run_id": run_id} for row in own]
 
 
 def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
@@ -233,8 +283,7 @@ def published_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]
         if error.code != "store_read":
             raise
         return latest_states(output, motor_ids)
-    names = [one.name for one in fields(MotorState)]
-    known = {row["motor_id"]: MotorState(**row) for row in rows.select(names).to_dicts()}
+    known = {row["motor_id"]: MotorState(**row) for row in rows.select(STORED).to_dicts()}
     decisions = read_decisions(output)
     return [
         with_acknowledgement(
@@ -258,8 +307,8 @@ def fit_words(name: str, percent: float) -> str:
 
 
 def urgency(motor: MotorState) -> tuple[int, float, str]:
-    """Sort key of motors; a failed night ranks no later than a stale motor."""
-    place = ORDER.index(motor.state)
+    """Sort key of motors: a sudden rise first; a failed night no later than a stale motor."""
+    place = -1 if motor.is_sudden else ORDER.index(motor.state)
     if motor.failure:
         place = min(place, ORDER.index("stale"))
     return place, -(motor.deviation_percent or 0.0), motor.motor_id

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.alarms import sudden_nights
 from leakage.hypotheses import Posterior
 from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
 from pipeline.trends.attribution import why_not_named
@@ -109,15 +110,18 @@ def sensors_words(standing: Standing, place: int) -> str:
 
 
 def way_of(standing: Standing, name: str, place: int) -> str:
-    """The way into a warning or an alarm: level, change, both or jump."""
+    """The way into a warning or an alarm: level, change, both, sudden or jump."""
     watched = standing.watched[name]
     segment, found, _ = watched.at(place)
     inside = place - segment.first
     own = found.own
     if not own.severity[inside] and not own.limit_severity[inside]:
         return "jump"
+    levels, sd = watched.settings.levels, standing.relative_sd(name, place)
+    if sudden_nights(own.deviation[: inside + 1], sd, levels)[-1]:
+        return "sudden"
     by_sum = bool(own.onset[inside] >= 0)
-    warning, _ = standing.levels(name, place)
+    warning, _ = levels.in_effect(sd)
     by_level = bool(own.deviation[inside] >= warning) or bool(own.limit_severity[inside])
     return "both" if by_sum and by_level else "change" if by_sum else "level"
 

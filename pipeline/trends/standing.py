@@ -171,10 +171,12 @@ class Standing:
 
     def levels(self, name: str, place: int) -> tuple[float, float]:
         """Relative rises that are a warning and an alarm in a night, by its baseline's scatter."""
-        watched = self.watched[name]
-        _, _, baseline = watched.at(place)
-        sd = 0.0 if baseline is None else baseline.highest_sd() / baseline.mean
-        return watched.settings.levels.in_effect(sd)
+        return self.watched[name].settings.levels.in_effect(self.relative_sd(name, place))
+
+    def relative_sd(self, name: str, place: int) -> float:
+        """Scatter of the nights of the baseline that serves a night, from the safe side."""
+        _, _, baseline = self.watched[name].at(place)
+        return 0.0 if baseline is None else baseline.highest_sd() / baseline.mean
 
     @cached_property
     def diverged(self) -> tuple[str, ...]:

@@ -104,6 +104,12 @@ class Header:
             self.position = _positions(self.path, self.logs, names, self.wanted)
             self.names = names
 
+    def resume(self, names: tuple[str, ...]) -> None:
+        """Go on below a header that was read before; nothing without names."""
+        if names:
+            self.position = _positions(self.path, self.logs, names, self.wanted)
+            self.names = names
+
     def is_again(self, line: bytes) -> tuple[str, ...] | None:
         """Names of a line that is a header; None: it is none."""
         try:

@@ -6,6 +6,7 @@ half a figure looks like a figure. Where a header comes again in the middle, it 
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Sequence
 from itertools import islice
@@ -17,7 +18,7 @@ import pyarrow.csv as arrow_csv
 
 from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import RawLog
+from pipeline.ingest.contract import Place, RawLog
 from pipeline.ingest.csv import cells as csv_cells
 from pipeline.ingest.csv.header import HeadedRows, Header, headed_rows, rows_begin
 from pipeline.ingest.csv.text import Lines, is_packed, is_utf8, read_lines, repaired
@@ -40,6 +41,34 @@ def read_csv_log(
     for lines in read_lines(path, logs.encoding):
         reader.read(lines)
     return reader.log()
+
+
+def read_csv_piece(
+    path: Path,
+    logs: Logs,
+    channels: Channels,
+    latest_us: int | None,
+    place: Place,
+    most_bytes: int,
+) -> tuple[RawLog | None, Place]:
+    """Rows of a growing CSV from a place on, as far as its last line end, and the place behind."""
+    with path.open("rb") as file:
+        file.seek(place.position)
+        data = file.read(most_bytes)
+    end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
+    if not end:
+        return None, place
+    reader = _Reader(
+        RawTable(path, logs, channels, latest_us),
+        wanted_columns(path, logs, channels),
+        is_whole=False,
+    )
+    reader.header.resume(place.columns)
+    text = data[:end] if place.position else data[:end].removeprefix(codecs.BOM_UTF8)
+    reader.read(Lines(repaired(text)))
+    if reader.header.unit_rows_left:
+        return None, place
+    return reader.log(), Place(place.position + end, reader.header.names)
 
 
 def csv_time_span(
@@ -94,7 +123,8 @@ def _first(ragged: Sequence[Any], data: bytes, start: int, piece: int) -> _Ragge
 class _Reader:
     """Takes the pieces of a file one after the other, and gives the log."""
 
-    def __init__(self, table: RawTable, columns: Columns) -> None:
+    def __init__(self, table: RawTable, columns: Columns, *, is_whole: bool = True) -> None:
+        self.is_whole = is_whole
         self.path = table.path
         self.logs = logs = table.logs
         self.columns = columns
@@ -149,7 +179,12 @@ class _Reader:
 
     def _count(self, rows: int, size: int) -> None:
         """Count rows; by those of the first piece, make room for the whole file."""
-        if not self.rows and is_utf8(self.logs.encoding) and not is_packed(self.path):
+        if (
+            self.is_whole
+            and not self.rows
+            and is_utf8(self.logs.encoding)
+            and not is_packed(self.path)
+        ):
             self.table.expect(int(_SLACK * rows * self.path.stat().st_size / size))
         self.rows += rows
 

@@ -26,7 +26,7 @@ def drawn(output: Path, motor_id: str) -> tuple[Figure, str]:
     """The page of a motor, and the words of its state."""
     history = read_tables(output)
     (motor,) = motor_histories(history, [motor_id])
-    state = motor_states(history, [motor_id])[motor_id]
+    state = motor_states(history, [motor_id], {})[motor_id]
     screen = first_screen(motor, state, PATHS)
     with mpl.rc_context(STYLE):
         page = page_of(motor, state, screen, PATHS, "Demo fleet")

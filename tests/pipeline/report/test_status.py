@@ -26,7 +26,7 @@ from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
 from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.motor_states import ORDER, TOLD, MotorState, motor_state, urgency
+from pipeline.trends.motor_states import ORDER, TOLD, LookStanding, MotorState, motor_state, urgency
 from pipeline.trends.trend_rows import trend_rows
 from pipeline.trends.words import FALL, size_words
 from tests.pipeline.cli.test_cli import Call
@@ -634,3 +634,15 @@ def test_the_parts_in_the_worst_state_and_since_when_it_is_known() -> None:
     # The warning of the first night had ended.
     assert found.known_since == night_of(2)
     assert found.needs_attention
+
+
+def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown() -> None:
+    since = dt.datetime(2026, 3, 2, 14, 30, tzinfo=dt.UTC)
+    rise = LookStanding("look_now", since, "drain flow +82 % [75, 90]", told=1)
+    worn = motor_state("M1", rows_of("M1", K_piston_ring=WORN), fits_of("M1"), ())
+    broken = replace(motor_state("M2", rows_of("M2"), fits_of("M2"), ()), look=rise)
+    clear = LookStanding("clear", since, "x")
+    quiet = replace(motor_state("M3", rows_of("M3"), fits_of("M3"), ()), look=clear)
+    assert min((worn, quiet, broken), key=urgency).motor_id == "M2"
+    assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
+    assert "clear" not in quiet.why

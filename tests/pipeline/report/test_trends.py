@@ -76,7 +76,7 @@ SEEN = Decision(
 
 def test_states_are_those_of_the_command_status() -> None:
     read = tables((SEEN,))
-    found = motor_states(read, ["M", "N", "new"])
+    found = motor_states(read, ["M", "N", "new"], {})
     for motor_id, said in {"M": [SEEN], "N": [], "new": []}.items():
         trends, fits = read.trends["trends"], read.fits
         own = (trends.filter(motor_id=motor_id), fits.filter(motor_id=motor_id))
@@ -87,7 +87,7 @@ def test_states_are_those_of_the_command_status() -> None:
 
 def test_without_trends_each_motor_has_a_state() -> None:
     read = ReportTables(frame(FITS, [fit(0)]))
-    assert motor_states(read, ["M"])["M"].why == "no trends yet"
+    assert motor_states(read, ["M"], {})["M"].why == "no trends yet"
 
 
 def payload_of(motor_id: str) -> dict[str, Any]:

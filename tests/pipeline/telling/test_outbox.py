@@ -26,6 +26,7 @@ from pipeline.telling.outbox import (
     MOST_CHANGES,
     OUTBOX_FILES,
     Outbox,
+    Told,
     backlogs,
     open_outbox,
     read_outbox,
@@ -447,9 +448,9 @@ def test_only_months_that_were_written_to_are_read(
     read: list[str] = []
     real = module._rows_of
 
-    def counted(output: Path, month: str) -> tuple[list[dict[str, Any]], bool]:
+    def counted(output: Path, month: str, told: Told) -> tuple[list[dict[str, Any]], bool]:
         read.append(month)
-        return real(output, month)
+        return real(output, month, told)
 
     monkeypatch.setattr(module, "_rows_of", counted)
     run(tmp_path, [], receiver)

@@ -46,11 +46,11 @@ def test_every_change_has_one_row_that_joins_the_one_before(worn: Standing) -> N
         assert len(of(rows, name)) == changes
 
 
-def test_a_step_is_told_within_days(worn: Standing) -> None:
+def test_a_step_of_40_percent_is_told_on_its_first_night(worn: Standing) -> None:
     raised = of(alarm_rows(worn, range(N)))[1]
-    assert night_of(AT) <= raised["night"] <= night_of(AT + 4)
-    assert raised["path"] == "balance_sleeve"
-    assert raised["way"] in ("level", "both")
+    assert raised["night"] == night_of(AT)
+    assert raised["to_state"] == "alarm"
+    assert raised["way"] == "sudden"
     assert raised["deviation_percent"] == pytest.approx(40.0, abs=6.0)
     # The time is the end of the night, 06:00 UTC here, never the clock.
     assert raised["time"] == dt.datetime.combine(raised["night"], dt.time(6), dt.UTC)

@@ -1,0 +1,110 @@
+"""The command that looks within the day."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.cli.arguments import (
+    EXIT_MOTORS_FAILED,
+    EXIT_OK,
+    AsJson,
+    ConfigFile,
+    Motors,
+    Output,
+    known_motors,
+    load,
+    say,
+)
+from pipeline.cli.runs import stoppable
+from pipeline.errors import LockedError, StoreError, UsageError
+
+if TYPE_CHECKING:
+    from pipeline.look.look import MotorLook
+
+UNITS_S = {"s": 1, "min": 60, "h": 3600}
+
+
+def look(
+    config: ConfigFile,
+    every: Annotated[
+        str, typer.Option(help="Look again and again, this long apart, such as 10min.")
+    ] = "",
+    once: Annotated[bool, typer.Option("--once", help="Look once; so it does by itself.")] = False,
+    output: Output = None,
+    motors: Motors = "",
+    as_json: AsJson = False,
+) -> None:
+    """Look at the new minutes of growing logs, and tell of a sudden rise at once.
+
+    The nightly run goes on beside it, and nothing of it is touched.
+
+    Example: motor-leakage look configs/fleet.toml --every 10min
+
+    Exit code 0: all motors were looked at; 1: at least one could not be; 2: wrong usage or config;
+    3: another look is under way; 4: nothing could be published.
+    """
+    if every and once:
+        raise UsageError("usage", "--every and --once exclude each other")
+    pause_s = _seconds(every) if every else 0.0
+    with stoppable():
+        from pipeline.look.look import look_at_fleet
+
+        fleet = load(config, output, None)
+        if fleet.log_url:
+            raise UsageError("look_logs", "logs in an object store cannot be looked at yet")
+        wanted = known_motors(motors.split(), fleet)
+        due = time.monotonic()
+        while pause_s:
+            try:
+                _print(look_at_fleet(fleet, wanted), as_json=as_json)
+            except (StoreError, LockedError) as error:
+                say(f"{error.code}: {error}; the next look tries again", err=True)
+            due = max(due + pause_s, time.monotonic())
+            time.sleep(max(due - time.monotonic(), 0.0))
+        found = look_at_fleet(fleet, wanted)
+        _print(found, as_json=as_json)
+    raise typer.Exit(EXIT_MOTORS_FAILED if any(one.fault for one in found) else EXIT_OK)
+
+
+def _seconds(text: str) -> float:
+    """A time span in seconds.
+
+    Examples
+    --------
+    >>> _seconds("10min")
+    600.0
+    """
+    found = re.fullmatch(r"([0-9]+)(s|min|h)", text)
+    if found is None or not int(found[1]):
+        raise UsageError("usage", f"--every: got {text!r}; expected such as 30s, 10min or 1h")
+    return float(int(found[1]) * UNITS_S[found[2]])
+
+
+def _print(found: Sequence[MotorLook], *, as_json: bool) -> None:
+    """Print changes of state and faults; the states of all motors as JSON."""
+    for one in found:
+        if as_json:
+            document = {
+                "event": "look",
+                "motor_id": one.motor_id,
+                "state": one.state.state,
+                "reason": one.state.reason,
+                "changes": one.rows,
+                "fault": one.fault,
+            }
+            say(json.dumps(document, default=str))
+            continue
+        for row in one.rows:
+            say(f"{row['time']:%Y-%m-%d %H:%M} {one.motor_id}: {row['to_state']}: {row['reason']}")
+        if one.fault:
+            say(f"{one.motor_id}: {one.fault}", err=True)
+    if not as_json:
+        states = [one.state.state for one in found]
+        counts = ", ".join(f"{states.count(name)} {name}" for name in sorted(set(states)))
+        say(f"{len(found)} motors looked at: {counts}")

@@ -1,0 +1,168 @@
+"""Blocks of new samples, cleaned as the night does it, and blocks of nights before."""
+
+from __future__ import annotations
+
+from collections.abc import MutableMapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage import LeakageError, regressors
+from pipeline.arrays import SECOND_US, Mask, Times
+from pipeline.config import MotorSpec
+from pipeline.config.nights import Night
+from pipeline.config.periods import NONE_CHOSEN
+from pipeline.ingest import RawChannel
+from pipeline.night.fit_night import Insufficient, clean
+from pipeline.night.statistics import operating_conditions
+from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.time_base import Quality
+from pipeline.night.windows import left_out, split_into_blocks
+
+Array = NDArray[np.float64]
+
+# Reasons of `quality` that say nothing of a cause.
+NO_CAUSE = ("any", "incomplete", "guard", "gap")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blocks:
+    """Short blocks in order of time.
+
+    Attributes
+    ----------
+    start_us
+        Begin of each, UTC microseconds, shape (b,).
+    means
+        Means of the statistics' columns, shape (b, c).
+    conditions
+        Mean temperature [°C], pressure difference [bar] and speed [rpm], shape (b, 3).
+    """
+
+    start_us: Times
+    means: Array
+    conditions: Array
+
+    @classmethod
+    def none(cls) -> Blocks:
+        """No block."""
+        return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Blocks]) -> Blocks:
+        """Blocks of one part after those of another."""
+        return cls(
+            np.concatenate([one.start_us for one in parts]),
+            np.concatenate([one.means for one in parts]),
+            np.concatenate([one.conditions for one in parts]),
+        )
+
+    def only(self, chosen: Mask) -> Blocks:
+        """Some of them."""
+        return Blocks(self.start_us[chosen], self.means[chosen], self.conditions[chosen])
+
+
+def block_us(spec: MotorSpec) -> int:
+    """Length of a short block [µs]."""
+    return round(spec.settings.windows.block_s * SECOND_US)
+
+
+def blocks_within(
+    spec: MotorSpec,
+    night: Night,
+    channels: MutableMapping[str, RawChannel],
+    first_us: int,
+    end_us: int,
+) -> tuple[Blocks, str]:
+    """Blocks of a part of a night, from samples that begin a little before it.
+
+    Parameters
+    ----------
+    spec, night
+        The motor, and the night.
+    channels
+        Raw samples.
+    first_us, end_us
+        Begin of the first block and end of the last [µs since 1970].
+
+    Returns
+    -------
+    Blocks
+        Those with kept samples.
+    str
+        Why there is none; else empty.
+    """
+    try:
+        samples, quality = clean(spec, night, channels)
+        thin = left_out(
+            samples.time_us,
+            samples.period_us,
+            night.start_us,
+            # What follows is not there yet: no stretch of it is too short.
+            spec.settings.windows.model_copy(update={"longest_gap_s": None}),
+            NONE_CHOSEN,
+        )["thin_block"]
+        inside = ~thin & (samples.time_us >= first_us) & (samples.time_us < end_us)
+        samples = samples.only(inside)
+        if not inside.any():
+            return Blocks.none(), _cause(quality)
+        motor = spec.motor(night.date, spec.file.flushing.mode)
+        columns = np.empty((len(samples.index), len(motor.columns)))
+        regressors(motor, operating_conditions(spec, samples), out=columns[:, :-1])
+    except (Insufficient, LeakageError) as why:
+        return Blocks.none(), getattr(why, "reason", str(why))
+    columns[:, -1] = samples.leakage_l_per_min
+    conditions = np.column_stack(
+        [
+            samples.oil_temperature_c,
+            np.abs(samples.pressure_difference_bar),
+            np.abs(samples.speed_rpm),
+        ]
+    )
+    found = split_into_blocks(samples.time_us, night.start_us, spec.settings.windows)
+    first = [one.first_row for one in found]
+    n = np.array([one.n for one in found])[:, None]
+    return Blocks(
+        np.array([one.start_us for one in found]),
+        np.add.reduceat(columns, first) / n,
+        np.add.reduceat(conditions, first) / n,
+    ), ""
+
+
+def _cause(quality: tuple[Quality, ...]) -> str:
+    """Rule that refused most of some samples, in words."""
+    told = [one for one in quality if one.reason not in NO_CAUSE and one.n_samples]
+    most = max(told, key=lambda one: one.n_refused / one.n_samples, default=None)
+    if most is None or not most.n_refused:
+        return "no complete samples"
+    if most.reason == "standstill":
+        return "the motor stands still"
+    return f"{most.channel.replace('_', ' ')}: {most.reason.replace('_', ' ')}"
+
+
+def stored_blocks(spec: MotorSpec, stored: StoredBlocks) -> Blocks:
+    """Short blocks behind those of some nights; each has the conditions of the one it is part of.
+
+    What was merged for storage has kept its means.
+    """
+    short = stored.short_blocks(spec.settings.windows.block_s)
+    first_us = int(stored.rows["block_start"].dt.timestamp("us")[0])
+    return Blocks(
+        first_us + short.number * block_us(spec), short.means, stored.block_means()[short.stored]
+    )
+
+
+def is_warm(start_us: Times, length_us: int, warm_up_us: float) -> Mask:
+    """Blocks that begin long enough after a start, where the motor had stood for as long.
+
+    Examples
+    --------
+    >>> is_warm(np.array([0, 2, 4, 6, 8, 20, 22, 24, 26]), 2, 4.0).astype(int).tolist()
+    [0, 0, 1, 1, 1, 0, 0, 1, 1]
+    """
+    pause = np.diff(start_us, prepend=start_us[:1] - length_us) - length_us
+    begins = (pause >= warm_up_us) | (np.arange(len(start_us)) == 0)
+    began = start_us[np.maximum.accumulate(np.where(begins, np.arange(len(start_us)), 0))]
+    warm: Mask = start_us - began >= warm_up_us
+    return warm

@@ -1,0 +1,255 @@
+"""A look at a fleet: every motor's new minutes, the rows of `looks`, and who is told of them.
+
+A look holds a lock of its own and never that of the nightly run. Rows are published first, then a
+motor's state is kept, then receivers are told: a look that is broken off anywhere is done again by
+the next one, with the same rows.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import logging
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+from threadpoolctl import threadpool_limits
+
+from pipeline.arrays import SECOND_US, utc
+from pipeline.clock import EPOCH, MICROSECOND, latest_us, now
+from pipeline.config import Fleet, MotorSpec
+from pipeline.config.hashes import config_hash, hash_of
+from pipeline.errors import MotorLeakageError, StoreError
+from pipeline.look.baseline import baseline_of
+from pipeline.look.motor import Change, change_within, looked_at, without_baseline
+from pipeline.look.state import LookState, Rise, read_state, write_state
+from pipeline.look.verdicts import verdicts
+from pipeline.schema import LOOKS, frame
+from pipeline.store.locks import locked
+from pipeline.store.manifest import MONTH_PREFIX
+from pipeline.store.publishing import Publisher
+from pipeline.store.tables import ENDING, read_table, table_folder
+from pipeline.telling.delivering import deliver
+from pipeline.telling.delivery import Receiver
+from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, read_outbox, take_up
+from pipeline.telling.receivers import receivers_of
+from pipeline.trends.circuits import circuits_of, decisions_of
+from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.record import read_record
+from pipeline.versions import own_version
+
+log = logging.getLogger(__name__)
+
+Row = dict[str, Any]
+
+# Time before a rise with which the other motors of its oil circuit are compared, and their least
+# blocks before it and since.
+HOUR_US = 3600 * SECOND_US
+LEAST_BEFORE, LEAST_SINCE = 5, 2
+WHAT_TO_DO = "look at the motor and its drain filter now, and compare the drain flow by hand"
+
+
+@dataclass(frozen=True, slots=True)
+class MotorLook:
+    """Result of a look at a motor.
+
+    Attributes
+    ----------
+    motor_id, state
+        The motor, and its state after it.
+    rows
+        New rows of `looks`, without ``run_id``.
+    fault
+        Why it could not be looked at; empty where it was.
+    """
+
+    motor_id: str
+    state: LookState
+    rows: tuple[Row, ...] = ()
+    fault: str = ""
+
+
+def look_at_fleet(
+    fleet: Fleet, motors: Sequence[str] = (), clock: dt.datetime | None = None
+) -> tuple[MotorLook, ...]:
+    """Look once at every motor of a fleet; one that fails costs no other.
+
+    Parameters
+    ----------
+    fleet
+        The config; its logs lie in a folder.
+    motors
+        Ids of the motors to look at; empty for all.
+    clock
+        The time; now where left out.
+
+    Returns
+    -------
+    tuple of MotorLook
+        Sorted by motor.
+
+    Raises
+    ------
+    LockedError
+        If another look is under way.
+    StoreError
+        If nothing can be published.
+    """
+    output, receivers = fleet.output, receivers_of(fleet.settings.alarms)
+    wanted = [one for one in fleet.motors if not motors or one.motor_id in motors]
+    with locked(output / TOLD_LOOKS.folder), threadpool_limits(1):
+        open_outbox(output, [one.name for one in receivers], fleet.name, TOLD_LOOKS)
+        said = decisions_of(wanted, read_decisions(output))
+        found: list[MotorLook] = []
+        for group in circuits_of(wanted):
+            found += _look_at_circuit(output, group, said, clock or now())
+        _tell(output, receivers, fleet.name)
+    return tuple(sorted(found, key=lambda one: one.motor_id))
+
+
+def _look_at_circuit(
+    output: Path,
+    specs: Sequence[MotorSpec],
+    said: Mapping[str, Sequence[Decision]],
+    clock: dt.datetime,
+) -> list[MotorLook]:
+    """Look at the motors of an oil circuit, publish their rows, and keep their states."""
+    before = {one.motor_id: read_state(output, one.motor_id) for one in specs}
+    looks = {
+        one.motor_id: _looked_at(output, one, before[one.motor_id], said[one.motor_id], clock)
+        for one in specs
+    }
+    found = []
+    for spec in specs:
+        motor_id = spec.motor_id
+        after, changes, fault = looks[motor_id]
+        others = [one[0] for name, one in looks.items() if name != motor_id]
+        rows = [_row(motor_id, change, others) for change in changes]
+        if rows:
+            if rows[-1]["to_state"] == after.state:
+                after = replace(after, reason=rows[-1]["reason"])
+            run_id = hash_of({"version": own_version(), "config": config_hash(spec)})
+            publish_looks(output, rows, run_id)
+        if after is not before[motor_id]:
+            write_state(output, motor_id, after)
+        found.append(MotorLook(motor_id, after, tuple(rows), fault))
+    return found
+
+
+def _looked_at(
+    output: Path,
+    spec: MotorSpec,
+    before: LookState,
+    said: Sequence[Decision],
+    clock: dt.datetime,
+) -> tuple[LookState, list[Change], str]:
+    """State and changes of a motor; where it cannot be looked at, it stays as it was."""
+    try:
+        record = read_record(output, spec.motor_id)
+        baseline = baseline_of(output, spec, record, said)
+        if isinstance(baseline, str) or record is None:
+            last_night = None if record is None else record.last_night
+            state, changes = without_baseline(spec, before, str(baseline), last_night)
+            return state, changes, ""
+        state, given = verdicts(output, spec, baseline, before, record.last_night)
+        now_us = (clock - EPOCH) // MICROSECOND
+        state, changes = looked_at(
+            spec, baseline, state, record.last_night, now_us, latest_us(clock)
+        )
+    except MotorLeakageError as error:
+        return before, [], f"{error.code}: {error}"
+    except Exception as error:  # one motor must not cost the others their look
+        log.exception("motor %s cannot be looked at", spec.motor_id)
+        return before, [], f"internal: {error}"
+    return state, [*given, *changes], ""
+
+
+def _row(motor_id: str, change: Change, others: Sequence[LookState]) -> Row:
+    row: Row = {
+        "motor_id": motor_id,
+        "time": utc(change.time_us),
+        "from_state": change.before,
+        "to_state": change.after,
+        "reason": change.reason,
+        "verdict": change.verdict or None,
+        "confirmed_by": change.night,
+    }
+    rise = change.rise
+    if rise is None:
+        return row
+    value, half = 100.0 * rise.change, 100.0 * rise.half_width
+    percent = (value, value - half, value + half)
+    row["since"] = utc(rise.began_us)
+    row |= zip(("change_percent", "change_lower", "change_upper"), percent, strict=True)
+    if change.verdict == "told":
+        row["reason"] = _told_words(rise, percent, others)
+    return row
+
+
+def _told_words(
+    rise: Rise, percent: tuple[float, float, float], others: Sequence[LookState]
+) -> str:
+    value, lower, upper = percent
+    return (
+        f"drain flow {value:+.0f} % [{lower:.0f}, {upper:.0f}] above what is expected since "
+        f"{utc(rise.began_us):%Y-%m-%d %H:%M} UTC, told at {utc(rise.told_us):%H:%M}; "
+        f"{_circuit_words(rise, others)}{WHAT_TO_DO}"
+    )
+
+
+def _circuit_words(rise: Rise, others: Sequence[LookState]) -> str:
+    """Whether the other motors of the oil circuit have moved alike, in words."""
+    if not others:
+        return ""
+    changes = [one for state in others if (one := _change_since(rise, state)) is not None]
+    if not changes:
+        return "the other motors of its oil circuit say nothing of that time; "
+    alike = sum(one >= rise.change / 2 for one in changes)
+    if alike == len(changes):
+        return (
+            "all motors of its oil circuit that run have risen alike: oil, temperature or charge "
+            "pressure rather than this motor; "
+        )
+    return f"{alike} of {len(changes)} other motors of its oil circuit have risen alike; "
+
+
+def _change_since(rise: Rise, state: LookState) -> float | None:
+    """Change of another motor's relative error since a rise; None where too little is known."""
+    before = change_within(state, rise.began_us - HOUR_US, rise.began_us, LEAST_BEFORE)
+    since = change_within(state, rise.began_us, rise.told_us, LEAST_SINCE)
+    return None if before is None or since is None else since - before
+
+
+def publish_looks(output: Path, rows: Sequence[Row], run_id: str) -> None:
+    """Publish rows of `looks`: a file a day, with a manifest that no nightly run writes.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be published.
+    """
+    by_day: defaultdict[dt.date, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_day[row["time"].date()].append(row | {"run_id": run_id})
+    for day, some in by_day.items():
+        folder = table_folder(output, LOOKS) / f"{MONTH_PREFIX}{day:%Y-%m}"
+        path, new = folder / f"looks-{day}{ENDING}", frame(LOOKS, some)
+        if path.exists():
+            present = read_table(path, LOOKS)
+            new = pl.concat([present.join(new, on=list(LOOKS.key), how="anti"), new])
+        Publisher(output, output, run_id).put({path: new.sort(LOOKS.key)})
+
+
+def _tell(output: Path, receivers: Sequence[Receiver], fleet: str) -> None:
+    """Queue and deliver what is new; what fails waits for the next look."""
+    try:
+        take_up(output, fleet, TOLD_LOOKS)
+        outbox = read_outbox(output / TOLD_LOOKS.folder)
+        if outbox is not None and any(one.waiting for one in outbox.queues.values()):
+            for fault in deliver(output, receivers, fleet, told=TOLD_LOOKS):
+                log.warning("%s", fault)
+    except StoreError as error:
+        log.warning("looks: %s; the next look tells of them", error)

@@ -1,0 +1,181 @@
+"""State of a motor's looks: how far its logs were read and judged, and what was told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from leakage.step_detection import StepWatch
+from pipeline.arrays import utc
+from pipeline.ingest import Place
+from pipeline.look.reading import End, FileSeen
+from pipeline.store.sealed import put_sealed, read_if_whole, unseal
+from pipeline.trends.motor_states import LookStanding
+
+BLIND, NOT_READY = "blind", "not_ready"
+# Judged blocks that are remembered.
+MOST_RECENT = 60
+
+
+@dataclass(frozen=True, slots=True)
+class Rise:
+    """A sudden rise that was told.
+
+    Attributes
+    ----------
+    began_us, told_us
+        Begin of its first block, and end of the block that told it [µs since 1970].
+    change, half_width
+        Relative rise, and the half-width of its 95 % interval.
+    level
+        Deviation from the baseline above which it rose [-].
+    """
+
+    began_us: int
+    told_us: int
+    change: float
+    half_width: float
+    level: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """Number of rises told, and of those that a night confirmed or withdrew."""
+
+    told: int = 0
+    confirmed: int = 0
+    withdrawn: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class LookState:
+    """State after a look.
+
+    Attributes
+    ----------
+    state, since_us, reason
+        One of the four states, since when [µs since 1970; 0: never], and why.
+    files
+        Log files as they were read, by path relative to the log root.
+    next_us
+        Begin of the next block; 0 before the first look.
+    newest_us
+        Newest sample that was read; 0 without one.
+    block_end_us, warm_from_us
+        End of the last block with kept samples, and from when on the motor is warm.
+    judged_us
+        End of the last block that was judged.
+    cause
+        Why the latest samples were not judged.
+    baseline
+        Key of the baseline that the filter belongs to.
+    watch
+        The filter.
+    recent
+        End, expected flow, and measured less expected [l/min] of the latest judged blocks.
+    rise
+        The rise that is told; None where none is.
+    waiting
+        Rises that no night has confirmed or withdrawn yet.
+    scores
+        How many were.
+    """
+
+    state: str = NOT_READY
+    since_us: int = 0
+    reason: str = "no look yet"
+    files: Mapping[str, FileSeen] = field(default_factory=dict)
+    next_us: int = 0
+    newest_us: int = 0
+    block_end_us: int = 0
+    warm_from_us: int = 0
+    judged_us: int = 0
+    cause: str = ""
+    baseline: str = ""
+    watch: StepWatch | None = None
+    recent: tuple[tuple[int, float, float], ...] = ()
+    rise: Rise | None = None
+    waiting: tuple[Rise, ...] = ()
+    scores: Scores = Scores()
+
+
+def state_file(output: Path, motor_id: str) -> Path:
+    """File of a motor's state."""
+    return output / "look" / motor_id / "state.json"
+
+
+def read_state(output: Path, motor_id: str) -> LookState:
+    """State of a motor's looks; that before the first look where there is none, or it is damaged.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be read.
+    """
+    document = read_if_whole(state_file(output, motor_id), unseal)
+    try:
+        return LookState() if document is None else _decoded(document)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        return LookState()
+
+
+def _decoded(document: Mapping[str, Any]) -> LookState:
+    files = {name: _file(**one) for name, one in document["files"].items()}
+    watch, rise = document["watch"], document["rise"]
+    return LookState(
+        **{
+            **document,
+            "files": files,
+            "watch": None if watch is None else StepWatch(*map(np.array, watch)),
+            "recent": tuple((int(end), flow, error) for end, flow, error in document["recent"]),
+            "rise": None if rise is None else Rise(**rise),
+            "waiting": tuple(Rise(**one) for one in document["waiting"]),
+            "scores": Scores(**document["scores"]),
+        }
+    )
+
+
+def _file(ends: Sequence[Mapping[str, Any]], **rest: Any) -> FileSeen:
+    places = (
+        (Place(one["place"]["position"], tuple(one["place"]["columns"])), one["newest_us"])
+        for one in ends
+    )
+    return FileSeen(ends=tuple(End(*one) for one in places), **rest)
+
+
+def write_state(output: Path, motor_id: str, state: LookState) -> None:
+    """Keep the state of a motor's looks; raises as `put_sealed`."""
+    watch = state.watch
+    arrays = None
+    if watch is not None:
+        parts = (watch.number, watch.level, watch.variance, watch.began, watch.step, watch.pulse)
+        arrays = [part.tolist() for part in parts]
+    document = {name: getattr(state, name) for name in LookState.__slots__} | {
+        "files": {name: asdict(one) for name, one in sorted(state.files.items())},
+        "watch": arrays,
+        "rise": None if state.rise is None else asdict(state.rise),
+        "waiting": [asdict(one) for one in state.waiting],
+        "scores": asdict(state.scores),
+    }
+    put_sealed(state_file(output, motor_id), document)
+
+
+def look_standings(output: Path, motor_ids: Iterable[str]) -> dict[str, LookStanding]:
+    """Standings of some motors that were looked at, by motor.
+
+    Raises
+    ------
+    StoreError
+        If a state cannot be read.
+    """
+    found = {}
+    for motor_id in motor_ids:
+        one = read_state(output, motor_id)
+        if one != LookState():
+            since = utc(one.since_us) if one.since_us else None
+            found[motor_id] = LookStanding(one.state, since, one.reason, **asdict(one.scores))
+    return found

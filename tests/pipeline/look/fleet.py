@@ -1,0 +1,172 @@
+"""A fleet whose motors log to growing CSV files: published nights, and a day that is going on."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.arrays import utc
+from pipeline.config import Fleet, MotorSpec, load_fleet
+from pipeline.look.baseline import LookBaseline, calibrated
+from pipeline.look.blocks import Blocks, blocks_within
+from pipeline.look.look import MotorLook, look_at_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema import LOOKS
+from pipeline.store.tables import read_table
+from tests.pipeline.simulated import (
+    Operation,
+    motor_toml,
+    night_of,
+    operate,
+    raw,
+    write_configs,
+)
+from tests.pipeline.workshop import DAY, MINI, QUICK
+
+FIRST = dt.date(2026, 1, 2)
+NIGHTS = 30
+TODAY = FIRST + NIGHTS * DAY
+BEGIN = dt.datetime.combine(TODAY - DAY, dt.time(22), dt.UTC)
+MINUTES = 50.0
+HEADER = "time,pressure_difference,oil_temperature,speed,leakage_flow\n"
+LOOK = "[look]\nwarm_up_minutes = 4.0\n"
+
+
+def rows_of(operation: Operation, flow: NDArray[np.float64]) -> list[str]:
+    """Rows of a log."""
+    columns = (operation.pressure_bar, operation.temperature_c, operation.speed_rpm, flow)
+    times = (f"{utc(one):%Y-%m-%dT%H:%M:%SZ}" for one in operation.time_us.tolist())
+    return [
+        f"{time},{p:.3f},{t:.3f},{w:.3f},{y:.7f}\n"
+        for time, p, t, w, y in zip(times, *(one.tolist() for one in columns), strict=True)
+    ]
+
+
+def night_rows(
+    spec: MotorSpec, label: dt.date, seed: int, rise: float = 0.0, after_minutes: float = 30.0
+) -> list[str]:
+    """Rows of a night; the flow rises by a share of it after some minutes."""
+    operation = operate(label, MINUTES, seed)
+    flow = operation.flow(spec.motor(label, "none"))
+    flow = flow * (1.0 + rise * (np.arange(len(flow)) >= after_minutes * 60))
+    return rows_of(operation, flow * (1.0 + noise(seed, len(flow))))
+
+
+def noise(seed: int, n: int) -> NDArray[np.float64]:
+    """Relative errors of samples."""
+    return np.asarray(np.random.default_rng(seed).normal(0.0, 0.1, n))
+
+
+@lru_cache(maxsize=64)
+def _loaded(file: Path) -> Fleet:
+    return load_fleet(file)
+
+
+@dataclass(frozen=True, slots=True)
+class Growing:
+    """The fleet, in a folder."""
+
+    folder: Path
+
+    @property
+    def fleet(self) -> Fleet:
+        return _loaded(self.folder / "configs" / "fleet.toml")
+
+    @property
+    def output(self) -> Path:
+        return self.folder / "out"
+
+    def log(self, motor: str = "M1") -> Path:
+        """The log that grows today."""
+        return self.folder / "logs" / motor / "today.csv"
+
+    def append(self, rows: Sequence[str], motor: str = "M1") -> None:
+        path = self.log(motor)
+        is_new = not path.exists()
+        with path.open("a", encoding="utf-8") as file:
+            file.write((HEADER if is_new else "") + "".join(rows))
+
+    def look(self, minutes: float = MINUTES) -> tuple[MotorLook, ...]:
+        """Look so long after the begin of today's log."""
+        return look_at_fleet(self.fleet, clock=BEGIN + dt.timedelta(minutes=minutes))
+
+    def run(self, *, days: int = 1) -> None:
+        """The nightly run, so many mornings after today's log began."""
+        clock = BEGIN + days * DAY
+        assert not run_fleet(RunRequest(self.fleet, clock=clock)).failed
+
+    def rows(self) -> list[dict[str, object]]:
+        """Published rows of `looks`, in order."""
+        files = sorted((self.output / "tables" / "looks").rglob("*.parquet"))
+        return [row for path in files for row in read_table(path, LOOKS).to_dicts()]
+
+    def told(self) -> list[dict[str, object]]:
+        """Changes that were delivered, in order."""
+        path = self.folder / "told.jsonl"
+        lines = path.read_text("utf-8").splitlines() if path.exists() else []
+        return [change for line in lines for change in json.loads(line)["changes"]]
+
+    def copy(self, folder: Path) -> Growing:
+        """The same in another folder."""
+        shutil.copytree(self.folder, folder)
+        file = folder / "configs" / "fleet.toml"
+        file.write_text(file.read_text("utf-8").replace(f"{self.folder}/", f"{folder}/"), "utf-8")
+        return Growing(folder)
+
+
+def configured(folder: Path, motors: Sequence[str] = ("M1",), circuit: str = "") -> Growing:
+    """A fleet without a night; changes are told to a file beside it."""
+    more = f'oil_circuit = "{circuit}"\n' if circuit else ""
+    texts = {}
+    for motor in motors:
+        text = motor_toml(motor, "MINI", files=f'"{motor}/*.csv"')
+        text = text.replace('format = "parquet"', 'format = "csv"\ntime = "time"')
+        texts[motor] = text.replace("[logs]", f"{more}[logs]", 1)
+        (folder / "logs" / motor).mkdir(parents=True)
+    file = folder / "told.jsonl"
+    teller = f'[alarms]\ncommand = ["sh", "-c", "cat >> {file}; echo >> {file}"]\n'
+    write_configs(folder, texts, {"MINI": MINI}, QUICK + LOOK + teller)
+    return Growing(folder)
+
+
+def published(folder: Path) -> Growing:
+    """The fleet with its nights published."""
+    made = configured(folder)
+    (spec,) = made.fleet.motors
+    for night in range(NIGHTS):
+        label = FIRST + night * DAY
+        rows = night_rows(spec, label, seed=night)
+        (made.log().parent / f"{label}.csv").write_text(HEADER + "".join(rows), "utf-8")
+    made.run(days=0)
+    return made
+
+
+def made_baseline(spec: MotorSpec) -> LookBaseline:
+    """A baseline of five made nights, for a motor that has none published."""
+    parts, labels = [], [FIRST + night * DAY for night in range(5)]
+    for seed, label in enumerate(labels):
+        operation = operate(label, MINUTES, seed)
+        motor = spec.motor(label, "none")
+        flow = operation.flow(motor)
+        flow = flow * (1.0 + noise(seed, len(flow)))
+        channels = raw(operation.time_us, operation.channels(flow))
+        night = night_of(label)
+        parts.append(blocks_within(spec, night, channels, night.start_us, night.end_us)[0])
+    blocks = Blocks(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("start_us", "means", "conditions")
+        )
+    )
+    theta = np.array([blocks.means[:, -1].sum() / blocks.means[:, 0].sum(), 0.0])
+    found = calibrated(spec, blocks, "made", labels, theta, None)
+    assert isinstance(found, LookBaseline), found
+    return found

@@ -1,0 +1,44 @@
+"""Looks beside nightly runs: the same tables to the byte, and a verdict of the night."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.look.state import read_state
+from tests.pipeline.look.fleet import MINUTES, TODAY, Growing, night_rows, published
+
+# What a run writes of itself, and what looks write.
+OF_A_RUN = ("runs", "motor_outcomes", "looks")
+
+
+def tables(fleet: Growing) -> dict[str, bytes]:
+    root = fleet.output / "tables"
+    return {
+        path.relative_to(root).as_posix(): path.read_bytes()
+        for path in sorted(root.rglob("*.parquet"))
+        if path.relative_to(root).parts[0] not in OF_A_RUN
+    }
+
+
+@pytest.mark.full
+def test_a_day_of_looks_leaves_the_tables_of_the_night_as_they_are_without(tmp_path: Path) -> None:
+    looked = published(tmp_path / "looked")
+    alone = looked.copy(tmp_path / "alone")
+    rows = night_rows(looked.fleet.motors[0], TODAY, 500, 0.8, 30.0)
+    alone.append(rows)
+    alone.run()
+    for minute in range(24 * 60):
+        if minute < MINUTES:
+            looked.append(rows[minute * 60 : (minute + 1) * 60])
+        if minute == 9 * 60:
+            looked.run()
+        looked.look(minute + 1)
+    assert tables(looked) == tables(alone)
+    moves = [(row["to_state"], row["verdict"]) for row in looked.rows()]
+    assert moves[:3] == [("blind", None), ("clear", None), ("look_now", "told")]
+    assert moves[3] == ("look_now", "confirmed")
+    scores = read_state(looked.output, "M1").scores
+    assert (scores.told, scores.confirmed, scores.withdrawn) == (1, 1, 0)
+    assert [one["verdict"] for one in looked.told()] == ["told", "confirmed"]

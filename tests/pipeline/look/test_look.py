@@ -1,0 +1,218 @@
+"""A day that is going on: what a look tells, when, and that it tells it once."""
+
+from __future__ import annotations
+
+import datetime as dt
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import LockedError, StoreError
+from pipeline.look import look as module
+from pipeline.look.state import read_state
+from pipeline.store.locks import locked
+from tests.pipeline.faults.disk import Disk, Killed, Kind, on
+from tests.pipeline.look.fleet import (
+    BEGIN,
+    HEADER,
+    MINUTES,
+    TODAY,
+    Growing,
+    configured,
+    made_baseline,
+    night_rows,
+)
+
+RISE = 30.0
+SECONDS = 60
+
+
+def day(fleet: Growing, rise: float = 0.8, motor: int = 0) -> list[str]:
+    return night_rows(fleet.fleet.motors[motor], TODAY, 500 + motor, rise, RISE)
+
+
+def states(fleet: Growing) -> list[tuple[str, str]]:
+    return [(str(row["from_state"]), str(row["to_state"])) for row in fleet.rows()]
+
+
+BEGUN = [("not_ready", "blind"), ("blind", "clear")]
+TOLD = [*BEGUN, ("clear", "look_now")]
+
+
+def test_a_broken_ring_is_told_within_six_minutes_of_its_first_sample(fleet: Growing) -> None:
+    rows = day(fleet)
+    fleet.append(rows[: 32 * SECONDS])
+    minute = 32
+    while not fleet.told() and minute < MINUTES:
+        fleet.append(rows[minute * SECONDS : (minute + 1) * SECONDS])
+        minute += 1
+        fleet.look(minute)
+    assert minute <= RISE + 6
+    (told,) = fleet.told()
+    assert told["to_state"] == "look_now"
+    lower, upper = told["change_lower"], told["change_upper"]
+    assert isinstance(lower, float)
+    assert isinstance(upper, float)
+    assert 50.0 < lower < upper < 110.0
+    began = BEGIN + dt.timedelta(minutes=RISE)
+    assert abs(dt.datetime.fromisoformat(str(told["since"])) - began) <= dt.timedelta(minutes=2)
+
+
+def test_looks_each_minute_tell_what_one_look_at_the_end_tells(
+    fleet: Growing, tmp_path: Path
+) -> None:
+    rows = day(fleet)
+    other = fleet.copy(tmp_path / "other")
+    for minute in range(0, 50, 7):
+        fleet.append(rows[minute * SECONDS : (minute + 7) * SECONDS])
+        fleet.look(minute + 7)
+    other.append(rows)
+    other.look()
+    assert states(fleet) == TOLD
+    assert fleet.rows() == other.rows()
+    assert len(fleet.told()) == 1
+    ours, theirs = (read_state(one.output, "M1").recent for one in (fleet, other))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+
+
+def test_a_healthy_motor_is_clear_and_blind_when_its_log_ends(fleet: Growing) -> None:
+    fleet.append(day(fleet, rise=0.0))
+    fleet.look()
+    fleet.look(MINUTES + 50)
+    assert states(fleet) == BEGUN
+    fleet.look(MINUTES + 70)
+    assert states(fleet) == [*BEGUN, ("clear", "blind")]
+    assert "no new samples" in str(fleet.rows()[-1]["reason"])
+    assert fleet.told() == []
+
+
+def test_a_rise_that_ends_is_taken_back(fleet: Growing) -> None:
+    rows, well = day(fleet), day(fleet, rise=0.0)
+    fleet.append([*rows[: 36 * SECONDS], *well[36 * SECONDS :]])
+    fleet.look()
+    assert states(fleet) == [*TOLD, ("look_now", "clear")]
+    assert [one["to_state"] for one in fleet.told()] == ["look_now", "clear"]
+
+
+def test_motors_of_a_tank_that_rise_alike_are_said_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fleet: Growing
+) -> None:
+    tank = configured(tmp_path / "tank", ("M1", "M2"), circuit="tank")
+    baselines = {one.motor_id: made_baseline(one) for one in tank.fleet.motors}
+    monkeypatch.setattr(module, "baseline_of", lambda _, spec, *__: baselines[spec.motor_id])
+    tank.append(day(tank), "M1")
+    tank.append(day(tank, motor=1), "M2")
+    tank.look()
+    told = [row for row in tank.rows() if row["to_state"] == "look_now"]
+    assert len(told) == 2
+    assert all("all motors of its oil circuit" in str(row["reason"]) for row in told)
+
+
+def test_without_a_baseline_nothing_is_read_and_nobody_is_told(
+    fleet: Growing, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "baseline_of", lambda *_: "12 of 30 good nights")
+    fleet.append(day(fleet))
+    (found,) = fleet.look()
+    assert (found.state.state, found.state.reason) == ("not_ready", "12 of 30 good nights")
+    assert found.state.files == {}
+    assert fleet.rows() == fleet.told() == []
+
+
+def test_a_log_written_anew_under_the_reader_is_told_once(fleet: Growing, tmp_path: Path) -> None:
+    rows, other = day(fleet), fleet.copy(tmp_path / "other")
+    fleet.append(rows[: 20 * SECONDS])
+    fleet.look(20)
+    # Cut and written anew with what was there before, then rotated away under another name.
+    fleet.log().write_text(HEADER + "".join(rows[: 41 * SECONDS]), "utf-8")
+    fleet.look(41)
+    fleet.log().rename(fleet.log().with_name("old.csv"))
+    fleet.append(rows[41 * SECONDS :])
+    fleet.look()
+    assert states(fleet) == TOLD
+    assert len(fleet.told()) == 1
+    other.append(rows)
+    other.look()
+    ours, theirs = (read_state(one.output, "M1").recent for one in (fleet, other))
+    np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+
+
+def test_a_clock_that_is_set_back_repeats_nothing(fleet: Growing) -> None:
+    rows = day(fleet)
+    fleet.append(rows)
+    fleet.look()
+    before = fleet.rows()
+    fleet.append(rows[10 * SECONDS :])
+    (found,) = fleet.look(MINUTES + 5)
+    assert not found.fault
+    assert fleet.rows() == before
+    assert len(fleet.told()) == 1
+
+
+def test_a_single_stamp_far_ahead_does_not_blind(fleet: Growing) -> None:
+    rows = day(fleet)
+    ahead = BEGIN + dt.timedelta(hours=20)
+    wrong = f"{ahead:%Y-%m-%dT%H:%M:%SZ}{rows[0][20:]}"
+    fleet.append([*rows[: 20 * SECONDS], wrong])
+    fleet.look(20)
+    fleet.append(rows[20 * SECONDS :])
+    fleet.look()
+    assert states(fleet) == TOLD
+
+
+def test_a_second_look_at_the_same_time_is_refused_and_a_nightly_run_is_not(
+    fleet: Growing,
+) -> None:
+    fleet.append(day(fleet))
+    with locked(fleet.output):
+        fleet.look()
+    with locked(fleet.output / "look"), pytest.raises(LockedError):
+        fleet.look()
+    assert len(fleet.told()) == 1
+
+
+def test_a_log_that_cannot_be_read_costs_no_other_motor_and_is_said(fleet: Growing) -> None:
+    fleet.append(["\x00nothing\n"])
+    (found,) = fleet.look()
+    assert not found.fault
+    assert found.state.state == "blind"
+    fleet.log().unlink()
+    fleet.append(day(fleet))
+    fleet.look()
+    assert states(fleet)[-1] == TOLD[-1]
+
+
+def check_points(fleet: Growing, folder: Path, kind: Kind, every: int) -> None:
+    """Look on a disk that fails at a point, then on a sound one: told once, and all of it."""
+    whole = fleet.copy(folder / "whole")
+    with on(Disk(kind, 0)) as disk:
+        whole.look()
+    assert states(whole) == TOLD
+    (told,) = whole.told()
+    for point in range(1, disk.seen + 1, every):
+        other = fleet.copy(folder / str(point))
+        with suppress(Killed, StoreError), on(Disk(kind, point)):
+            other.look()
+        other.look()
+        assert other.rows() == whole.rows()
+        assert {one["id"] for one in other.told()} == {told["id"]}
+        assert read_state(other.output, "M1").scores == read_state(whole.output, "M1").scores
+
+
+@pytest.mark.parametrize("kind", ["killed", "ENOSPC"])
+def test_a_look_that_is_broken_off_anywhere_is_made_up_for(
+    fleet: Growing, tmp_path: Path, kind: Kind
+) -> None:
+    fleet.append(day(fleet))
+    check_points(fleet, tmp_path, kind, every=31)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", ["killed", "ENOSPC", "EIO", "short"])
+def test_a_look_that_is_broken_off_at_each_point_is_made_up_for(
+    fleet: Growing, tmp_path: Path, kind: Kind
+) -> None:
+    fleet.append(day(fleet))
+    check_points(fleet, tmp_path, kind, every=1)
