@@ -42,9 +42,10 @@ def look(
 ) -> None:
     """Look at the new minutes of growing logs, and tell of a sudden rise at once.
 
-    The nightly run goes on beside it, and nothing of it is touched.
+    The nightly run goes on beside it, and nothing of it is touched. With --every 10min it looks
+    until it is stopped.
 
-    Example: motor-leakage look configs/fleet.toml --every 10min
+    Example: motor-leakage look configs/fleet.toml --once
 
     Exit code 0: all motors were looked at; 1: at least one could not be; 2: wrong usage or config;
     3: another look is under way; 4: nothing could be published.
