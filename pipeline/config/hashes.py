@@ -44,7 +44,7 @@ SETTINGS_NAMED = 4
 # Sections that shape trends and alarms alone: no night is made anew for them.
 OF_TRENDS = ("trend.", "alarms.")
 # Settings that shape no figure: how people are told.
-UNSHAPING = {"alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"}}
+UNSHAPING = {"alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret", "email"}}
 TOLERANCES = {"offset_tolerance", "gain_tolerance_percent"}
 
 
