@@ -45,7 +45,7 @@ SETTINGS_NAMED = 4
 OF_TRENDS = ("trend.", "alarms.")
 # Settings that shape no figure of a night: how people are told, and looks within the day.
 UNSHAPING: Mapping[str, Any] = {
-    "alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret"},
+    "alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret", "email"},
     "look": True,
 }
 # Key of a motor whose rollers' scale is free.

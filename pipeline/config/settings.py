@@ -11,7 +11,13 @@ from zoneinfo import ZoneInfo, available_timezones
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from pipeline.config.web_hooks import VARIABLE, require_address, require_header
+from pipeline.config.receivers import (
+    require_address,
+    require_header,
+    require_mail_address,
+    require_mail_server,
+    require_variable,
+)
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -361,6 +367,47 @@ class Trend(Section):
         return self
 
 
+class Email(Section):
+    """Mail of changes of state over SMTP, and of all states once a week; off without `to`."""
+
+    to: tuple[str, ...] = Field((), description="Addresses that get the mail")
+    sender: str = Field("", description="Address that it comes from; required with `to`")
+    server: str = Field(
+        "", description="`host` or `host:port` of the mail server; required with `to`"
+    )
+    security: Literal["starttls", "tls", "none"] = Field(
+        "starttls",
+        description="Encryption, with the certificate checked; ports 587, 465 and 25 where "
+        "`server` states none",
+    )
+    user: str = Field("", description="Name to log in with; empty: no log-in")
+    password: str = Field(
+        "", description="`${NAME}`: environment variable with the password of `user`"
+    )
+    weekly: Literal["", "mon", "tue", "wed", "thu", "fri", "sat", "sun"] = Field(
+        "mon",
+        description="Day of the week whose first run also sends the states of all motors; empty: "
+        "none",
+    )
+
+    @field_validator("password")
+    @classmethod
+    def _is_variable(cls, password: str) -> str:
+        return require_variable(password)
+
+    @model_validator(mode="after")
+    def _complete(self) -> Email:
+        for address in (*self.to, *([self.sender] if self.to else [])):
+            require_mail_address(address)
+        if self.to:
+            require_mail_server(self.server)
+        if bool(self.user) != bool(self.password):
+            raise ValueError("expected user and password together")
+        if self.user and self.security == "none":
+            raise ValueError("expected security starttls or tls with a password")
+        return self
+
+
 class Alarms(Section):
     """Rules for the states `warning` and `alarm` of an indicator, and for their end."""
 
@@ -398,6 +445,9 @@ class Alarms(Section):
         description="`${NAME}`: environment variable with the secret in Base64, which signs "
         "posts as in Standard Webhooks; empty: no signature",
     )
+    email: Email = Field(
+        Email(), description="Mail over SMTP ([trends.md](trends.md#10-notifications))"
+    )
 
     @model_validator(mode="after")
     def _consistent(self) -> Alarms:
@@ -427,9 +477,7 @@ class Alarms(Section):
     @field_validator("webhook_secret")
     @classmethod
     def _is_variable(cls, secret: str) -> str:
-        if secret and not VARIABLE.fullmatch(secret):
-            raise ValueError("expected ${NAME}, with the secret in that environment variable")
-        return secret
+        return require_variable(secret)
 
 
 class Look(Section):

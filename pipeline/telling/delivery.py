@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import re
+import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
+
+from pipeline.config.receivers import HEADER_VALUE, VARIABLE
+from pipeline.errors import one_line
 
 # Longest time for one delivery to one receiver [s].
 DEADLINE_S = 30.0
@@ -67,3 +74,44 @@ class Receiver(Protocol):
         UndeliveredError
             If it was not taken, or that is not known.
         """
+
+
+def talk(to_server: Callable[[], str], deadline_s: float) -> None:
+    """Talk to a server, which returns a fault or an empty text, within a deadline.
+
+    A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
+    answer that comes byte by byte has a time limit of its own.
+
+    Raises
+    ------
+    UndeliveredError
+        With the fault, or at the deadline.
+    """
+    answers: list[str] = []
+    thread = threading.Thread(target=lambda: answers.append(to_server()), daemon=True)
+    thread.start()
+    thread.join(deadline_s)
+    if not answers:
+        raise UndeliveredError(f"no answer within {deadline_s:g} s", hung=True)
+    if answers[0]:
+        raise UndeliveredError(one_line(answers[0]))
+
+
+def filled(setting: str, text: str) -> str:
+    """A value of `[alarms]` with its environment variables.
+
+    Raises
+    ------
+    UndeliveredError
+        If one is not set, or holds characters that no header may; its content is not quoted.
+    """
+
+    def content(match: re.Match[str]) -> str:
+        name = match[1]
+        found = os.environ.get(name, "")
+        if not HEADER_VALUE.fullmatch(found):
+            what = "holds characters that no header may have" if found else "is not set"
+            raise UndeliveredError(f"environment variable {name} of alarms.{setting} {what}")
+        return found
+
+    return VARIABLE.sub(content, text)

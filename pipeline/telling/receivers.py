@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.config import Alarms
 from pipeline.telling.command import Command
 from pipeline.telling.delivery import Receiver
+from pipeline.telling.mail import Mail
 from pipeline.telling.web_hook import WebHook
 
 
@@ -17,4 +18,6 @@ def receivers_of(settings: Alarms) -> tuple[Receiver, ...]:
         found.append(
             WebHook(settings.webhook_url, settings.webhook_headers, settings.webhook_secret)
         )
+    if settings.email.to:
+        found.append(Mail(settings.email))
     return tuple(found)

@@ -10,10 +10,7 @@ import binascii
 import hashlib
 import hmac
 import http.client
-import os
-import re
 import ssl
-import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -24,9 +21,7 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from pipeline.config.web_hooks import HEADER_VALUE, VARIABLE
-from pipeline.errors import one_line
-from pipeline.telling.delivery import DEADLINE_S, Delivery, UndeliveredError
+from pipeline.telling.delivery import DEADLINE_S, Delivery, UndeliveredError, filled, talk
 
 SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks one
 DEFAULT_PORTS = {"http": 80, "https": 443}
@@ -58,11 +53,7 @@ class WebHook:
         return f"alarms.webhook_url ({scheme}://{shown}:{port})"
 
     def take(self, delivery: Delivery) -> None:
-        """Post it.
-
-        A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
-        answer that comes byte by byte has a time limit of its own.
-        """
+        """Post it."""
         headers = {
             "User-Agent": "motor-leakage",
             **{name: filled("webhook_headers", text) for name, text in self.headers.items()},
@@ -70,16 +61,7 @@ class WebHook:
             **self._of_standard(delivery, int(time.time())),
         }
         request = Request(self.url, delivery.content, headers, method="POST")  # noqa: S310
-        answers: list[str] = []
-        thread = threading.Thread(
-            target=lambda: answers.append(_post(request, 2 * self.deadline_s)), daemon=True
-        )
-        thread.start()
-        thread.join(self.deadline_s)
-        if not answers:
-            raise UndeliveredError(f"no answer within {self.deadline_s:g} s", hung=True)
-        if answers[0]:
-            raise UndeliveredError(one_line(answers[0]))
+        talk(lambda: _post(request, 2 * self.deadline_s), self.deadline_s)
 
     def _of_standard(self, delivery: Delivery, now: int) -> dict[str, str]:
         """The headers of the specification."""
@@ -121,26 +103,6 @@ def signing_key(secret: str) -> bytes:
     if not key:
         raise UndeliveredError("the secret of alarms.webhook_secret is no Base64")
     return key
-
-
-def filled(setting: str, text: str) -> str:
-    """A value with its environment variables.
-
-    Raises
-    ------
-    UndeliveredError
-        If one is not set, or holds characters that no header may; its content is not quoted.
-    """
-
-    def content(match: re.Match[str]) -> str:
-        name = match[1]
-        found = os.environ.get(name, "")
-        if not HEADER_VALUE.fullmatch(found):
-            what = "holds characters that no header may have" if found else "is not set"
-            raise UndeliveredError(f"environment variable {name} of alarms.{setting} {what}")
-        return found
-
-    return VARIABLE.sub(content, text)
 
 
 class _SamePlace(HTTPRedirectHandler):

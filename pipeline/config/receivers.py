@@ -1,8 +1,10 @@
-"""Address and headers of a web hook, as a config may state them."""
+"""Addresses, headers and secrets of those who are told, as a config may state them."""
 
 from __future__ import annotations
 
 import re
+from email.errors import MessageError
+from email.headerregistry import Address
 from urllib.parse import urlsplit
 
 # An environment variable in a value.
@@ -50,3 +52,50 @@ def require_header(name: str, value: str) -> None:
             f"expected printable ASCII in {name}, and $ in ${{NAME}} alone, which stands for an "
             "environment variable"
         )
+
+
+def require_variable(text: str) -> str:
+    """A secret's place; an empty one is none.
+
+    Raises
+    ------
+    ValueError
+        If it is no ``${NAME}``.
+    """
+    if text and not VARIABLE.fullmatch(text):
+        raise ValueError("expected ${NAME}, with the secret in that environment variable")
+    return text
+
+
+def require_mail_address(address: str) -> None:
+    """Refuse what is no address of mail.
+
+    Raises
+    ------
+    ValueError
+        That quotes it.
+    """
+    try:
+        whole = bool(Address(addr_spec=address).domain)
+    except (ValueError, IndexError, MessageError):
+        whole = False
+    if not whole:
+        raise ValueError(f"expected an address such as shift@plant.example, found {address!r}")
+
+
+def require_mail_server(server: str) -> tuple[str, int | None]:
+    """Host and port of ``host`` or ``host:port``; the port is None where none is stated.
+
+    Raises
+    ------
+    ValueError
+        If it is neither.
+    """
+    try:
+        parts = urlsplit(f"//{server}")
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host, port = None, None
+    if not host or port == 0 or not ADDRESS.fullmatch(server) or set(server) & set("/@?#"):
+        raise ValueError("expected server as host or host:port")
+    return host, port

@@ -1,0 +1,132 @@
+"""Mail as a receiver: one message a delivery, over SMTP."""
+
+from __future__ import annotations
+
+import json
+import smtplib
+import ssl
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from email.message import EmailMessage
+from email.utils import formatdate
+from typing import Any
+
+from pipeline.config.receivers import require_mail_server
+from pipeline.config.settings import Email
+from pipeline.errors import one_line
+from pipeline.telling.delivery import DEADLINE_S, Delivery, filled, talk
+
+PORTS = {"starttls": 587, "tls": 465, "none": 25}
+# Characters of a subject at most; the rest stands in the text.
+LONGEST_SUBJECT = 150
+RISING = ("stale", "common_cause", "warning", "alarm")
+
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Mail:
+    """A mail server that takes a message for all addresses of `[alarms.email]`.
+
+    Attributes
+    ----------
+    settings
+        That section of the config.
+    """
+
+    settings: Email
+    deadline_s: float = DEADLINE_S
+    name: str = "email"
+
+    @property
+    def label(self) -> str:
+        """Host and port of the server."""
+        return "alarms.email ({}:{})".format(*self._place())
+
+    def take(self, delivery: Delivery) -> None:
+        """Send it; refused if the server refuses one of the addresses."""
+        message = message_of(delivery, self.settings)
+        password = filled("email.password", self.settings.password)
+        talk(lambda: self._sent(message, password), self.deadline_s)
+
+    def _sent(self, message: EmailMessage, password: str) -> str:
+        """Send; returns a fault or an empty text."""
+        try:
+            with self._connected() as server:
+                if self.settings.user:
+                    server.login(self.settings.user, password)
+                refused = server.send_message(message)
+        except Exception as error:  # the edge of the thread
+            return _words(error)
+        return f"refused for {', '.join(sorted(refused))}" if refused else ""
+
+    def _connected(self) -> smtplib.SMTP:
+        host, port = self._place()
+        context = ssl.create_default_context()
+        if self.settings.security == "tls":
+            return smtplib.SMTP_SSL(host, port, timeout=self.deadline_s, context=context)
+        server = smtplib.SMTP(host, port, timeout=self.deadline_s)
+        if self.settings.security == "starttls":
+            try:
+                server.starttls(context=context)
+            except BaseException:
+                server.close()
+                raise
+        return server
+
+    def _place(self) -> tuple[str, int]:
+        host, port = require_mail_server(self.settings.server)
+        return host, port or PORTS[self.settings.security]
+
+
+def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
+    """The message of a delivery; a repeated one has the same `Message-ID`."""
+    document = json.loads(delivery.content)
+    of_motors = _by_motor(document["changes"])
+    subject = "; ".join(f"{motor} {rows[-1]['to_state']}" for motor, rows in of_motors)
+    message = EmailMessage()
+    message["Subject"] = _shortened(f"{document['fleet']}: {subject}")
+    message["From"] = settings.sender
+    message["To"] = ", ".join(settings.to)
+    message["Date"] = formatdate()
+    message["Message-ID"] = f"<{delivery.id}@motor-leakage>"
+    message["Auto-Submitted"] = "auto-generated"
+    message.set_content("\n".join(text for one in of_motors for text in _paragraph(*one)))
+    return message
+
+
+def _by_motor(changes: Sequence[Row]) -> list[tuple[str, list[Row]]]:
+    """Rows of each motor by night, the motor that needs attention most first."""
+    of_motor: dict[str, list[Row]] = {}
+    for row in sorted(changes, key=lambda row: (row["night"], _urgency(row))):
+        of_motor.setdefault(row["motor_id"], []).append(row)
+    return sorted(of_motor.items(), key=lambda one: (-_urgency(one[1][-1]), one[0]))
+
+
+def _urgency(row: Row) -> int:
+    state = row["to_state"]
+    return RISING.index(state) if state in RISING else -1
+
+
+def _paragraph(motor: str, rows: Sequence[Row]) -> Iterator[str]:
+    yield motor
+    for row in rows:
+        yield f"  {row['night']}, {row['from_state']} to {row['to_state']}: {row['reason']}"
+    yield ""
+
+
+def _shortened(text: str) -> str:
+    text = one_line(text)
+    return text if len(text) <= LONGEST_SUBJECT else text[: LONGEST_SUBJECT - 1] + "…"
+
+
+def _words(error: Exception) -> str:
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate: {error.verify_message}"
+    if isinstance(error, smtplib.SMTPRecipientsRefused):
+        return f"refused for {', '.join(sorted(error.recipients))}"
+    if isinstance(error, smtplib.SMTPResponseException):
+        return f"SMTP {error.smtp_code}"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return str(error) if isinstance(error, smtplib.SMTPException) else type(error).__name__

@@ -1,0 +1,252 @@
+"""Mail over a real SMTP server on loopback: TLS, log-in, refusals, a server that hangs."""
+
+from __future__ import annotations
+
+import datetime as dt
+import email.policy
+import ipaddress
+import json
+import socket
+import ssl
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from email.message import EmailMessage
+from pathlib import Path
+from typing import Any
+
+import pytest
+from aiosmtpd.controller import Controller
+from aiosmtpd.smtp import SMTP, AuthResult, Envelope, LoginPassword, Session
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+
+from pipeline.config.settings import Email
+from pipeline.telling.delivery import Delivery, UndeliveredError
+from pipeline.telling.mail import Mail
+
+PASSWORD = "correct horse"  # noqa: S105
+
+
+def change(motor: str, night: str, before: str, after: str, reason: str) -> dict[str, Any]:
+    return {
+        "motor_id": motor,
+        "night": night,
+        "from_state": before,
+        "to_state": after,
+        "reason": reason,
+    }
+
+
+RING = change("CB400-02", "2026-02-09", "ok", "warning", "piston ring gap +12 % since 1 February")
+WORSE = change("CB400-02", "2026-02-19", "warning", "alarm", "piston ring gap +17 %, “worn” µm")
+OTHER = change("CB400-01", "2026-02-19", "ok", "stale", "8 nights without a figure")
+
+
+def delivery(*changes: dict[str, Any]) -> Delivery:
+    document = {"id": "msg_1", "type": "alarms", "fleet": "Mill 3", "changes": changes}
+    return Delivery("msg_1", json.dumps(document).encode())
+
+
+@dataclass
+class Server:
+    """A server on loopback and what it took."""
+
+    port: int = 0
+    mails: list[EmailMessage] = field(default_factory=list)
+    logins: list[tuple[bytes, bytes]] = field(default_factory=list)
+    refused: str = ""
+
+    async def handle_RCPT(  # noqa: N802 - as aiosmtpd calls it
+        self, _: SMTP, __: Session, envelope: Envelope, address: str, ___: list[str]
+    ) -> str:
+        if address == self.refused:
+            return "550 no such user"
+        envelope.rcpt_tos.append(address)
+        return "250 OK"
+
+    async def handle_DATA(self, _: SMTP, __: Session, envelope: Envelope) -> str:  # noqa: N802
+        assert isinstance(envelope.content, bytes)
+        self.mails.append(email.message_from_bytes(envelope.content, policy=email.policy.default))
+        return "250 OK"
+
+    def authenticate(self, *arguments: object) -> AuthResult:
+        (given,) = (one for one in arguments if isinstance(one, LoginPassword))
+        self.logins.append((given.login, given.password))
+        return AuthResult(success=given.password == PASSWORD.encode(), handled=False)
+
+    def settings(self, **changed: Any) -> Email:
+        stated = {
+            "to": ("shift@plant.example",),
+            "sender": "leakage@plant.example",
+            "server": f"127.0.0.1:{self.port}",
+            "security": "none",
+        }
+        return Email.model_validate(stated | changed)
+
+
+@contextmanager
+def serving(certificate: Path | None = None, *, tls: bool = False) -> Iterator[Server]:
+    with socket.create_server(("127.0.0.1", 0)) as free:  # aiosmtpd chooses none itself
+        server = Server(free.getsockname()[1])
+    context = None
+    if certificate is not None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(certificate)
+    controller = Controller(
+        server,
+        hostname="127.0.0.1",
+        port=server.port,
+        ssl_context=context if tls else None,
+        tls_context=None if tls else context,
+        authenticator=server.authenticate,
+        auth_require_tls=not tls,
+    )
+    controller.start()
+    try:
+        yield server
+    finally:
+        controller.stop()
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Key and certificate for 127.0.0.1, signed by itself."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "127.0.0.1")])
+    now = dt.datetime.now(dt.UTC)
+    made = (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - dt.timedelta(hours=1))
+        .not_valid_after(now + dt.timedelta(hours=1))
+        .add_extension(
+            x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), False
+        )
+        .sign(key, hashes.SHA256())
+    )
+    path = tmp_path_factory.mktemp("tls") / "server.pem"
+    path.write_bytes(
+        key.private_bytes(
+            serialization.Encoding.PEM,
+            serialization.PrivateFormat.PKCS8,
+            serialization.NoEncryption(),
+        )
+        + made.public_bytes(serialization.Encoding.PEM)
+    )
+    return path
+
+
+def fault_of(settings: Email, deadline_s: float = 30.0) -> UndeliveredError:
+    with pytest.raises(UndeliveredError) as caught:
+        Mail(settings, deadline_s).take(delivery(RING))
+    assert PASSWORD not in caught.value.why
+    return caught.value
+
+
+def test_a_message_has_the_worst_motor_first_and_each_change_in_words() -> None:
+    with serving() as server:
+        Mail(server.settings(to=("a@plant.example", "b@plant.example"))).take(
+            delivery(OTHER, WORSE, RING)
+        )
+    (mail,) = server.mails
+    assert mail["Subject"] == "Mill 3: CB400-02 alarm; CB400-01 stale"
+    assert (mail["From"], mail["To"]) == (
+        "leakage@plant.example",
+        "a@plant.example, b@plant.example",
+    )
+    assert mail["Message-ID"] == "<msg_1@motor-leakage>"
+    assert mail.get_content().splitlines() == [
+        "CB400-02",
+        "  2026-02-09, ok to warning: piston ring gap +12 % since 1 February",
+        "  2026-02-19, warning to alarm: piston ring gap +17 %, “worn” µm",
+        "",
+        "CB400-01",
+        "  2026-02-19, ok to stale: 8 nights without a figure",
+    ]
+
+
+def test_a_name_in_a_log_adds_no_header() -> None:
+    hostile = change("CB\nBcc: x@y.example", "2026-02-09", "ok", "alarm", "\n.\nMAIL FROM:<x>")
+    with serving() as server:
+        Mail(server.settings()).take(delivery(hostile))
+    (mail,) = server.mails
+    assert mail["Bcc"] is None
+    assert "MAIL FROM:<x>" in mail.get_content()
+
+
+@pytest.mark.parametrize("security", ["starttls", "tls"])
+def test_it_logs_in_over_a_checked_certificate(
+    certificate: Path, security: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    monkeypatch.setenv("MAIL_PASSWORD", PASSWORD)
+    with serving(certificate, tls=security == "tls") as server:
+        login = {"user": "leakage", "password": "${MAIL_PASSWORD}", "security": security}
+        Mail(server.settings(**login)).take(delivery(RING))
+        monkeypatch.setenv("MAIL_PASSWORD", "wrong")
+        assert fault_of(server.settings(**login)).why == "SMTP 535"
+    assert len(server.mails) == 1
+    assert server.logins[0] == (b"leakage", PASSWORD.encode())
+
+
+def test_no_password_goes_to_a_server_of_unknown_certificate(
+    certificate: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("MAIL_PASSWORD", PASSWORD)
+    with serving(certificate) as server:
+        login = {"user": "a", "password": "${MAIL_PASSWORD}", "security": "starttls"}
+        assert "certificate" in fault_of(server.settings(**login)).why
+    assert (server.mails, server.logins) == ([], [])
+
+
+def test_a_server_without_tls_gets_nothing() -> None:
+    with serving() as server:
+        assert "STARTTLS" in fault_of(server.settings(security="starttls")).why
+    assert server.mails == []
+
+
+def test_an_address_that_is_refused_is_a_fault() -> None:
+    with serving() as server:
+        server.refused = "gone@plant.example"
+        assert fault_of(server.settings(to=(server.refused,))).why == (
+            "refused for gone@plant.example"
+        )
+
+
+def test_an_absent_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("MAIL_PASSWORD", raising=False)
+    login = {"user": "a", "password": "${MAIL_PASSWORD}", "security": "tls"}
+    why = "environment variable MAIL_PASSWORD of alarms.email.password is not set"
+    assert fault_of(Server(port=25).settings(**login)).why == why
+
+
+def test_a_server_that_says_nothing_is_left_at_the_deadline() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        fault = fault_of(Server(port=port).settings(), deadline_s=0.2)
+    assert fault.hung
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"to": ("shift",)}, "shift@plant.example"),
+        ({"to": ("a@b.example\nBcc: c@d.example",)}, "expected an address"),
+        ({"sender": ""}, "expected an address"),
+        ({"server": ""}, "host or host:port"),
+        ({"server": "smtp://mail.example"}, "host or host:port"),
+        ({"user": "a"}, "user and password together"),
+        ({"password": "secret"}, "expected ${NAME}"),
+        ({"user": "a", "password": "${P}", "security": "none"}, "starttls or tls"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(changed: dict[str, Any], words: str) -> None:
+    with pytest.raises(ValueError) as caught:
+        Server(port=25).settings(**changed)
+    assert words in str(caught.value)
