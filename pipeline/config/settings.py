@@ -6,6 +6,7 @@ from these models. A motor's file may override any key of any section here.
 
 from __future__ import annotations
 
+import datetime as dt
 from typing import Annotated, Literal
 from zoneinfo import ZoneInfo, available_timezones
 
@@ -367,6 +368,9 @@ class Trend(Section):
         return self
 
 
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+
+
 class Email(Section):
     """Mail of changes of state over SMTP, and of all states once a week; off without `to`."""
 
@@ -389,6 +393,12 @@ class Email(Section):
         description="Day of the week whose first run also sends the states of all motors; empty: "
         "none",
     )
+
+    def summary_due(self, today: dt.date) -> dt.date | None:
+        """Date on which the latest weekly summary is due; None without any."""
+        if not self.to or not self.weekly:
+            return None
+        return today - dt.timedelta(days=(today.weekday() - DAYS.index(self.weekly)) % 7)
 
     @field_validator("password")
     @classmethod

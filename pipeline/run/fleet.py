@@ -61,11 +61,12 @@ from pipeline.store.views import write_views
 from pipeline.store.working_copy import pull, working_copy
 from pipeline.telling.delivering import deliver
 from pipeline.telling.delivery import Receiver
-from pipeline.telling.outbox import backlogs, is_waiting, open_outbox, take_up
+from pipeline.telling.mail import EMAIL
+from pipeline.telling.outbox import add_summary, backlogs, is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.decisions import read_decisions
-from pipeline.trends.motor_states import published_states
+from pipeline.trends.motor_states import published_states, urgency
 from pipeline.trends.record import (
     read_record,
     trend_hash,
@@ -272,10 +273,23 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
 
 def _take_up(fleet: Fleet) -> None:
     """Queue what was published; where that fails, the next run does it."""
+    today = dt.datetime.now(fleet.settings.nights.zone).date()
+    due = fleet.settings.alarms.email.summary_due(today)
     try:
         take_up(fleet.output, fleet.name)
+        if due is not None:
+            add_summary(fleet.output, EMAIL, fleet.name, due, lambda: _states(fleet))
     except StoreError as error:
         log.warning("alarms: %s; the next run tells of them", error)
+
+
+def _states(fleet: Fleet) -> list[dict[str, str]]:
+    """State of each motor for a summary, the most urgent first."""
+    states = published_states(fleet.output, [spec.motor_id for spec in fleet.motors])
+    return [
+        {"motor_id": one.motor_id, "state": one.state, "sentence": one.why}
+        for one in sorted(states, key=urgency)
+    ]
 
 
 def _tell(fleet: Fleet, receivers: Sequence[Receiver]) -> None:

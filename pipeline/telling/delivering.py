@@ -111,5 +111,6 @@ def _take(
 
 
 def _delivery(one: Waiting, fleet: str, told: Told) -> Delivery:
-    document = {"id": one.id, "type": told.table.name, "fleet": fleet, "changes": one.changes}
+    kind = one.kind or told.table.name
+    document = {"id": one.id, "type": kind, "fleet": fleet, "changes": one.changes}
     return Delivery(one.id, json.dumps(document, sort_keys=True).encode())

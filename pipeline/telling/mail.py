@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import smtplib
 import ssl
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from email.message import EmailMessage
@@ -15,11 +16,14 @@ from pipeline.config.receivers import require_mail_server
 from pipeline.config.settings import Email
 from pipeline.errors import one_line
 from pipeline.telling.delivery import DEADLINE_S, Delivery, filled, talk
+from pipeline.telling.outbox import SUMMARY
 
+# Name of the receiver in the outbox.
+EMAIL = "email"
 PORTS = {"starttls": 587, "tls": 465, "none": 25}
 # Characters of a subject at most; the rest stands in the text.
 LONGEST_SUBJECT = 150
-RISING = ("stale", "common_cause", "warning", "alarm")
+RISING = ("stale", "duty_outside", "common_cause", "warning", "alarm", "look_now")
 
 Row = Mapping[str, Any]
 
@@ -36,7 +40,7 @@ class Mail:
 
     settings: Email
     deadline_s: float = DEADLINE_S
-    name: str = "email"
+    name: str = EMAIL
 
     @property
     def label(self) -> str:
@@ -82,8 +86,10 @@ class Mail:
 def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
     """The message of a delivery; a repeated one has the same `Message-ID`."""
     document = json.loads(delivery.content)
-    of_motors = _by_motor(document["changes"])
-    subject = "; ".join(f"{motor} {rows[-1]['to_state']}" for motor, rows in of_motors)
+    if document["type"] == SUMMARY:
+        subject, lines = _summary(document["changes"])
+    else:
+        subject, lines = _changes(document["changes"])
     message = EmailMessage()
     message["Subject"] = _shortened(f"{document['fleet']}: {subject}")
     message["From"] = settings.sender
@@ -91,14 +97,41 @@ def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
     message["Date"] = formatdate()
     message["Message-ID"] = f"<{delivery.id}@motor-leakage>"
     message["Auto-Submitted"] = "auto-generated"
-    message.set_content("\n".join(text for one in of_motors for text in _paragraph(*one)))
+    message.set_content("\n".join(lines))
     return message
+
+
+def _summary(motors: Sequence[Row]) -> tuple[str, list[str]]:
+    """Subject and lines on the states of all motors."""
+    counts = Counter(row["state"] for row in motors)
+    subject = ", ".join(f"{n} {_plain(state)}" for state, n in counts.items())
+    lines = []
+    for row in motors:
+        lines += [f"{row['motor_id']}, {_plain(row['state'])}", f"  {row['sentence']}", ""]
+    return f"week: {subject}", lines
+
+
+def _changes(changes: Sequence[Row]) -> tuple[str, list[str]]:
+    """Subject and lines on changes of state."""
+    of_motors = _by_motor(changes)
+    subject = "; ".join(f"{motor} {_plain(rows[-1]['to_state'])}" for motor, rows in of_motors)
+    return subject, [line for one in of_motors for line in _paragraph(*one)]
+
+
+def _plain(state: str) -> str:
+    """A state as people write it."""
+    return state.replace("_", " ")
+
+
+def _when(row: Row) -> str:
+    """Night of a row of `alarms`, or time of one of `looks`."""
+    return str(row.get("night") or row["time"])
 
 
 def _by_motor(changes: Sequence[Row]) -> list[tuple[str, list[Row]]]:
     """Rows of each motor by night, the motor that needs attention most first."""
     of_motor: dict[str, list[Row]] = {}
-    for row in sorted(changes, key=lambda row: (row["night"], _urgency(row))):
+    for row in sorted(changes, key=lambda row: (_when(row), _urgency(row))):
         of_motor.setdefault(row["motor_id"], []).append(row)
     return sorted(of_motor.items(), key=lambda one: (-_urgency(one[1][-1]), one[0]))
 
@@ -111,7 +144,8 @@ def _urgency(row: Row) -> int:
 def _paragraph(motor: str, rows: Sequence[Row]) -> Iterator[str]:
     yield motor
     for row in rows:
-        yield f"  {row['night']}, {row['from_state']} to {row['to_state']}: {row['reason']}"
+        before, after = _plain(row["from_state"]), _plain(row["to_state"])
+        yield f"  {_when(row)}, {before} to {after}: {row['reason']}"
     yield ""
 
 

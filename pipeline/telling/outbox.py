@@ -13,7 +13,7 @@ import hashlib
 import json
 import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,8 @@ log = logging.getLogger(__name__)
 OUTBOX_FILES = ("outbox.json", "outbox.copy.json")
 # Rows of one delivery at most.
 MOST_CHANGES = 500
+# Kind of a delivery with the state of every motor.
+SUMMARY = "summary"
 
 Change = dict[str, Any]
 
@@ -67,11 +69,12 @@ TOLD_LOOKS = Told(
 
 @dataclass(frozen=True, slots=True)
 class Waiting:
-    """A delivery that waits: its id, since when (UTC), and its rows."""
+    """A delivery that waits: its id, since when (UTC), its rows, and its kind if not changes."""
 
     id: str
     since: dt.datetime
     changes: tuple[Change, ...]
+    kind: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +89,14 @@ class Queue:
         Deliveries that it has not taken.
     fault
         The last fault; empty if all was taken.
+    summarised
+        Date of the last summary, ISO; empty before the first.
     """
 
     told_since: dt.datetime
     waiting: tuple[Waiting, ...] = ()
     fault: str = ""
+    summarised: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,11 +181,16 @@ def read_outbox_file(path: Path) -> Outbox | None:
 
 def _queue(document: Mapping[str, Any]) -> Queue:
     waiting = tuple(
-        Waiting(one["id"], dt.datetime.fromisoformat(one["since"]), tuple(one["changes"]))
+        Waiting(
+            one["id"],
+            dt.datetime.fromisoformat(one["since"]),
+            tuple(one["changes"]),
+            one.get("kind", ""),
+        )
         for one in document["waiting"]
     )
     told_since = dt.datetime.fromisoformat(document["told_since"])
-    return Queue(told_since, waiting, document["fault"])
+    return Queue(told_since, waiting, document["fault"], document.get("summarised", ""))
 
 
 def write_outbox(output: Path, outbox: Outbox) -> None:
@@ -233,6 +244,26 @@ def take_up(output: Path, fleet: str, told: Told = TOLD_ALARMS) -> None:
         after = taken_up(before, output, fleet, told)
         if after != before:
             write_outbox(output / told.folder, after)
+
+
+def add_summary(
+    output: Path, name: str, fleet: str, due: dt.date, rows: Callable[[], Iterable[Change]]
+) -> None:
+    """Queue a summary for a receiver, once for each date that it is due on.
+
+    Raises
+    ------
+    StoreError
+        If the outbox, or what the rows are made from, cannot be read or written.
+    """
+    outbox = read_outbox(output)
+    queue = None if outbox is None else outbox.queues.get(name)
+    if outbox is None or queue is None or queue.summarised >= due.isoformat():
+        return
+    key = f"msg_{_digest([fleet, name, SUMMARY, due.isoformat()])}"
+    summary = Waiting(key, dt.datetime.now(dt.UTC), tuple(rows()), SUMMARY)
+    queue = replace(queue, waiting=(*queue.waiting, summary), summarised=due.isoformat())
+    write_outbox(output, replace(outbox, queues={**outbox.queues, name: queue}))
 
 
 def taken_up(outbox: Outbox, output: Path, fleet: str, told: Told = TOLD_ALARMS) -> Outbox:

@@ -250,3 +250,41 @@ def test_settings_that_cannot_work_are_refused(changed: dict[str, Any], words: s
     with pytest.raises(ValueError) as caught:
         Server(port=25).settings(**changed)
     assert words in str(caught.value)
+
+
+def test_a_summary_has_every_motor_and_its_sentence() -> None:
+    motors = [
+        {"motor_id": "CB400-02", "state": "alarm", "sentence": "piston ring gap +30 %"},
+        {"motor_id": "CB400-01", "state": "ok", "sentence": "no change of external leakage"},
+    ]
+    content = json.dumps({"type": "summary", "fleet": "Mill 3", "changes": motors}).encode()
+    with serving() as server:
+        Mail(server.settings()).take(Delivery("msg_2", content))
+    (mail,) = server.mails
+    assert mail["Subject"] == "Mill 3: week: 1 alarm, 1 ok"
+    assert mail.get_content().splitlines() == [
+        "CB400-02, alarm",
+        "  piston ring gap +30 %",
+        "",
+        "CB400-01, ok",
+        "  no change of external leakage",
+    ]
+
+
+def test_a_rise_within_the_day_is_told_with_its_time() -> None:
+    rise = change("CB400-02", "", "clear", "look_now", "drain flow +82 %") | {
+        "time": "2026-03-02 14:34:00+00:00"
+    }
+    del rise["night"]
+    with serving() as server:
+        Mail(server.settings()).take(delivery(rise))
+    (mail,) = server.mails
+    assert mail["Subject"] == "Mill 3: CB400-02 look now"
+    assert "2026-03-02 14:34:00+00:00, clear to look now: drain flow +82 %" in mail.get_content()
+
+
+@pytest.mark.parametrize(("today", "due"), [(16, 16), (17, 16), (22, 16), (23, 23)])
+def test_a_weekly_summary_is_due_on_the_last_of_its_days(today: int, due: int) -> None:
+    settings = Server(port=25).settings(weekly="mon")
+    assert settings.summary_due(dt.date(2026, 11, today)) == dt.date(2026, 11, due)
+    assert Email().summary_due(dt.date(2026, 11, today)) is None

@@ -27,6 +27,7 @@ from pipeline.telling.outbox import (
     OUTBOX_FILES,
     Outbox,
     Told,
+    add_summary,
     backlogs,
     open_outbox,
     read_outbox,
@@ -481,3 +482,21 @@ def test_nothing_is_written_where_nothing_changed(
     outbox = read_outbox(tmp_path)
     assert outbox is not None
     write_outbox(tmp_path, replace(outbox))
+
+
+def test_a_summary_waits_once_for_each_date_it_is_due_on(tmp_path: Path) -> None:
+    open_outbox(tmp_path, ["email"], "Mill 3")
+    made: list[int] = []
+
+    def rows() -> list[dict[str, Any]]:
+        made.append(1)
+        return [{"motor_id": "M", "state": "ok"}]
+
+    for due in (dt.date(2026, 11, 16), dt.date(2026, 11, 16), dt.date(2026, 11, 23)):
+        add_summary(tmp_path, "email", "Mill 3", due, rows)
+        add_summary(tmp_path, "stranger", "Mill 3", due, rows)
+    outbox = read_outbox(tmp_path)
+    assert outbox is not None
+    waiting = outbox.queues["email"].waiting
+    assert [one.kind for one in waiting] == ["summary", "summary"]
+    assert len({one.id for one in waiting}) == len(made) == 2
