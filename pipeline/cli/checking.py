@@ -171,13 +171,13 @@ def _channel_cells(channel: ChannelCheck) -> tuple[str, ...]:
 
     unit = canonical_unit(channel.channel).replace("degC", "°C")
     largest = sorted(channel.refused_by.items(), key=lambda one: -one[1])
-    rules = (f"{name} {100 * share:.2g} %" for name, share in largest if share > WORTH_TELLING)
+    rules = (f"{name} {100 * share:.3g} %" for name, share in largest if share > WORTH_TELLING)
     return (
         channel.channel,
         f"{channel.rate_hz:.3g} Hz" if channel.rate_hz else "none",
         "none is kept" if channel.median is None else f"{channel.median:.4g} {unit}",
-        f"{100 * channel.share_missing:.2g} %",
-        f"{100 * channel.share_refused:.2g} %",
+        f"{100 * channel.share_missing:.3g} %",
+        f"{100 * channel.share_refused:.3g} %",
         ", ".join(rules),
         channel.configured,
         channel.looks,

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import asdict
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
-from pipeline.errors import one_line
+from pipeline.cli.arguments import say
+from pipeline.cli.tables import print_table
 from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
@@ -27,29 +26,36 @@ COLOURS = {
     "duty_outside": "blue",
     "stale": "blue",
 }
-COLUMNS = ("motor", "state", "leakage l/min", "baseline", "last good night", "sensors", "why")
+COLUMNS = (
+    "motor",
+    "state",
+    "since",
+    "gap change",
+    "leakage l/min",
+    "against baseline",
+    "last good night",
+    "sensors",
+    "what",
+)
+# On a terminal the last column has these, too, and needs the room.
+IN_WORDS = ("since", "against baseline", "sensors")
 
 
 def print_status(name: str, found: FleetStatus, *, too_old: bool, as_json: bool) -> None:
     """Print a fleet's state: for people, or one JSON object a motor and one for the fleet.
 
-    `too_old`: the last good run is older than was asked for.
+    `too_old`: the last good run is older than was asked for. Piped, only the table goes to stdout.
     """
     if as_json:
         _print_json(found, too_old=too_old)
         return
-    console = Console()
-    if console.is_terminal:
-        table = Table(*COLUMNS, title=escape(one_line(name)))
-        for motor in found.motors:
-            cells = (escape(one_line(cell)) for cell in _cells(motor))
-            table.add_row(*cells, style=COLOURS.get(motor.state))
-        console.print(table)
-    else:
-        for motor in found.motors:
-            typer.echo(one_line("; ".join(_cells(motor))))
+    rows = [dict(zip(COLUMNS, _cells(motor), strict=True)) for motor in found.motors]
+    on_terminal = sys.stdout.isatty()
+    columns = [one for one in COLUMNS if not (on_terminal and one in IN_WORDS)]
+    styles = [COLOURS.get(motor.state, "") for motor in found.motors]
+    print_table(columns, ([row[one] for one in columns] for row in rows), name, styles)
     for line in _fleet_lines(found, too_old=too_old):
-        typer.echo(line)
+        say(line, err=not on_terminal)
 
 
 def _print_json(found: FleetStatus, *, too_old: bool) -> None:
@@ -125,7 +131,8 @@ def _run_line(found: FleetStatus) -> str | None:
 
 
 def _cells(motor: MotorState) -> tuple[str, ...]:
-    leakage, deviation = "unknown", "none yet"
+    """Cells of `COLUMNS`."""
+    leakage, deviation, gap = "unknown", "none yet", "unknown"
     if motor.leakage_l_per_min is not None:
         leakage = f"{motor.leakage_l_per_min:.3g}"
         if motor.leakage_verdict in ("uncertain", "extrapolated"):
@@ -134,9 +141,13 @@ def _cells(motor: MotorState) -> tuple[str, ...]:
         leakage, deviation = f"not known since {motor.leakage_night}", "not known"
     if motor.deviation_percent is not None:
         deviation = f"{motor.deviation_percent:+z.1f} %"
+    if motor.gap_path is not None and motor.gap_change_percent is not None:
+        gap = f"{motor.gap_path.replace('_', ' ')} {motor.gap_change_percent:+z.1f} %"
     return (
         motor.motor_id,
         motor.state.replace("_", " "),
+        str(motor.known_since or motor.state_since or ""),
+        gap,
         leakage,
         deviation,
         str(motor.last_good_night or "never"),

@@ -338,10 +338,14 @@ def test_the_command_prints_motors_and_the_last_good_run(
 ) -> None:
     ran(output, 3.0)
     code, out, err = call("status", config)
-    assert (code, err) == (0, "")
-    first, last = out.splitlines()
-    assert first == "M1; alarm; 1.4; +0.0 %; 2026-01-07; ok; K_piston_ring is alarm"
-    assert last.startswith("last good run: 20")
+    assert code == 0
+    columns, first = out.splitlines()
+    assert columns.split("\t")[:3] == ["motor", "state", "since"]
+    assert first.split("\t") == [
+        *("M1", "alarm", str(night_of(2)), "unknown", "1.4", "+0.0 %"),
+        *("2026-01-07", "ok", "K_piston_ring is alarm"),
+    ]
+    assert err.startswith("last good run: 20")
 
 
 def test_the_command_says_since_when_a_leakage_is_not_known_and_that_a_fit_is_poor(
@@ -354,9 +358,11 @@ def test_the_command_says_since_when_a_leakage_is_not_known_and_that_a_fit_is_po
         fit |= {"run_id": "r", "training_fit_percent": 99.0, "validation_fit_percent": -1295.0}
         write_table(night_file(output, TRENDS, night_of(night)), frame(TRENDS, rows))
         write_table(night_file(output, FITS, night_of(night)), frame(FITS, [fit]))
-    assert call("status", config)[1].splitlines()[0] == (
-        "M1; stale; not known since 2026-01-02; not known; 2026-01-07; ok; reference_leakage is "
-        "stale; fit of 2026-01-07: validation -1295.0 % (poor: worse than a constant flow)"
+    cells = call("status", config)[1].splitlines()[1].split("\t")
+    assert cells[4:6] == ["not known since 2026-01-02", "not known"]
+    assert cells[-1] == (
+        "reference_leakage is stale; fit of 2026-01-07: validation -1295.0 % (poor: worse than a "
+        "constant flow)"
     )
 
 
@@ -373,9 +379,9 @@ def test_max_age(
     expected: int,
 ) -> None:
     ran(output, hours_ago)
-    code, out, _ = call("status", config, "--max-age", max_age)
+    code, _, err = call("status", config, "--max-age", max_age)
     assert code == expected
-    assert ("which is too old" in out) == bool(expected)
+    assert ("which is too old" in err) == bool(expected)
 
 
 def test_max_age_counts_good_runs_alone(
@@ -383,9 +389,9 @@ def test_max_age_counts_good_runs_alone(
     config: Path,
     call: Call,
 ) -> None:
-    code, out, _ = call("status", config, "--max-age", "26h")
+    code, _, err = call("status", config, "--max-age", "26h")
     assert code == 1
-    assert "last good run: never, which is too old" in out
+    assert "last good run: never, which is too old" in err
     ran(output, 1.0, "interrupted")
     assert call("status", config, "--max-age", "26h")[0] == 1
     # A failed motor does not make a run a bad one: the others are done.
@@ -417,12 +423,12 @@ def test_acknowledged_found_and_counted(
         "M1: K_piston_ring, raised last on 2026-01-06: acknowledged\n",
     )
     assert "(acknowledged: rings ordered)" in call("status", config)[1]
-    assert "inspections" not in call("status", config)[1]
+    assert "inspections" not in call("status", config)[2]
     finding = ("ack", config, "M1", "K_piston_ring", "--note", "worn", "--finding", "confirmed")
     assert call(*finding)[0] == 0
-    out = call("status", config)[1]
+    _, out, err = call("status", config)
     assert "(acknowledged: worn)" in out
-    assert "inspections that confirmed an alarm: 1 of 1 (100 %)" in out
+    assert "inspections that confirmed an alarm: 1 of 1 (100 %)" in err
     assert fleet_status(output, ["M1"]).findings_confirmed == 1
     (first, second) = read_decisions(output)
     assert (first.kind, second.kind, second.finding) == ("acknowledged", "finding", "confirmed")
@@ -479,7 +485,7 @@ def test_parts_of_an_opened_motor_are_recorded_and_scored(
     assert found.worn_parts == ("piston_ring",)
     assert found.sound_parts == ("balance_sleeve", "balance_piston")
     line = "parts named by alarms, after inspections: 0 right, 0 wrong, 1 cannot be told, 0 missed"
-    assert line in call("status", config)[1]
+    assert line in call("status", config)[2]
     fleet = json.loads(call("status", config, "--json")[1].splitlines()[-1])
     assert fleet["parts"]["CB560"]["cannot_be_told"] == 1
 

@@ -92,7 +92,7 @@ def test_check_of_any_log(
     workshop.take(motor.replace('unit = "l/min"', COUNTED) if counted else motor)
     log = write(workshop, odd, rows, times)
     text = said(call("check", workshop.fleet))
-    assert all(f"  {name}: " in text for name in CANONICAL)
+    assert all(f"\n{name}\t" in text for name in CANONICAL)
     assert "[channels.speed]" in said(call("check", "--suggest", log))
 
 
@@ -103,9 +103,13 @@ def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind:
     assert "M1: insufficient_data" in said(call("fit-fleet", workshop.fleet))
     assert "insufficient_data" in said(call("fit", workshop.fleet, "M1", LABEL))
     assert "insufficient_data" in said(call("explain", workshop.fleet, "M1", LABEL))
-    assert said(call("status", workshop.fleet)).startswith("M1; insufficient; unknown; none yet")
+    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
+    assert (shown[0], shown[1], *shown[3:6]) == (
+        *("M1", "insufficient"),
+        *("unknown", "unknown", "none yet"),
+    )
     found = said(call("check", workshop.fleet))
-    assert ("no value is kept" in found) == (kind != "one sample")
+    assert ("none is kept" in found) == (kind != "one sample")
     assert "e+" not in found
 
 
@@ -115,4 +119,8 @@ def test_every_command_over_a_log_without_a_row(tmp_path: Path, call: Call) -> N
     assert "log_empty" in said(call("check", workshop.fleet))
     assert "[channels.speed]" in said(call("check", "--suggest", log))
     assert "log_empty" in said(call("fit-fleet", workshop.fleet))
-    assert said(call("status", workshop.fleet)).startswith("M1; insufficient; unknown; none yet")
+    shown = said(call("status", workshop.fleet)).splitlines()[1].split("\t")
+    assert (shown[0], shown[1], *shown[3:6]) == (
+        *("M1", "insufficient"),
+        *("unknown", "unknown", "none yet"),
+    )

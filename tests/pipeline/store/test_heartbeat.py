@@ -163,7 +163,7 @@ def test_what_status_says_of_a_run(
     beat = Beat(state, "trends", at, at, 12, "host", 3, 2, error_code=code)
     found = FleetStatus((), None, 0, 0, beat)
     print_status("Tests", found, too_old=False, as_json=False)
-    first, *more = capsys.readouterr().out.splitlines()
+    first, *more = capsys.readouterr().err.splitlines()
     assert first == "last good run: never"
     assert [words in line for line in more] == [True] if words else more == []
     print_status("Tests", found, too_old=False, as_json=True)
