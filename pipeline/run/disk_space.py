@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shutil
+from collections import Counter
 from pathlib import Path
 
 from pipeline.errors import StoreError
 from pipeline.schema import FITS
-from pipeline.store.tables import night_paths, parts_of
+from pipeline.store.tables import night_paths
 
 MIB = 1024**2
 # Staged rows are not compressed, and each table file is written beside the one that it replaces.
@@ -40,13 +41,14 @@ def require_space(output: Path, minimum_free_mib: float) -> None:
 
 def bytes_a_night(output: Path) -> int:
     """Bytes that a night of the fleet takes while it is made, from the newest nights' tables."""
-    newest = list(reversed(night_paths(output, FITS).values()))[:NIGHTS_LOOKED_AT]
+    files = list(night_paths(output, FITS).values())
+    nights_in = Counter(files)
     sizes = [
         sum(
             one.stat().st_size
             for one in (output / "tables").glob(f"*/{path.parent.name}/{path.name}")
         )
-        // len(parts_of(path))
-        for path in dict.fromkeys(newest)
+        // nights_in[path]
+        for path in dict.fromkeys(files[-NIGHTS_LOOKED_AT:])
     ]
     return STAGING_FACTOR * max(sizes, default=0)

@@ -10,6 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import polars as pl
+
 from pipeline.clock import latest_us
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import settings_of
@@ -30,6 +32,7 @@ from pipeline.schema import (
 )
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
+from pipeline.store.tables import published_rows, whole_file
 from pipeline.trends.decisions import read_decisions
 from pipeline.trends.motor_states import latest_rows, latest_states
 from pipeline.trends.record import forget_records, note_touched, write_record
@@ -129,8 +132,19 @@ def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
     except StoreError as error:
         log.warning("%s; the table `latest` stays as it was", error)
         return
-    rows = latest_rows(states, publisher.run_id)
-    publisher.whole(LATEST, frame(LATEST, rows).sort(LATEST.key))
+    rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
+    if not rows.drop("run_id").equals(_published_latest(publisher.output).drop("run_id")):
+        publisher.whole(LATEST, rows)
+
+
+def _published_latest(output: Path) -> pl.DataFrame:
+    """The table `latest` of the run before; empty where there is none that is whole."""
+    try:
+        return published_rows(output, whole_file(output, LATEST), LATEST)
+    except StoreError as error:
+        if error.code != "store_read":
+            raise
+        return frame(LATEST, [])
 
 
 def fleets_tonight(fleet: Fleet, clock: dt.datetime) -> Tonight | None:

@@ -17,6 +17,7 @@ from pipeline.store import atomic_files as landing
 # The calls of `pipeline.store.atomic_files`, and how each of them fails on a disk.
 CALLS = {
     "open": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
+    "chmod": (errno.EIO,),
     "fchmod": (errno.EIO,),
     "write": (errno.EIO, errno.ENOSPC, errno.EDQUOT),
     "pwrite": (errno.EIO, errno.ENOSPC, errno.EDQUOT),

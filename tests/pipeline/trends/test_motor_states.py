@@ -31,7 +31,8 @@ def publish(output: Path, states: list[MotorState]) -> None:
 
 def test_the_table_has_a_column_for_each_part_of_a_state() -> None:
     names = {one.name for one in fields(MotorState)}
-    assert set(LATEST.schema) == {*names, "sentence", "run_id"}
+    # Looks go on between the runs.
+    assert set(LATEST.schema) == {*names - {"look"}, "sentence", "run_id"}
 
 
 def test_a_state_comes_back_as_it_was_published(output: Path) -> None:
