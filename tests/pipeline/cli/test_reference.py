@@ -185,7 +185,7 @@ def test_readme_duckdb_query_works() -> None:
     with duckdb.connect() as connection:
         connection.execute("SET file_search_path = 'out'")
         connection.execute(Path("out/views.sql").read_text("utf-8"))
-        rows = pl.from_arrow(connection.execute(query).to_arrow_table())
+        rows = pl.from_arrow(connection.sql(query).to_arrow_table())
     assert isinstance(rows, pl.DataFrame)
     motors = {f"CB{n}-0{i}" for n in (400, 560, 1120) for i in (1, 2)}
     assert set(rows["motor_id"]) == motors
