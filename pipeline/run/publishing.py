@@ -23,6 +23,7 @@ from pipeline.schema import (
     ALARMS,
     DATA_DICTIONARY,
     DECISIONS,
+    FITS,
     LATEST,
     NIGHT_TABLES,
     TREND_TABLES,
@@ -32,8 +33,8 @@ from pipeline.schema import (
 )
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
-from pipeline.store.tables import published_rows, whole_file
-from pipeline.trends.decisions import read_decisions
+from pipeline.store.tables import month_stamps, published_rows, whole_file
+from pipeline.trends.decisions import journal_file, read_decisions
 from pipeline.trends.motor_states import latest_rows, latest_states
 from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
@@ -127,14 +128,28 @@ def publish_trends(
 
 def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
     """Publish the state of each motor; where a table is damaged, that of the run before stays."""
+    output, motor_ids = publisher.output, sorted(spec.motor_id for spec in fleet.motors)
+    published = _published_latest(output)
+    if published["motor_id"].to_list() == motor_ids and _nothing_since(whole_file(output, LATEST)):
+        return
     try:
-        states = latest_states(publisher.output, [spec.motor_id for spec in fleet.motors])
+        states = latest_states(output, motor_ids)
     except StoreError as error:
         log.warning("%s; the table `latest` stays as it was", error)
         return
     rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
-    if not rows.drop("run_id").equals(_published_latest(publisher.output).drop("run_id")):
+    if not rows.drop("run_id").equals(published.drop("run_id")):
         publisher.whole(LATEST, rows)
+
+
+def _nothing_since(path: Path) -> bool:
+    """True if neither fits nor trends nor decisions were published after a file of theirs."""
+    output = path.parents[2]
+    stamps = [*month_stamps(output, FITS).values(), *month_stamps(output, TRENDS).values()]
+    journal = journal_file(output)
+    if journal.exists():
+        stamps.append(journal.stat().st_mtime_ns)
+    return max(stamps, default=0) < path.stat().st_mtime_ns
 
 
 def _published_latest(output: Path) -> pl.DataFrame:

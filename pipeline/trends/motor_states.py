@@ -35,7 +35,10 @@ FITS_OF_A_NIGHT = {
     "previous_model_fit_percent": "the model before, on tonight",
 }
 LIMITS = ("days_to_limit", "days_to_limit_lower", "days_to_limit_upper", "days_to_limit_status")
-# Columns of `fits` that a state is made from.
+# Columns that a state is made from.
+FIGURES = ("motor_id", "night", "indicator", "value", "lower", "upper", "deviation_percent")
+STATES = ("n_slope", "state", "state_reason", "change_start", "path", "sensor_health")
+TREND_COLUMNS = (*FIGURES, *STATES, "model_verdict", *LIMITS)
 FIT_KEYS = ("motor_id", "night", "status", "reason", "is_primary", "reference_verdict")
 FIT_COLUMNS = (*FIT_KEYS, *TONIGHTS_FITS)
 # States that ask for something.
@@ -238,11 +241,12 @@ def latest_states(output: Path, motor_ids: Sequence[str]) -> list[MotorState]:
     StoreError
         If a table is damaged.
     """
-    trends = read_rows(output, TRENDS, motor_ids).partition_by("motor_id", as_dict=True)
+    rows = read_rows(output, TRENDS, motor_ids, TREND_COLUMNS)
+    trends = rows.partition_by("motor_id", as_dict=True)
     fits = read_rows(output, FITS, motor_ids, FIT_COLUMNS)
     own_fits = fits.partition_by("motor_id", as_dict=True)
     decisions = read_decisions(output)
-    none = pl.DataFrame(schema=dict(TRENDS.schema)), fits.clear()
+    none = rows.clear(), fits.clear()
     states = [
         motor_state(
             motor_id,

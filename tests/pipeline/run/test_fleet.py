@@ -70,11 +70,12 @@ def nights_of(result: RunResult) -> dict[str, list[dt.date]]:
 
 
 def table_files(output: Path) -> dict[str, bytes]:
-    """Every table file's bytes by its path, but for the tables of the run itself."""
+    """Every table file's bytes by its path, but for tables of the run itself, or that name it."""
     return {
         path.relative_to(output / "tables").as_posix(): path.read_bytes()
         for path in sorted((output / "tables").rglob("*"))
-        if path.is_file() and path.relative_to(output / "tables").parts[0] not in OF_RUNS
+        if path.is_file()
+        and path.relative_to(output / "tables").parts[0] not in {*OF_RUNS, "latest"}
     }
 
 

@@ -164,6 +164,7 @@ def test_a_run_of_a_joined_month_is_taken_up(output: Path) -> None:
     assert list(verify_tables(output)) == []
 
 
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 @pytest.mark.parametrize("every", [29, pytest.param(1, marks=pytest.mark.full)])
 @pytest.mark.parametrize("step", [join, part])
 def test_killed_at_each_point(output: Path, tmp_path: Path, step: Step, every: int) -> None:
