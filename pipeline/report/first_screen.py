@@ -143,7 +143,7 @@ def _percent(indicator: str, figures: Array, motor: MotorHistory) -> Array:
 def _stack(
     motor: MotorHistory, total: Course, parts: Iterable[str], places: Mapping[str, int]
 ) -> tuple[Line, ...]:
-    """Leakage by path in nights that tell all free paths, and the rest, which is not fitted."""
+    """Leakage by path in nights that tell all free paths, and what is left."""
     found = {path: motor.course(PATH + path).value for path in parts}
     known = {path: flow for path, flow in found.items() if np.isfinite(flow).any()}
     if not known:
@@ -160,5 +160,5 @@ def _stack(
     if others:
         place = places[others[0]] if len(others) == 1 else None
         flow = Course.without_interval(np.maximum(rest, 0.0))
-        lines.append(Line(f"{', '.join(map(plain, others))} (not fitted)", place, flow))
+        lines.append(Line(f"{', '.join(map(plain, others))} (the rest)", place, flow))
     return tuple(sorted(lines, key=lambda line: (line.place is None, line.place)))
