@@ -33,6 +33,7 @@ from leakage.errors import (
 )
 from leakage.estimation import Fit, fit
 from leakage.film import film_thickness_ratio, gap_plausibility, lubrication_regimes
+from leakage.frame_fit import FrameFit, fit_frame
 from leakage.identifiability import (
     Excitation,
     Identification,
@@ -97,6 +98,7 @@ __all__ = [
     "Excitation",
     "FilmPressure",
     "Fit",
+    "FrameFit",
     "HaltZero",
     "Identification",
     "Interval",
@@ -158,6 +160,7 @@ __all__ = [
     "fit",
     "fit_baseline",
     "fit_deformation_pressure",
+    "fit_frame",
     "fit_slope",
     "fit_speed_curve",
     "flow_summary",

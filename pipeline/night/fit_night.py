@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor
+from leakage.sample_blocks import TRAINING
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
@@ -38,7 +39,7 @@ from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
 from pipeline.night.viscosity import SensorRatio, sensor_ratio
-from pipeline.night.windows import TRAINING, left_out, too_uniform
+from pipeline.night.windows import left_out, too_uniform
 from pipeline.units import RUNNING_HOURS
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"

@@ -11,6 +11,14 @@ from numpy.typing import NDArray
 from leakage import Motor, OperatingConditions, Parametrisation, regressors
 from leakage.block_statistics import factors, merge
 from leakage.robust import huber_weights, weight_inflation
+from leakage.sample_blocks import (
+    TRAINING,
+    Block,
+    means_inside,
+    merge_neighbours,
+    owners,
+    split_into_blocks,
+)
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
@@ -18,7 +26,6 @@ from pipeline.config.periods import ChosenPeriods
 from pipeline.night.smoothing import smooth
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import driven
-from pipeline.night.windows import TRAINING, Block, merge_neighbours, split_into_blocks
 
 Array = NDArray[np.float64]
 
@@ -158,11 +165,8 @@ def _short_means(
     """Place, samples and means of the short blocks within each stored one."""
     if len(short) == len(stored):
         return (None,) * len(stored)
-    first = np.array([block.first_row for block in short])
-    ones = z[:, -3]
-    n = np.add.reduceat(ones * ones, first)
-    means = np.add.reduceat(z * ones[:, None], first) / n[:, None]
-    owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
+    n, means = means_inside(z, short)
+    owner = owners(short, stored)
     start_us = np.array([block.start_us for block in short])
     length_us = short[0].end_us - short[0].start_us
     place = (start_us - np.array([block.start_us for block in stored])[owner]) // length_us
