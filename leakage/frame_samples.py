@@ -166,7 +166,7 @@ def read_samples(
     StatisticsError
         If times fall or repeat (``time_order``), or no row is complete (``no_samples``).
     """
-    table = _Table(frame, columns or {})
+    table = FrameTable(frame, columns or {})
     time_us, on_clock = table.times()
     values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}
     if table.has(CHARGE):
@@ -201,7 +201,7 @@ def read_samples(
     return made if kept.all() else made.only(kept)
 
 
-class _Table:
+class FrameTable:
     """Columns of a frame, or arrays by name."""
 
     def __init__(self, frame: Any, names: Mapping[str, str]) -> None:

@@ -23,6 +23,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
+from pipeline.config.settings import Model
 from pipeline.night.smoothing import smooth
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import driven
@@ -181,7 +182,9 @@ def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditio
         np.abs(samples.pressure_difference_bar),
         samples.oil_temperature_c,
         np.abs(samples.speed_rpm),
-        _charge_over_case_bar(spec, samples) if spec.settings.model.two_sided else None,
+        charge_over_case_bar(spec.settings.model, samples)
+        if spec.settings.model.two_sided
+        else None,
     )
 
 
@@ -189,12 +192,12 @@ def mean_charge_bar(spec: MotorSpec, samples: Samples) -> float | None:
     """Mean charge above case pressure; None in a model of one side."""
     if not spec.settings.model.two_sided:
         return None
-    return float(np.mean(_charge_over_case_bar(spec, samples)))
+    return float(np.mean(charge_over_case_bar(spec.settings.model, samples)))
 
 
-def _charge_over_case_bar(spec: MotorSpec, samples: Samples) -> Array:
+def charge_over_case_bar(model: Model, samples: Samples) -> Array:
     """Charge above case pressure: from channels where logged, else as configured."""
-    logged, model = samples.low_pressures_bar, spec.settings.model
+    logged = samples.low_pressures_bar
     constant = np.full(len(samples.index), model.charge_pressure_bar)
     if (low_port := logged.get("low_port_pressure")) is not None:
         # Under back-drive the ports change sides.

@@ -146,7 +146,7 @@ class StoredBlocks:
         table = np.concatenate(parts)
         return ShortBlocks(
             table[:, 1],
-            np.insert(table[:, 2:], size - 3, 1.0, axis=1),
+            np.insert(table[:, 2:], -2, 1.0, axis=1),
             table[:, 0].astype(np.int64),
             np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
         )
