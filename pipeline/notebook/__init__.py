@@ -4,7 +4,16 @@ Imports `leakage`, `logs`, `store`, `night`, `ingest`'s contract, `config` and `
 """
 
 from pipeline.notebook.course import plot_course
+from pipeline.notebook.periods import fit_periods
 from pipeline.notebook.preparing import Prepared, prepare, prepare_log
 from pipeline.notebook.results import Tables, open_tables
 
-__all__ = ["Prepared", "Tables", "open_tables", "plot_course", "prepare", "prepare_log"]
+__all__ = [
+    "Prepared",
+    "Tables",
+    "fit_periods",
+    "open_tables",
+    "plot_course",
+    "prepare",
+    "prepare_log",
+]

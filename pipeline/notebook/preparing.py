@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ from leakage.frame_samples import CHARGE, FLOW, FrameTable
 from leakage.motor import Motor
 from leakage.sensitivities import Tolerances
 from pipeline.clock import latest_us
-from pipeline.config import MotorFile, MotorSpec, Settings, load_fleet
-from pipeline.config.nights import night, nights_of
+from pipeline.config import Fleet, MotorFile, MotorSpec, Settings, load_fleet
+from pipeline.config.nights import night, nights_between, nights_of
 from pipeline.errors import UsageError
 from pipeline.ingest import RawChannel
 from pipeline.logs.files import reaches_us, slice_night
@@ -133,14 +133,14 @@ def prepare(
 
 
 def prepare_log(
-    config: Path | str, motor_id: str, since: dt.date, until: dt.date | None = None
+    config: Fleet | Path | str, motor_id: str, since: dt.date, until: dt.date | None = None
 ) -> Prepared:
     """Read the logs of a motor of a fleet, and clean them as the nightly run does.
 
     Parameters
     ----------
     config
-        The fleet file.
+        The fleet, or its file.
     motor_id
         The motor.
     since, until
@@ -158,20 +158,35 @@ def prepare_log(
     UsageError
         ``unknown_motor``; ``unknown_night``: no log covers a night; ``oil_changed`` between them.
     """
-    until = until or since
-    fleet = load_fleet(Path(config))
+    spec = motor_of(config, motor_id)
+    return prepare_nights(spec, nights_between(since, until or since))
+
+
+def motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
+    """A motor of a fleet.
+
+    Raises
+    ------
+    UsageError
+        ``unknown_motor``.
+    """
+    fleet = config if isinstance(config, Fleet) else load_fleet(Path(config))
     found = {spec.motor_id: spec for spec in fleet.motors}
     if motor_id not in found:
         raise UsageError("unknown_motor", f"no motor {motor_id}; there are {', '.join(found)}")
-    spec = found[motor_id]
+    return found[motor_id]
+
+
+def prepare_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
+    """Samples of some nights of a motor from its logs, in order of time."""
     logs = LogShelf(spec, {}, latest_us(), {})
-    labels = sorted(label for label in logs.present() if since <= label <= until)
+    labels = sorted(logs.present() & set(nights))
     if not labels:
-        raise UsageError("unknown_night", f"no log of {motor_id} covers {since} to {until}")
-    if len({spec.file.filled_on(label) for label in labels}) > 1:
+        told = f"{min(nights)} to {max(nights)}"
+        raise UsageError("unknown_night", f"no log of {spec.motor_id} covers {told}")
+    if len({spec.file.oil_on(label) for label in labels}) > 1:
         raise UsageError(
-            "oil_changed",
-            f"{motor_id} had its oil changed from {since} to {until}: choose less",
+            "oil_changed", f"{spec.motor_id} has another oil in some of these nights: choose less"
         )
     prepared = _joined([_of_logs(spec, logs, label) for label in labels])
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
