@@ -18,26 +18,23 @@ GAP_CHANGE = "gap_change_"
 
 
 def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
-    """Change of each gap of a motor over the nights, with 95 % intervals and the lowest limits.
+    """Change of each gap of a motor over the nights, with 95 % intervals.
 
     Raises
     ------
     UsageError
-        ``unknown_motor``: the trends have no gap of it.
+        ``unknown_motor``: the trends have no row of it.
     """
-    rows = (
-        tables.table("trends")
-        .filter(
-            pl.col("motor_id") == motor_id,
-            pl.col("indicator").str.starts_with(GAP_CHANGE),
-            pl.col("value").is_not_null(),
-        )
-        .sort("night")
-        .collect()
-    )
-    if not rows.height:
-        raise UsageError("unknown_motor", f"no trend of a gap of {motor_id}; run fit-fleet")
+    trends = tables.table("trends").filter(motor_id=motor_id).sort("night").collect()
+    if not trends.height:
+        raise UsageError("unknown_motor", f"no trend of {motor_id} in the tables; run fit-fleet")
+    rows = trends.filter(pl.col("indicator").str.starts_with(GAP_CHANGE)).drop_nulls("value")
     axes = ax or plt.subplots(figsize=(9, 4))[1]
+    axes.set(xlabel="night", ylabel="change of gap [%]", title=motor_id)
+    if not rows.height:
+        note = "no change of a gap is known yet: there is no baseline"
+        axes.text(0.5, 0.5, note, ha="center", transform=axes.transAxes)
+        return axes
     names = pl.col("indicator").str.strip_prefix(GAP_CHANGE)
     courses = rows.with_columns(path=names).partition_by("path", as_dict=True, maintain_order=True)
     places = path_places(str(name) for (name,) in courses)
@@ -49,11 +46,5 @@ def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
         axes.fill_between(
             known["night"], known["lower"], known["upper"], color=colour, alpha=0.15, lw=0
         )
-    for column, style in (("warning_limit", ":"), ("alarm_limit", "--")):
-        limit = rows[column].min()
-        if isinstance(limit, float):
-            axes.axhline(limit, color="0.4", ls=style, lw=1, label=column.replace("_", " "))
-    unit = rows["unit"][0]
-    axes.set(xlabel="night", ylabel=f"change of gap [{unit}]", title=motor_id)
     axes.legend(fontsize="small")
     return axes

@@ -73,7 +73,7 @@ def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
         (tables.latest, "no table latest"),
         (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
         (lambda: open_tables("s3://bucket/fleet"), "say copy="),
-        (lambda: plot_course(tables, "M2"), "no trend of a gap of M2"),
+        (lambda: plot_course(tables, "M2"), "no trend of M2"),
     ):
         with pytest.raises(UsageError, match=words):
             ask()
