@@ -12,19 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import (
-    EstimationError,
-    Fit,
-    Motor,
-    OperatingConditions,
-    Parametrisation,
-    SearchSettings,
-    fit,
-    regressors,
-)
+from leakage import EstimationError, Motor, OperatingConditions, regressors
 from leakage.block_fit import fit_blocks
 from leakage.block_statistics import merge, with_free_known
 from leakage.certificate import Certificate
+from leakage.estimation import Fit, fit
 from leakage.identifiability import (
     Excitation,
     Identification,
@@ -43,6 +35,7 @@ from leakage.model_verdict import (
     model_errors,
     structured_misfit,
 )
+from leakage.multi_start import Parametrisation, SearchSettings
 from leakage.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec

@@ -9,9 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
+from leakage import Motor
+from leakage.estimation import Fit
 from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.model_verdict import LowSide, model_verdict, verdict_in_words
+from leakage.motor import speed_beyond_curve
+from leakage.multi_start import Parametrisation
 from leakage.sample_blocks import TRAINING, VALIDATION
 from leakage.validation import (
     Agreement,

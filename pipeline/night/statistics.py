@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Motor, OperatingConditions, Parametrisation, regressors
+from leakage import Motor, OperatingConditions, regressors
 from leakage.block_statistics import factors, merge
+from leakage.multi_start import Parametrisation
 from leakage.robust import huber_weights, weight_inflation
 from leakage.sample_blocks import (
     TRAINING,
