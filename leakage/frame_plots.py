@@ -32,7 +32,7 @@ REACH = 2.0
 
 def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
     """Measured and predicted flow over time, with the parts."""
-    axes = ax or plt.subplots(figsize=(9, 3.5))[1]
+    axes = ax or plt.subplots(figsize=(9, 3.5), layout="constrained")[1]
     samples = found.samples
     assert samples.flow_l_per_min is not None
     step = -(-len(samples.time_us) // MOST_POINTS)
@@ -82,7 +82,7 @@ def plot_leakage(
     found: FrameFit, temperature_c: float | None, speed_rpm: float | None, ax: Axes | None = None
 ) -> Axes:
     """Leakage by path over pressure, with the 95 % band of the sum."""
-    axes = ax or plt.subplots(figsize=(7, 4))[1]
+    axes = ax or plt.subplots(figsize=(7, 4), layout="constrained")[1]
     samples, charge = found.samples, found.samples.charge_over_case_bar
     celsius = float(samples.oil_temperature_c.mean()) if temperature_c is None else temperature_c
     rpm = float(samples.speed_rpm.mean()) if speed_rpm is None else speed_rpm

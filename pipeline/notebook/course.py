@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import polars as pl
+from matplotlib.dates import ConciseDateFormatter
 
 from pipeline.errors import UsageError
 from pipeline.notebook.results import Tables
@@ -29,7 +30,7 @@ def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
     if not trends.height:
         raise UsageError("unknown_motor", f"no trend of {motor_id} in the tables; run fit-fleet")
     rows = trends.filter(pl.col("indicator").str.starts_with(GAP_CHANGE)).drop_nulls("value")
-    axes = ax or plt.subplots(figsize=(9, 4))[1]
+    axes = ax or plt.subplots(figsize=(9, 4), layout="constrained")[1]
     axes.set(xlabel="night", ylabel="change of gap [%]", title=motor_id)
     if not rows.height:
         note = "no change of a gap is known yet: there is no baseline"
@@ -46,5 +47,6 @@ def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
         axes.fill_between(
             known["night"], known["lower"], known["upper"], color=colour, alpha=0.15, lw=0
         )
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(axes.xaxis.get_major_locator()))
     axes.legend(fontsize="small")
     return axes
