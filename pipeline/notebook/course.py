@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import matplotlib.pyplot as plt
 import polars as pl
-from matplotlib.dates import ConciseDateFormatter
 
 from pipeline.errors import UsageError
 from pipeline.notebook.results import Tables
@@ -47,6 +46,6 @@ def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
         axes.fill_between(
             known["night"], known["lower"], known["upper"], color=colour, alpha=0.15, lw=0
         )
-    axes.xaxis.set_major_formatter(ConciseDateFormatter(axes.xaxis.get_major_locator()))
+    axes.tick_params(axis="x", rotation=30)
     axes.legend(fontsize="small")
     return axes
