@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.frame_fit import fit_frame
-from pipeline.config import MotorSpec
+from leakage.sample_blocks import DefaultWindows
+from pipeline.config import MotorSpec, Windows
 from pipeline.errors import UsageError
 from pipeline.night.fit_night import OK, fit_night
 from pipeline.night.rows import Row
@@ -132,3 +134,8 @@ def test_disorder_is_cleaned_and_an_empty_channel_is_told(spec: MotorSpec) -> No
     assert missing["n_refused"].to_list() == [frame.height]
     with pytest.raises(UsageError, match="no rows"):
         prepare(frame[:0])
+
+
+def test_the_windows_of_a_frame_are_those_of_a_fleet_that_states_none() -> None:
+    stated = Windows().model_dump()
+    assert asdict(DefaultWindows()) == {name: stated[name] for name in asdict(DefaultWindows())}
