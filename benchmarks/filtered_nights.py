@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from benchmarks.results_file import Part, write_parts
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
-from leakage import OperatingConditions, factors, regressors
+from leakage import OperatingConditions, regressors
 from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
+from leakage.block_statistics import factors
 from leakage.monitoring import Monitoring, MonitorSettings, monitor
 from leakage.night_filter import first_state, follow, night_information
 from pipeline.demo.noise import autoregression, night_wander

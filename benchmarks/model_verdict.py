@@ -20,16 +20,9 @@ from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
-from leakage import (
-    Motor,
-    OperatingConditions,
-    Parametrisation,
-    SpeedCurve,
-    factors,
-    regressors,
-)
+from leakage import Motor, OperatingConditions, SpeedCurve, regressors
 from leakage.annular_gap import AnnularGap
-from leakage.block_statistics import merge, with_free_known
+from leakage.block_statistics import factors, merge, with_free_known
 from leakage.certificate import certify
 from leakage.model_verdict import (
     COEFFICIENT_FACTOR,
@@ -40,6 +33,7 @@ from leakage.model_verdict import (
     model_verdict,
     structured_misfit,
 )
+from leakage.multi_start import Parametrisation
 from leakage.oil import FilmPressure, Oil
 from leakage.sensitivities import ChannelTolerance, Tolerances, error_budget
 from leakage.slow_errors import WIDENING, short_blocks, slow_errors, whitened

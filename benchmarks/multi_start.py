@@ -23,10 +23,11 @@ from benchmarks.simulated_nights import (
     motor,
     true_coefficients,
 )
-from leakage import Fit, Parametrisation, SearchSettings, fit, regressors
+from leakage import regressors
 from leakage.block_statistics import factors, merge
+from leakage.estimation import Fit, fit
 from leakage.identifiability import Excitation, identify
-from leakage.multi_start import starting_points
+from leakage.multi_start import Parametrisation, SearchSettings, starting_points
 from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]

@@ -22,17 +22,11 @@ from benchmarks.simulated_nights import (
     motor,
     true_coefficients,
 )
-from leakage import (
-    AnnularGap,
-    Motor,
-    OperatingConditions,
-    Parametrisation,
-    SearchSettings,
-    fit,
-    regressors,
-)
+from leakage import AnnularGap, Motor, OperatingConditions, regressors
 from leakage.block_statistics import merge
+from leakage.estimation import fit
 from leakage.identifiability import Excitation, identify, judge_leakage
+from leakage.multi_start import Parametrisation, SearchSettings
 from leakage.paths import LeakagePath
 from leakage.slow_errors import short_blocks, slow_errors, whitened
 from pipeline.demo import noise

@@ -28,16 +28,11 @@ from benchmarks.simulated_nights import (
     motor,
     true_coefficients,
 )
-from leakage import (
-    AnnularGap,
-    Motor,
-    ResidualAnalysis,
-    SearchSettings,
-    analyse_residuals,
-    fit,
-    regressors,
-)
+from leakage import AnnularGap, Motor, regressors
 from leakage.block_statistics import merge
+from leakage.estimation import fit
+from leakage.multi_start import SearchSettings
+from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
 from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]

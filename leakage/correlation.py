@@ -10,6 +10,11 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 Array = NDArray[np.float64]
 
+# Longest memory of the errors that is looked for in the samples.
+LONGEST_MEMORY_S = 600.0
+# Means over this time show a slow error under a larger fast one.
+MEMORY_CELL_S = 30.0
+
 
 def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
     """Autocorrelation of a series with gaps, each lag over the pairs that exist.
@@ -128,3 +133,28 @@ def slowest_correlation_time(
     if longest < 2:
         return fast
     return max(fast, cell * correlation_time(means, number[whole], longest))
+
+
+def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: float) -> float:
+    """Time over which prediction errors forget [s].
+
+    Parameters
+    ----------
+    error, index
+        Errors in time order and their places on an even time base, shape (n,).
+    period_s
+        Period of the time base [s].
+    rounding
+        Errors of this size are rounding, and what rounding remembers is nothing.
+
+    Returns
+    -------
+    float
+        0 without memory; infinite where it is longer than the samples can tell.
+    """
+    longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
+    if longest <= 1 or not float(np.abs(error).max()) > rounding:
+        return 0.0
+    return (
+        slowest_correlation_time(error, index, longest, round(MEMORY_CELL_S / period_s)) * period_s
+    )

@@ -97,7 +97,7 @@ def likely_grade(
     --------
     VG 46 filled for VG 68 makes the flows 43 % larger at 50 °C.
 
-    >>> from leakage import walther_coefficients
+    >>> from leakage.walther import walther_coefficients
     >>> vg68 = Oil("VG 68", *walther_coefficients(40.0, 68.0, 100.0, 8.7), 882.0, 7e-4, 2e-8)
     >>> likely_grade(vg68, 50.0, (math.log(42.867 / 29.973), 0.02), (-0.0046, 0.0003))
     46

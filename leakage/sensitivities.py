@@ -26,6 +26,8 @@ from leakage.paths import LeakagePath
 Array = NDArray[np.float64]
 
 PASCALS_PER_BAR = 1e5
+# Beginnings of the names of sources that are sensors.
+SENSORS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow", "charge")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +135,12 @@ class ErrorBudget:
     """Effects of all sources, and their sum by squares."""
 
     effects: tuple[Effect, ...]
+
+    def of_sensors(self) -> ErrorBudget:
+        """The effects of sensors alone."""
+        return ErrorBudget(
+            tuple(one for one in self.effects if one.source.name.startswith(SENSORS))
+        )
 
     def coefficients(self) -> Array | None:
         """Systematic ± of θ, shape (p + 1,); None where nothing is stated."""

@@ -129,12 +129,31 @@ def _run(request: RunRequest, as_json: bool, *, fail_on_alarm: bool = False) -> 
 def fit(
     config: ConfigFile,
     motor: Annotated[str, typer.Argument(help="The motor's id.")],
-    night: Annotated[str, typer.Argument(help="The night's label, YYYY-MM-DD.")],
+    night: Annotated[
+        str | None, typer.Argument(help="The night's label, YYYY-MM-DD; without --train.")
+    ] = None,
+    train: Annotated[
+        str | None, typer.Option(help="Period to fit to, A..B: nights, or times.")
+    ] = None,
+    validate: Annotated[
+        str | None, typer.Option(help="Period to judge the fit on, C..D; with --train.")
+    ] = None,
 ) -> None:
     """Fit one motor's night from its logs and say what came of it; nothing is published.
 
+    With --train the motor is fitted to a period of its logs, and judged on another with --validate,
+    across nights.
+
     Example: motor-leakage fit configs/fleet.toml CB560-01 2026-01-03
+
+    Example: motor-leakage fit configs/fleet.toml CB560-01 --train 2026-01-02..2026-01-04
+    --validate 2026-01-06..2026-01-07
     """
+    if train is not None and night is None:
+        _fit_periods(config, motor, train, validate)
+        return
+    if train or validate or night is None:
+        raise UsageError("period", "expected a NIGHT, or --train and perhaps --validate")
     from tempfile import TemporaryDirectory
 
     from pipeline.report.explain import explain as explained
@@ -155,6 +174,21 @@ def fit(
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> None:
+    """Fit a motor to a period, and say what came of it."""
+    from leakage.errors import LeakageError
+    from pipeline.notebook.periods import fit_periods
+
+    try:
+        found, prepared = fit_periods(load(config, None, None), motor, train, validate)
+    except LeakageError as error:
+        say(f"{motor}: {error.code}: {error}", err=True)
+        raise typer.Exit(EXIT_MOTORS_FAILED) from None
+    for row in prepared.refused.filter(reason="unusable").iter_rows(named=True):
+        typer.echo(f"night of {row['night']}: {row['channel']}: {row['meaning']}")
+    typer.echo(str(found.summary()))
 
 
 def _refuse_night(fleet: Fleet, outcome: MotorOutcome, label: dt.date) -> NoReturn:

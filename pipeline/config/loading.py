@@ -14,15 +14,9 @@ from typing import Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from leakage import (
-    FilmPressure,
-    LeakageError,
-    Motor,
-    OperatingConditions,
-    kinematic_viscosity_mm2_per_s,
-    leakage_l_per_min,
-)
+from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
 from leakage.model_verdict import LowSide
+from leakage.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.faults import ConfigError, Fault, Place, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults

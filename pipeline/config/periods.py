@@ -4,21 +4,17 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterable
-from dataclasses import dataclass
 
+from leakage import sample_blocks
+from leakage.sample_blocks import Stretch
 from pipeline.config.motors import Periods
 from pipeline.config.nights import Night
 
-Stretch = tuple[int, int]
-"""Begin and end, UTC microseconds, half open."""
 
-
-@dataclass(frozen=True, slots=True)
-class ChosenPeriods:
+class ChosenPeriods(sample_blocks.ChosenPeriods):
     """Chosen periods of a night, in order of time."""
 
-    training: tuple[Stretch, ...] = ()
-    validation: tuple[Stretch, ...] = ()
+    __slots__ = ()
 
     @classmethod
     def of(cls, periods: Periods, night: Night) -> ChosenPeriods:
@@ -35,12 +31,6 @@ class ChosenPeriods:
             )
 
         return cls(touching(periods.training), touching(periods.validation))
-
-    def __bool__(self) -> bool:
-        return bool(self.training or self.validation)
-
-
-NONE_CHOSEN = ChosenPeriods()
 
 
 def _microseconds(time: dt.datetime) -> int:

@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, regressors
+from leakage.sample_blocks import NONE_CHOSEN, split_into_blocks
 from pipeline.arrays import SECOND_US, Mask, Times
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night
-from pipeline.config.periods import NONE_CHOSEN
 from pipeline.ingest import RawChannel
-from pipeline.night.fit_night import Insufficient, clean
+from pipeline.night.fit_night import Insufficient, clean_channels
 from pipeline.night.statistics import operating_conditions
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality
-from pipeline.night.windows import left_out, split_into_blocks
+from pipeline.night.windows import left_out
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def blocks_within(
         Why there is none; else empty.
     """
     try:
-        samples, quality = clean(spec, night, channels)
+        samples, quality = clean_channels(spec.file, spec.settings, night, channels)
         thin = left_out(
             samples.time_us,
             samples.period_us,

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from leakage import AnnularGap, film_thickness_ratio
-from leakage.film import REGIME_TABLES, RegimeTable
+from leakage import AnnularGap
+from leakage.film import REGIME_TABLES, RegimeTable, film_thickness_ratio
 from pipeline.config.motor_types import BAR, MICROMETRE
 from pipeline.model_figures.canvas import QUIET, Array, label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.gaps import PRESSURE

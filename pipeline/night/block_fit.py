@@ -12,18 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import (
-    EstimationError,
-    Fit,
-    Motor,
-    OperatingConditions,
-    Parametrisation,
-    SearchSettings,
-    fit,
-    regressors,
-)
+from leakage import EstimationError, Motor, OperatingConditions, regressors
+from leakage.block_fit import fit_blocks
 from leakage.block_statistics import merge, with_free_known
-from leakage.certificate import Certificate, certify
+from leakage.certificate import Certificate
+from leakage.estimation import Fit, fit
 from leakage.identifiability import (
     Excitation,
     Identification,
@@ -39,18 +32,16 @@ from leakage.model_verdict import (
     LEAKAGE_FACTOR,
     Misfit,
     StructuredMisfit,
-    misfit,
     model_errors,
     structured_misfit,
 )
-from leakage.slow_errors import slow_errors, whitened
+from leakage.multi_start import Parametrisation, SearchSettings
 from leakage.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
 from leakage.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
 from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
 from pipeline.night.residuals import PartResiduals
 from pipeline.night.stored_blocks import StoredBlocks
-from pipeline.night.windows import TRAINING
 
 Array = NDArray[np.float64]
 
@@ -181,20 +172,11 @@ def fit_stored_blocks(
         return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))
 
     motor, of_files = spec.motor(night, mode), spec.stated.motor(night, mode)
-    lower, upper = Parametrisation.of(motor).coefficient_bounds()
-    training = certify(blocks.factor_of(TRAINING), lower, upper)
-    short = blocks.short_blocks(spec.settings.windows.block_s)
-    unweighted = merge(blocks.factors)
-    slow = slow_errors(blocks.factors, short, lower == upper, lower, unweighted)
-    factors = whitened(blocks.factors, short, slow)
-    whole = merge(factors) if slow.are_slow else unweighted
-    fitted = fit(whole, motor, settings, generator(mode))
-    excitation = Excitation(
-        blocks.span("pressure_bar"), blocks.span("temperature_c"), blocks.span("speed_rpm")
-    )
-    identification = identify(fitted, factors, excitation, inflation, slow)
+    samples = blocks.sample_blocks(spec.settings.windows.block_s)
+    made = fit_blocks(samples, motor, settings, generator(mode), inflation)
+    fitted, identification, factors = made.fit, made.identification, made.whitened
+    excitation, told = samples.excitation, made.misfit
     at = dict(zip((REFERENCE, OWN), conditions(spec, blocks, charge_bar), strict=True))
-    told = misfit(blocks.factors, short, fitted.coefficients, lower == upper, blocks.block_means())
     own_means = blocks.means()
     judged = misfit_as_stated if spec.roller_is_free else told
     structured = None if judged is None else structured_misfit([judged])
@@ -220,7 +202,7 @@ def fit_stored_blocks(
     return BlockFit(
         name=mode,
         fit=fitted,
-        training=training,
+        training=made.training,
         identification=judge_by_total(fitted, identification, total),
         excitation=excitation,
         duration_s=blocks.duration_s,
@@ -229,7 +211,7 @@ def fit_stored_blocks(
             factors,
             fitted.coefficients,
             ~(fitted.certificate.fixed | fitted.certificate.at_lower | fitted.certificate.at_upper),
-            blocks.block_means()[:, 0] - own_means[1],
+            samples.means[:, 0] - own_means[1],
         ),
         reference_conditions=at[REFERENCE],
         reference=reference,

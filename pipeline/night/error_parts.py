@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-SENSORS = ("pressure_difference", "oil_temperature", "speed", "leakage_flow", "charge")
+from leakage.sensitivities import SENSORS
 
 Row = Mapping[str, Any]
 

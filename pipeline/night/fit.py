@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions, regressors
-from leakage.correlation import slowest_correlation_time
+from leakage.correlation import memory_s
+from leakage.sample_blocks import TRAINING
 from leakage.sensitivities import ErrorBudget, error_budget
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
@@ -20,14 +21,9 @@ from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.tolerances import assumed_sensors, tolerances
 from pipeline.night.transport_delay import estimated_delay_s
-from pipeline.night.windows import TRAINING
 
 Array = NDArray[np.float64]
 
-# Longest memory of the errors that is looked for in the samples.
-LONGEST_MEMORY_S = 600.0
-# Means over this time show a slow error under a larger fast one.
-MEMORY_CELL_S = 30.0
 PA_PER_BAR = 1e5
 
 
@@ -78,15 +74,13 @@ def with_residuals(
 
 def _memory_s(statistics: NightStatistics, coefficients: Array) -> float:
     """Time over which the prediction errors of the training samples forget [s]."""
-    samples, error = statistics.samples, statistics.training_error(coefficients)
-    period_s = samples.period_us / 1e6
-    longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
-    # Without noise the errors are rounding, and what rounding remembers is nothing.
-    noisy = float(np.abs(error).max()) > ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
-    if longest <= 1 or not noisy:
-        return 0.0
-    index, cell = samples.index[statistics.rows_of(TRAINING)], round(MEMORY_CELL_S / period_s)
-    return slowest_correlation_time(error, index, longest, cell) * period_s
+    samples = statistics.samples
+    return memory_s(
+        statistics.training_error(coefficients),
+        samples.index[statistics.rows_of(TRAINING)],
+        samples.period_us / 1e6,
+        ROUNDING * float(np.abs(samples.leakage_l_per_min).max()),
+    )
 
 
 def transport_delays_s(

@@ -16,7 +16,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor
-from pipeline.config import MotorSpec
+from leakage.sample_blocks import TRAINING
+from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
 from pipeline.ingest import RawChannel
@@ -38,7 +39,7 @@ from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
 from pipeline.night.viscosity import SensorRatio, sensor_ratio
-from pipeline.night.windows import TRAINING, left_out, too_uniform
+from pipeline.night.windows import left_out, too_uniform
 from pipeline.units import RUNNING_HOURS
 
 OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
@@ -118,12 +119,12 @@ def fit_night(
     rows: Rows = {}
     try:
         with _timed(seconds, "clean_s"):
-            samples, quality = clean(spec, night, channels)
+            samples, quality = clean_channels(spec.file, spec.settings, night, channels)
             rows["quality"] = quality_rows(spec.motor_id, night.date, quality)
             counter = channels.get(RUNNING_HOURS)
             rows["operation"] = [operation_row(spec, night, samples, counter)]
             _require_enough(samples, quality, spec)
-            samples, outside = _choose_parts(spec, night, samples)
+            samples, outside = choose_parts(spec.file, spec.settings, night, samples)
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
             _require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
@@ -188,23 +189,23 @@ def _timed(seconds: dict[str, float], stage: str) -> Iterator[None]:
         seconds[stage] = seconds.get(stage, 0.0) + time.perf_counter() - begin
 
 
-def clean(
-    spec: MotorSpec, night: Night, channels: MutableMapping[str, RawChannel]
+def clean_channels(
+    file: MotorFile, settings: Settings, night: Night, channels: MutableMapping[str, RawChannel]
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """The kept samples of a night, or of a part of it, and what each rule refused.
 
     Raises
     ------
     Insufficient
-        If a channel has no samples.
+        If a channel has no samples, or all of them fewer than two.
     """
-    cleaning = spec.settings.cleaning
-    too_long = means_too_long(spec.file.channels, cleaning)
+    cleaning = settings.cleaning
+    too_long = means_too_long(file.channels, cleaning)
     if too_long is not None:
         raise Insufficient(FAILED, too_long, code="means_too_long")
     rules: dict[str, ChannelRules] = {
-        name: ChannelRules.of(name, channel, cleaning, spec.file.logs)
-        for name, channel in spec.file.channels.items()
+        name: ChannelRules.of(name, channel, cleaning, file.logs)
+        for name, channel in file.channels.items()
         if name != RUNNING_HOURS
     }
     cleaned = _cleaned(channels, rules, night.start_us)
@@ -228,10 +229,10 @@ def clean(
         cleaned,
         night.start_us,
         night.end_us,
-        spec.settings.time_base,
+        settings.time_base,
         cleaning,
-        spec.settings.transport_delay,
-        spec.settings.sensor_health,
+        settings.transport_delay,
+        settings.sensor_health,
     )
     return samples, counted + joint
 
@@ -275,16 +276,16 @@ def _require_enough(samples: Samples, quality: tuple[Quality, ...], spec: MotorS
         )
 
 
-def _choose_parts(
-    spec: MotorSpec, night: Night, samples: Samples
+def choose_parts(
+    file: MotorFile, settings: Settings, night: Night, samples: Samples
 ) -> tuple[Samples, tuple[Quality, ...]]:
     """The samples in the parts of the night that are good enough, or set by hand."""
     masks = left_out(
         samples.time_us,
         samples.period_us,
         night.start_us,
-        spec.settings.windows,
-        ChosenPeriods.of(spec.file.periods, night),
+        settings.windows,
+        ChosenPeriods.of(file.periods, night),
     )
     counted = tuple(
         Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()

@@ -8,15 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import (
-    Fit,
-    LeakagePath,
-    Motor,
-    Parametrisation,
-    path_flows_l_per_min,
-    regressors,
-)
+from leakage import Motor, regressors
+from leakage.estimation import Fit
 from leakage.identifiability import Judgement
+from leakage.motor import path_flows_l_per_min
+from leakage.multi_start import Parametrisation
+from leakage.paths import LeakagePath
 from leakage.sensitivities import Effect, ErrorBudget
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit

@@ -14,9 +14,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import EstimationError, Motor, OperatingConditions, Parametrisation
+from leakage import EstimationError, Motor, OperatingConditions
 from leakage.block_statistics import merge, with_free_known, with_path_known
 from leakage.model_verdict import Misfit
+from leakage.multi_start import Parametrisation
 from leakage.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import REFERENCE, BlockFit, conditions, fit_stored_blocks

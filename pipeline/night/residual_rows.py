@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from leakage.residual_analysis import FAILED, LEVEL, NOT_TESTED, PASSED, LagTest
+from leakage.sample_blocks import TRAINING, VALIDATION
 from leakage.validation import effective_sample_count
 from pipeline.night.residuals import PartResiduals
-from pipeline.night.windows import TRAINING, VALIDATION
 
 Row = dict[str, Any]
 

@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
+from leakage.sample_blocks import TRAINING, VALIDATION
 from leakage.validation import lag_one_autocorrelation
 from pipeline.config import Smoothing
 from pipeline.night.smoothing import smooth
 from pipeline.night.statistics import NightStatistics
-from pipeline.night.windows import TRAINING, VALIDATION
 
 Array = NDArray[np.float64]
 

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Fit, Motor, Parametrisation, speed_beyond_curve
+from leakage import Motor
+from leakage.estimation import Fit
 from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.model_verdict import LowSide, model_verdict, verdict_in_words
+from leakage.motor import speed_beyond_curve
+from leakage.multi_start import Parametrisation
+from leakage.sample_blocks import TRAINING, VALIDATION
 from leakage.validation import (
     Agreement,
     agreement,
@@ -29,7 +33,6 @@ from pipeline.night.residual_rows import residual_columns, residual_test_rows, r
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
 from pipeline.night.time_base import Quality
 from pipeline.night.viscosity import SensorRatio, mean_ratio
-from pipeline.night.windows import TRAINING, VALIDATION
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.thinning import keep_extremes
 

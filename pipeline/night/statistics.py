@@ -8,17 +8,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Motor, OperatingConditions, Parametrisation, regressors
+from leakage import Motor, OperatingConditions, regressors
 from leakage.block_statistics import factors, merge
+from leakage.multi_start import Parametrisation
 from leakage.robust import huber_weights, weight_inflation
+from leakage.sample_blocks import (
+    TRAINING,
+    Block,
+    means_inside,
+    merge_neighbours,
+    owners,
+    split_into_blocks,
+)
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
+from pipeline.config.settings import Model
 from pipeline.night.smoothing import smooth
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import driven
-from pipeline.night.windows import TRAINING, Block, merge_neighbours, split_into_blocks
 
 Array = NDArray[np.float64]
 
@@ -158,11 +167,8 @@ def _short_means(
     """Place, samples and means of the short blocks within each stored one."""
     if len(short) == len(stored):
         return (None,) * len(stored)
-    first = np.array([block.first_row for block in short])
-    ones = z[:, -3]
-    n = np.add.reduceat(ones * ones, first)
-    means = np.add.reduceat(z * ones[:, None], first) / n[:, None]
-    owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
+    n, means = means_inside(z, short)
+    owner = owners(short, stored)
     start_us = np.array([block.start_us for block in short])
     length_us = short[0].end_us - short[0].start_us
     place = (start_us - np.array([block.start_us for block in stored])[owner]) // length_us
@@ -177,7 +183,9 @@ def operating_conditions(spec: MotorSpec, samples: Samples) -> OperatingConditio
         np.abs(samples.pressure_difference_bar),
         samples.oil_temperature_c,
         np.abs(samples.speed_rpm),
-        _charge_over_case_bar(spec, samples) if spec.settings.model.two_sided else None,
+        charge_over_case_bar(spec.settings.model, samples)
+        if spec.settings.model.two_sided
+        else None,
     )
 
 
@@ -185,12 +193,12 @@ def mean_charge_bar(spec: MotorSpec, samples: Samples) -> float | None:
     """Mean charge above case pressure; None in a model of one side."""
     if not spec.settings.model.two_sided:
         return None
-    return float(np.mean(_charge_over_case_bar(spec, samples)))
+    return float(np.mean(charge_over_case_bar(spec.settings.model, samples)))
 
 
-def _charge_over_case_bar(spec: MotorSpec, samples: Samples) -> Array:
+def charge_over_case_bar(model: Model, samples: Samples) -> Array:
     """Charge above case pressure: from channels where logged, else as configured."""
-    logged, model = samples.low_pressures_bar, spec.settings.model
+    logged = samples.low_pressures_bar
     constant = np.full(len(samples.index), model.charge_pressure_bar)
     if (low_port := logged.get("low_port_pressure")) is not None:
         # Under back-drive the ports change sides.

@@ -11,7 +11,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from leakage.block_fit import SampleBlocks
 from leakage.block_statistics import merge, with_free_known
+from leakage.identifiability import Excitation
+from leakage.sample_blocks import TRAINING
 from leakage.slow_errors import ShortBlocks, short_blocks
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
@@ -143,9 +146,21 @@ class StoredBlocks:
         table = np.concatenate(parts)
         return ShortBlocks(
             table[:, 1],
-            np.insert(table[:, 2:], size - 3, 1.0, axis=1),
+            np.insert(table[:, 2:], -2, 1.0, axis=1),
             table[:, 0].astype(np.int64),
             np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+        )
+
+    def sample_blocks(self, block_s: float) -> SampleBlocks:
+        """All that a fit needs of them; `block_s` is the length of a short block [s]."""
+        return SampleBlocks(
+            self.factors,
+            self.short_blocks(block_s),
+            (self.rows["part"] == TRAINING).to_numpy(),
+            self.block_means(),
+            Excitation(
+                self.span("pressure_bar"), self.span("temperature_c"), self.span("speed_rpm")
+            ),
         )
 
     @property

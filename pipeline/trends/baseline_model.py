@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import LeakageError, Parametrisation
+from leakage import LeakageError
 from leakage.block_statistics import merge
 from leakage.certificate import certify
+from leakage.multi_start import Parametrisation
 from pipeline.trends.history import History
 from pipeline.trends.night_records import whole_matrix
 

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import LeakageError, Parametrisation
+from leakage import LeakageError
 from leakage.balanced_baseline import (
     LEAST_BLOCKS,
     NIGHTS_OF_NOW,
@@ -25,6 +25,7 @@ from leakage.balanced_baseline import (
     compare,
     told_rises,
 )
+from leakage.multi_start import Parametrisation
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.baseline_blocks import BlockFiles

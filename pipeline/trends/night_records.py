@@ -17,10 +17,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage import Parametrisation
 from leakage.identifiability import OUTSIDE as OUTSIDE_THE_SAMPLES
 from leakage.identifiability import TOLD
 from leakage.model_verdict import MISFIT_NUMBERS
+from leakage.multi_start import Parametrisation
 from pipeline.config import MotorSpec
 from pipeline.night.fit_night import OK
 from pipeline.night.stored_blocks import StoredBlocks

@@ -7,22 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leakage import (
-    Fit,
-    Motor,
-    OperatingConditions,
-    SearchSettings,
-    fit,
-    leakage_l_per_min,
-)
+from leakage import Motor, OperatingConditions, leakage_l_per_min
 from leakage.annular_gap import AnnularGap
 from leakage.block_statistics import factors, merge
+from leakage.estimation import Fit, fit
 from leakage.identifiability import (
     Excitation,
     Identification,
     identify,
     judge_leakage,
 )
+from leakage.multi_start import SearchSettings
 from leakage.slow_errors import NOT_SLOW, SlowErrors
 from tests.leakage.made_samples import made_samples
 from tests.leakage.placeholders import placeholder_motor

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from leakage import OperatingConditions, Parametrisation, ShapeError, factors, regressors
+from leakage import OperatingConditions, regressors
+from leakage.block_statistics import factors
+from leakage.errors import ShapeError
+from leakage.multi_start import Parametrisation
 from leakage.night_filter import FilterState, first_state, follow, night_information
 from tests.leakage.placeholders import placeholder_motor
 

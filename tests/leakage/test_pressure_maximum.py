@@ -10,8 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import minimize_scalar
 
-from leakage import FilmPressure, ParameterError, pressure_of_largest_leakage_pa
+from leakage import FilmPressure
+from leakage.errors import ParameterError
 from leakage.oil import flow_drive_per_s
+from leakage.pressure_maximum import pressure_of_largest_leakage_pa
 from tests.leakage.placeholders import placeholder_oil
 
 

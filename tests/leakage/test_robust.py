@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from leakage import certify
 from leakage.block_statistics import factor
+from leakage.certificate import certify
 from leakage.robust import MAD_TO_SD, TUNING, huber_weights, weight_inflation
 
 FREE = np.array([-99.0, -99.0]), np.array([99.0, 99.0])

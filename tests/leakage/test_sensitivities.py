@@ -7,15 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leakage import (
-    AnnularGap,
-    LeakagePath,
-    Motor,
-    OperatingConditions,
-    SpeedCurve,
-    ValidityError,
-    leakage_l_per_min,
-)
+from leakage import AnnularGap, Motor, OperatingConditions, SpeedCurve, leakage_l_per_min
+from leakage.errors import ValidityError
+from leakage.paths import LeakagePath
 from leakage.sensitivities import ChannelTolerance, Tolerances, error_budget
 from tests.leakage.made_samples import made_conditions, made_samples, true_coefficients
 from tests.leakage.placeholders import placeholder_motor

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import t as student_t
 
-from leakage import certify
 from leakage.block_statistics import factors, merge
+from leakage.certificate import certify
 from leakage.uncertainty import block_bootstrap, cluster_robust
 
 Array = NDArray[np.float64]

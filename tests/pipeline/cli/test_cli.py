@@ -443,6 +443,18 @@ def test_fit_tells_of_a_night_and_publishes_nothing(call: Call, fleet: Path) -> 
     assert {path: path.stat().st_mtime_ns for path in fleet.parent.parent.rglob("*")} == before
 
 
+def test_fit_trains_on_one_period_and_validates_on_another(call: Call, fleet: Path) -> None:
+    periods = ("--train", "2026-01-02..2026-01-03", "--validate", "2026-01-04..2026-01-04")
+    code, out, err = call("fit", fleet, CSV, *periods)
+    assert (code, err) == (0, "")
+    assert out.startswith("CB")
+    assert "\nvalidation: fit" in out
+    for wrong in ((), ("--validate", "2026-01-02..2026-01-03"), ("2026-01-02", *periods)):
+        code, out, err = call("fit", fleet, CSV, *wrong)
+        assert (code, out) == (2, "")
+        assert "expected a NIGHT, or --train" in err
+
+
 def test_fit_of_a_night_without_a_log_is_wrong_usage(call: Call, fleet: Path) -> None:
     code, out, err = call("fit", fleet, CSV, "2020-01-03")
     assert (code, out) == (2, "")

@@ -10,17 +10,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from leakage import (
-    AnnularGap,
-    Constant,
-    Laminar,
-    Motor,
-    Parameter,
-    SpeedCurve,
-    film_thickness_ratio,
-    leakage_l_per_min,
-)
+from leakage import AnnularGap, Constant, Laminar, Motor, Parameter, SpeedCurve, leakage_l_per_min
 from leakage.conditions import OperatingConditions
+from leakage.film import film_thickness_ratio
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.fit_night import OK, NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet

@@ -13,23 +13,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from pipeline.config import ConfigError, Nights, Windows
-from pipeline.config.hashes import model_hash
-from pipeline.config.motors import Periods
-from pipeline.config.nights import night
-from pipeline.night.fit_night import INSUFFICIENT_DATA, NightOutcome, fit_night
-from pipeline.night.windows import (
+from leakage.sample_blocks import (
     GUARD,
     NONE_CHOSEN,
     TRAINING,
     VALIDATION,
     Block,
-    ChosenPeriods,
-    left_out,
     merge_neighbours,
     split_into_blocks,
-    too_uniform,
 )
+from pipeline.config import ConfigError, Nights, Windows
+from pipeline.config.hashes import model_hash
+from pipeline.config.motors import Periods
+from pipeline.config.nights import night
+from pipeline.config.periods import ChosenPeriods
+from pipeline.night.fit_night import INSUFFICIENT_DATA, NightOutcome, fit_night
+from pipeline.night.windows import left_out, too_uniform
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 SECOND = 1_000_000

@@ -1,0 +1,125 @@
+"""Published tables of a fleet, lazily as frames of Polars."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.schema import ALARMS, FITS, TABLES, TRENDS
+from pipeline.store.manifest import manifest_keys
+from pipeline.store.object_store import ObjectStore
+from pipeline.store.tables import existing_tables, night_paths
+from pipeline.store.verification import compare_published
+from pipeline.store.working_copy import pull
+
+LATEST = "latest"
+
+
+@dataclass(frozen=True, slots=True)
+class Tables:
+    """The published tables of an output folder.
+
+    Attributes
+    ----------
+    output
+        The folder.
+    """
+
+    output: Path
+
+    def table(self, name: str) -> pl.LazyFrame:
+        """A table by name, all nights; columns that an older file lacks are null.
+
+        Raises
+        ------
+        UsageError
+            ``unknown_table``: there is none of this name.
+        """
+        known = {table.name: table for table in TABLES}
+        if name not in known:
+            raise UsageError("unknown_table", f"no table {name}; there are {', '.join(known)}")
+        table = known[name]
+        if not (paths := list(night_paths(self.output, table).values())):
+            return pl.LazyFrame(schema=table.schema)
+        return pl.scan_parquet(
+            paths,
+            schema=table.schema,
+            missing_columns="insert",
+            extra_columns="ignore",
+            hive_partitioning=False,
+        )
+
+    def fits(self) -> pl.LazyFrame:
+        """The primary fit of each motor and night."""
+        return self.table(FITS.name).filter("is_primary").sort("motor_id", "night")
+
+    def trend(self, motor_id: str, indicator: str) -> pl.LazyFrame:
+        """The course of an indicator of a motor, in order of nights."""
+        here = (pl.col("motor_id") == motor_id) & (pl.col("indicator") == indicator)
+        return self.table(TRENDS.name).filter(here).sort("night")
+
+    def alarms(self) -> pl.LazyFrame:
+        """All changes of state, in order of nights."""
+        return self.table(ALARMS.name).sort("night", "motor_id", "indicator")
+
+    def latest(self) -> pl.LazyFrame:
+        """The table `latest`, a row a motor.
+
+        Raises
+        ------
+        UsageError
+            ``unknown_table``: this output has none.
+        """
+        paths = sorted((self.output / "tables" / LATEST).rglob("*.parquet"))
+        if not paths:
+            raise UsageError("unknown_table", f"{self.output} has no table {LATEST}; run fit-fleet")
+        return pl.scan_parquet(paths, hive_partitioning=False)
+
+    def verify(self) -> None:
+        """Compare every file with the checksum under which it was published.
+
+        Raises
+        ------
+        StoreError
+            ``store_read``: a file is not what was published.
+        """
+        faults = compare_published(self.output, manifest_keys(self.output)).faults
+        if faults:
+            told = "; ".join(f"{fault.path}: {fault.message}" for fault in faults)
+            raise StoreError("store_read", told)
+
+
+def open_tables(
+    output: Path | str, *, verify: bool = False, copy: Path | str | None = None
+) -> Tables:
+    """Open the published tables of a fleet.
+
+    Parameters
+    ----------
+    output
+        The output folder, or the URL of an object store such as s3://bucket/fleet.
+    verify
+        Compare every file with its checksum first.
+    copy
+        Folder into which an object store's tables are brought; only changed files are read.
+
+    Raises
+    ------
+    UsageError
+        ``no_tables``: there are none; ``no_copy``: a URL without a folder for its copy.
+    StoreError
+        If the store cannot be read, or a file is not what was published.
+    """
+    if "://" in str(output):
+        if copy is None:
+            raise UsageError("no_copy", f"{output}: say copy=, a folder to bring its tables into")
+        pull(ObjectStore.at(str(output)), Path(copy))
+        output = copy
+    tables = Tables(Path(output))
+    existing_tables(tables.output)
+    if verify:
+        tables.verify()
+    return tables

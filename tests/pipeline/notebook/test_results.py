@@ -1,0 +1,95 @@
+"""Published tables read back: the same rows, and damage told."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import matplotlib as mpl
+import polars as pl
+import pytest
+
+from pipeline.errors import StoreError, UsageError
+from pipeline.notebook import open_tables, plot_course
+from pipeline.notebook.results import Tables
+from pipeline.schema import ALARMS, FITS, TRENDS, frame
+from pipeline.store.manifest import update_manifest
+from pipeline.store.tables import night_file, write_table
+
+FIRST = dt.date(2026, 1, 30)
+NIGHTS = [FIRST + dt.timedelta(days=at) for at in range(4)]
+
+
+def trend(night: dt.date, indicator: str, value: float) -> dict[str, object]:
+    return {
+        "motor_id": "M1",
+        "night": night,
+        "indicator": indicator,
+        "value": value,
+        "unit": "%",
+        "lower": value - 1.0,
+        "upper": value + 1.0,
+    }
+
+
+@pytest.fixture
+def tables(tmp_path: Path) -> Tables:
+    for at, night in enumerate(NIGHTS):
+        digests: dict[str, str | None] = {}
+        fits = [
+            {"motor_id": "M1", "night": night, "flushing_mode": mode, "is_primary": mode == "none"}
+            for mode in ("none", "fixed")
+        ]
+        courses = [trend(night, "gap_change_ring", 2.0 * at), trend(night, "drain_flow", 1.0)]
+        for table, rows in ((FITS, fits), (TRENDS, courses)):
+            path = night_file(tmp_path, table, night)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            digests[path.relative_to(tmp_path / "tables").as_posix()] = write_table(
+                path, frame(table, rows)
+            )
+        update_manifest(tmp_path, f"{night:%Y-%m}", str(night), digests)
+    return open_tables(tmp_path)
+
+
+def test_fits_are_the_primary_ones_of_all_nights(tables: Tables) -> None:
+    found = tables.fits().collect()
+    assert found["night"].to_list() == NIGHTS
+    assert found["is_primary"].all()
+
+
+def test_a_trend_is_one_indicator_in_order_of_nights(tables: Tables) -> None:
+    found = tables.trend("M1", "gap_change_ring").collect()
+    assert found["value"].to_list() == [0.0, 2.0, 4.0, 6.0]
+    assert tables.trend("M2", "gap_change_ring").collect().height == 0
+
+
+def test_a_table_without_files_is_empty_and_has_its_columns(tables: Tables) -> None:
+    assert tables.alarms().collect().schema == pl.Schema(ALARMS.schema)
+
+
+def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
+    for ask, words in (
+        (lambda: tables.table("fit"), "no table fit; there are fits"),
+        (tables.latest, "no table latest"),
+        (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
+        (lambda: open_tables("s3://bucket/fleet"), "say copy="),
+        (lambda: plot_course(tables, "M2"), "no trend of M2"),
+    ):
+        with pytest.raises(UsageError, match=words):
+            ask()
+
+
+def test_a_changed_file_is_found_where_that_is_asked_for(tables: Tables) -> None:
+    open_tables(tables.output, verify=True)
+    path = night_file(tables.output, FITS, FIRST)
+    path.write_bytes(path.read_bytes()[:-1] + b"?")
+    with pytest.raises(StoreError, match=path.name):
+        open_tables(tables.output, verify=True)
+
+
+def test_the_course_of_each_gap_is_plotted(tables: Tables) -> None:
+    mpl.use("agg")
+    axes = plot_course(tables, "M1")
+    (line,) = axes.get_lines()
+    assert list(line.get_ydata()) == [0.0, 2.0, 4.0, 6.0]
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["ring"]
