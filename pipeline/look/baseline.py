@@ -195,9 +195,7 @@ def _outdated(
         return "other settings than those of its baseline: the nightly run makes its nights anew"
     begins = [one.date for one in spec.file.events]
     # One of the drain flow alone keeps its model: the level of the latest nights has taken it up.
-    begins += [
-        one.night for one in decisions if one.kind == "baseline_reset" and not one.indicator
-    ]
+    begins += [one.night for one in decisions if one.kind == "baseline_reset" and not one.indicator]
     if any(found.last_night < date <= tonight for date in begins):
         return "a new baseline begins"
     return ""

@@ -42,7 +42,9 @@ def test_new_blocks_have_the_oil_as_measured_as_those_of_the_baseline_do(
     values = operation.channels(operation.flow(replace(motor, oil=oil)))
     more: dict[str, object] = {"oil_samples": (SAMPLE,)}
     if by == "sensor":
-        values["kinematic_viscosity"] = kinematic_viscosity_mm2_per_s(operation.temperature_c, *THIN)
+        values["kinematic_viscosity"] = kinematic_viscosity_mm2_per_s(
+            operation.temperature_c, *THIN
+        )
         more = {"channels": {**spec.file.channels, "kinematic_viscosity": SENSOR}}
     measured = replace(spec, file=spec.file.model_copy(update=more))
     night, channels = night_of(), raw(operation.time_us, values)
