@@ -50,7 +50,7 @@ MODELS = (
 )
 NAMES = tuple(path.name for path in MODEL.column_paths)
 DUTIES = {"as before": (300.0, 110.0), "load halved": (157.0, 110.0), "speed cut": (300.0, 55.0)}
-# The rollers of the model as stated.
+# The flushing is known.
 FIXED = np.array([False, False, False, True])
 BOUNDS = np.zeros(4), np.where(FIXED, 0.0, 1e-9)
 LEVEL, DEVIATION = 0.15, 0.05

@@ -83,7 +83,8 @@ class LookBaseline:
     level
         Deviation of the latest nights from it [-]: what they have told is no step of today.
     known_scale
-        Known flow of its model over the stated one: other than 1 where the rollers' scale is free.
+        Known flow of its model over the stated one where the rollers' scale is free, and then it
+        changes with temperature as all flows do; None where it is fixed.
     """
 
     key: str
@@ -98,16 +99,18 @@ class LookBaseline:
     lowest: tuple[float, ...]
     highest: tuple[float, ...]
     level: float = 0.0
-    known_scale: float = 1.0
+    known_scale: float | None = None
 
     def flows(self, blocks: Blocks) -> tuple[Array, Array]:
         """Measured and expected flow of some blocks without the flushing [l/min], shape (b,)."""
         theta = np.array(self.theta)
         ones, known, measured = (blocks.means[:, column] for column in (-3, -2, -1))
         factor = 1.0 + self.per_kelvin * (blocks.conditions[:, 0] - self.reference_c)
-        expected = self.known_scale * known + factor * (
-            blocks.means[:, : len(theta) - 1] @ theta[:-1]
-        )
+        paths = blocks.means[:, : len(theta) - 1] @ theta[:-1]
+        if self.known_scale is None:
+            expected = known + factor * paths
+        else:
+            expected = factor * (self.known_scale * known + paths)
         return measured - theta[-1] * ones, (1.0 + self.level) * expected
 
     def has_seen(self, blocks: Blocks) -> NDArray[np.bool_]:
@@ -191,11 +194,8 @@ def _outdated(
     if found.model_hash != model_hash(spec, spec.motor(tonight, spec.file.flushing.mode), tonight):
         return "other settings than those of its baseline: the nightly run makes its nights anew"
     begins = [one.date for one in spec.file.events]
-    begins += [
-        one.night
-        for one in decisions
-        if one.kind == "baseline_reset" and one.indicator in ("", DEVIATION)
-    ]
+    # One of the drain flow alone keeps its model: the level of the latest nights has taken it up.
+    begins += [one.night for one in decisions if one.kind == "baseline_reset" and not one.indicator]
     if any(found.last_night < date <= tonight for date in begins):
         return "a new baseline begins"
     return ""
@@ -249,7 +249,7 @@ def _made(
     blocks = _blocks(output, spec, labels, history.layout.stated_columns)
     if blocks is None:
         return "the blocks of its baseline are not published"
-    theta, known_scale = era.model, 1.0
+    theta, known_scale = era.model, None
     if history.layout.standard is not None:
         place, coefficient = history.layout.standard
         theta, known_scale = np.delete(theta, place), float(theta[place] / coefficient)
@@ -290,7 +290,7 @@ def calibrated(
     nights: Sequence[dt.date],
     theta: Array,
     correction: TemperatureCorrection | None,
-    known_scale: float = 1.0,
+    known_scale: float | None = None,
 ) -> LookBaseline | str:
     """Baseline from the blocks of its nights; the limit from the largest statistic of each."""
     low, high = np.percentile(blocks.conditions, SEEN_PERCENTILES, axis=0)

@@ -17,7 +17,8 @@ from pipeline.ingest import RawChannel
 from pipeline.night.fit_night import Insufficient, clean_channels
 from pipeline.night.statistics import operating_conditions
 from pipeline.night.stored_blocks import StoredBlocks
-from pipeline.night.time_base import Quality
+from pipeline.night.time_base import Quality, Samples
+from pipeline.night.viscosity import driven, sensor_ratio, viscosity_ratios
 from pipeline.night.windows import left_out
 
 Array = NDArray[np.float64]
@@ -123,11 +124,31 @@ def blocks_within(
     found = split_into_blocks(samples.time_us, night.start_us, spec.settings.windows)
     first = [one.first_row for one in found]
     n = np.array([one.n for one in found])[:, None]
-    return Blocks(
-        np.array([one.start_us for one in found]),
-        np.add.reduceat(columns, first) / n,
-        np.add.reduceat(conditions, first) / n,
-    ), ""
+    means, conditions = (np.add.reduceat(one, first) / n for one in (columns, conditions))
+    ratios = _viscosity_ratios(spec, night, samples, np.array(first), conditions[:, 0])
+    if isinstance(ratios, str):
+        return Blocks.none(), ratios
+    if ratios is not None:
+        means = np.where(driven(motor.columns), means / ratios[:, None], means)
+    return Blocks(np.array([one.start_us for one in found]), means, conditions), ""
+
+
+def _viscosity_ratios(
+    spec: MotorSpec, night: Night, samples: Samples, first: NDArray[np.int64], celsius: Array
+) -> Array | str | None:
+    """Measured viscosity over the data sheet's of blocks by their first samples, shape (b,).
+
+    As in :func:`sensor_ratio`, by block: the samples of other blocks may come with another look.
+    """
+    oil, by_sensor = spec.oil_on(night.date).oil(), np.full(len(first), np.nan)
+    owner = np.searchsorted(first, np.arange(len(samples.index)), side="right") - 1
+    for place in range(len(first)) if samples.viscosities else ():
+        ratio = sensor_ratio(oil, samples.only(owner == place))
+        if isinstance(ratio, str):
+            return ratio
+        if ratio is not None:
+            by_sensor[place] = ratio.at(celsius[place])
+    return viscosity_ratios(spec, night.date, celsius, by_sensor)
 
 
 def _cause(quality: tuple[Quality, ...]) -> str:

@@ -181,8 +181,14 @@ def with_free_roller(
     if published is None:
         kinds = {one: BLOCK_STATISTICS.schema[one] for one in BLOCK_COLUMNS}
         blocks = pl.DataFrame(rows["block_statistics"], kinds)
-        published = PublishedNight(outcome.night, (), (), rows["sensitivities"], blocks)
-    night = replace(published, fits=rows["fits"], parameters=rows["parameters"])
+        published = PublishedNight(outcome.night, (), (), (), blocks)
+    night = replace(
+        published,
+        fits=rows["fits"],
+        parameters=rows["parameters"],
+        # Those at other reference conditions are made with the fit as stated.
+        sensitivities=rows.get("sensitivities", published.sensitivities),
+    )
     made = refit(replace(spec, roller_is_free=True), night, previous)
     if made is None:
         return None
@@ -192,8 +198,8 @@ def with_free_roller(
 
 
 def _as_measured(blocks: StoredBlocks, motor: Motor, before: Row) -> Row:
-    """The night's factor by the oil as measured; empty where no oil is or was measured."""
-    if before.get("viscosity_ratio") is None and blocks.viscosity_ratio is None:
+    """The night's factor by the oil as measured; empty where it is by that already."""
+    if before.get("viscosity_ratio") == blocks.viscosity_ratio:
         return {}
     return {
         "viscosity_ratio": blocks.viscosity_ratio,

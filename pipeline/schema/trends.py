@@ -201,8 +201,8 @@ ALARMS = Table(
             "rules",
             pl.String,
             "",
-            "Change of the program's rules that made this row of a past night, such as trends 5 "
-            "to 6; null: none",
+            "Change of rules that made this row of a past night: of the program's, such as trends "
+            "5 to 6, or of the form of the motor's model (scale of the rollers); null: none",
         ),
         Column("state_before_rules", pl.String, "", "State of the night as told before that"),
         Column(

@@ -119,10 +119,13 @@ class Explanations:
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
         factors = factors_of(self.history, places)
+        driven = [*range(len(_stated(self.history).paths))]
         if (standard := self.history.layout.standard) is not None:
             factors = with_path_known(factors, *standard)
+            # Where their scale is free, the rollers change with temperature as the gaps do.
+            driven.append(-2)
         effect = warming(self.history.records[places], correction)
-        factors[:, :, : len(_stated(self.history).paths)] *= effect[:, None, None]
+        factors[:, :, driven] *= effect[:, None, None]
         return Blocks(factors, places, temperature if known else None)
 
 

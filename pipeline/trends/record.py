@@ -32,14 +32,14 @@ class Record:
         By event and reset, the first night from which the other motors of its oil circuit see the
         baseline that it begins; None in a record of an older version.
     rules
-        Versions of the rules that made them; None in a record of an older version.
+        Rules that made them, by name; None in a record of an older version.
     """
 
     trend_hash: str
     last_night: dt.date
     redo_from: dt.date | None = None
     beginnings: Mapping[str, dt.date] | None = None
-    rules: Mapping[str, int] | None = None
+    rules: Mapping[str, int | str] | None = None
 
 
 def trend_hash(spec: MotorSpec, decisions: Sequence[Decision]) -> str:

@@ -1,4 +1,6 @@
-"""Changes of the program's rules: what they make of past nights is kept, and not told again.
+"""Changes of the rules by which trends are made: what they make of past nights is not told again.
+
+Rules change with the program, and with a motor whose first nights decide anew on its rollers.
 
 A receiver is told of a past night only where the state that stands is not the one it was told last.
 """
@@ -6,9 +8,10 @@ A receiver is told of a past night only where the state that stands is not the o
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pipeline.config import MotorSpec
 from pipeline.config.hashes import FIGURES_VERSION, READING_VERSION, STATISTICS_VERSION
 from pipeline.schema import ALARM_CONTENT
 from pipeline.trends.alarm_rows import INSUFFICIENT
@@ -20,17 +23,18 @@ Row = dict[str, Any]
 MARKS = ("rules", "state_before_rules", "is_silent")
 
 
-def rules_now() -> dict[str, int]:
-    """Versions of the rules that make trends from logs."""
+def rules_now(spec: MotorSpec) -> dict[str, int | str]:
+    """Versions of the rules that make a motor's trends from logs, and the form of its model."""
     return {
         "reading": READING_VERSION,
         "statistics": STATISTICS_VERSION,
         "figures": FIGURES_VERSION,
         "trends": TRENDS_VERSION,
+        "scale of the rollers": "free" if spec.roller_is_free else "fixed",
     }
 
 
-def change_of_rules(record: Record | None) -> str:
+def change_of_rules(record: Record | None, now: Mapping[str, int | str]) -> str:
     """Change since a record was written, such as ``trends 5 to 6``; empty: none."""
     if record is None:
         return ""
@@ -38,17 +42,22 @@ def change_of_rules(record: Record | None) -> str:
         return "those of an older version"
     return ", ".join(
         f"{name} {record.rules.get(name, '?')} to {version}"
-        for name, version in rules_now().items()
+        for name, version in now.items()
         if record.rules.get(name) != version
     )
 
 
-def marked(rows: Sequence[Row], published: Sequence[Row], record: Record | None) -> list[Row]:
+def marked(
+    rows: Sequence[Row],
+    published: Sequence[Row],
+    record: Record | None,
+    now: Mapping[str, int | str],
+) -> list[Row]:
     """Rows of `alarms` with the marks of a change of rules since the record, if there is one.
 
     A row that says what its published one said keeps the marks of that.
     """
-    change = change_of_rules(record)
+    change = change_of_rules(record, now)
     last_night = dt.date.min if record is None else record.last_night
     before = {(row["night"], row["indicator"]): row for row in published}
     last = {row["indicator"]: row["night"] for row in rows if row["night"] <= last_night}

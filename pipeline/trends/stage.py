@@ -225,7 +225,7 @@ def _run_circuit(
                 circuit.hashes[motor_id],
                 span[1],
                 beginnings=seen_from[motor_id],
-                rules=rules_now(),
+                rules=rules_now(part.history.spec),
             )
 
 
@@ -363,7 +363,8 @@ def _stage_motor(
     gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
     standing = standing_of(part, neighbours)
-    alarms = marked(alarm_rows(standing, places, published), published, before)
+    rules = rules_now(history.spec)
+    alarms = marked(alarm_rows(standing, places, published), published, before, rules)
     made = {
         "trends": trend_rows(standing, places),
         "alarms": alarms,

@@ -11,10 +11,12 @@ import pytest
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
+from pipeline.config.oil_samples import OilSample
 from pipeline.demo import shipped_configs
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.night.refit import with_free_roller
+from pipeline.night.refit import PublishedNight, refit, with_free_roller
 from pipeline.night.roller import is_roller_free
+from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, frame
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 DAYS = [NIGHT + dt.timedelta(days=number) for number in range(8)]
@@ -56,6 +58,46 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
     # The verdict is that of the model as stated, and so is what it does to K.
     assert after["model_verdict"] == before["model_verdict"] == "disproved"
     assert after["is_refitted"] is False
+
+
+def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorSpec) -> None:
+    """The ± from the sensors as well, which is that of the new conditions."""
+    made = night(spec).rows
+    published = PublishedNight(
+        NIGHT,
+        frame(FITS, made["fits"]).to_dicts(),
+        frame(PARAMETERS, made["parameters"]).to_dicts(),
+        made["sensitivities"],
+        frame(BLOCK_STATISTICS, made["block_statistics"]),
+    )
+    reference = spec.settings.reference.model_copy(update={"pressure_bar": 100.0})
+    moved = replace(spec, settings=spec.settings.model_copy(update={"reference": reference}))
+    stated = refit(moved, published, {})
+    assert stated is not None
+    anew = with_free_roller(moved, stated, published, {})
+    read = with_free_roller(moved, night(moved), None, {})
+    assert anew is not None
+    assert read is not None
+    (made_anew,), (made_read,) = anew.rows["fits"], read.rows["fits"]
+    for name in ("reference_leakage_sensor_half_width", "reference_leakage_l_per_min"):
+        assert made_anew[name] == pytest.approx(made_read[name], rel=0.02), name
+
+
+def test_robust_weights_and_a_measured_oil_leave_the_scale_free(spec: MotorSpec) -> None:
+    estimation = spec.settings.estimation.model_copy(update={"loss": "huber"})
+    sample = OilSample(date=NIGHT, viscosity_40_c_mm2_per_s=54.4, viscosity_100_c_mm2_per_s=7.4)
+    robust = replace(
+        spec,
+        settings=spec.settings.model_copy(update={"estimation": estimation}),
+        file=spec.file.model_copy(update={"oil_samples": (sample,)}),
+    )
+    stated = night(robust)
+    free = with_free_roller(robust, stated, None, {})
+    assert free is not None
+    factors = [one.rows["fits"][0]["night_factor"] for one in (stated, free)]
+    drawn, moved = (gram(one, 6 + number) for number, one in enumerate(factors))
+    np.testing.assert_allclose(moved[-1, -1], drawn[-1, -1])
+    np.testing.assert_allclose(moved[3, 3], drawn[-2, -2])
 
 
 def gram(upper: list[float], size: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from leakage.block_statistics import with_free_known
+from leakage.temperature_correction import TemperatureCorrection
 from pipeline.night.rows import upper_triangle
 from pipeline.trends.attribution import path_behind, path_named
 from pipeline.trends.eras import Era
@@ -89,6 +90,20 @@ def test_explanations_do_not_hang_on_the_form_of_the_rollers(wear: dict[str, flo
     effect = Effect(np.ones(N), np.zeros(N), np.zeros(N))
     names = [[one.name for one in coefficients(form, effect)] for form in forms]
     assert names[0] == names[1]
+
+
+def test_rollers_of_a_free_scale_that_follow_temperature_have_not_grown() -> None:
+    """Ten nights 10 K colder than the baseline's, where all flows fall by 1 % a kelvin."""
+    cold = 50.0 - step(N, AT, 10.0) + 1.0 + np.random.default_rng(1).standard_normal(N)
+    nights = Nights(
+        motor(), N, {OIL: 1.0 - 0.01 * (cold - 50.0)}, operation={"mean_temperature_c": cold}
+    )
+    frozen = TemperatureCorrection(-0.01, 0.001, 50.0)
+    era = Era(Segment(0, N, "first nights"), 30, None, None, frozen, 30)
+    free = with_free_rollers(histories(nights)["M1"])
+    found = Explanations(free, (era,)).at(N - 1, AT)
+    assert found is not None
+    assert (found.verdict, found.named) == ("no_change", ())
 
 
 def test_a_worn_ring_is_named_where_it_shows() -> None:

@@ -149,8 +149,9 @@ def test_a_change_of_rules_tells_what_stands_and_nothing_of_the_past(
     Publisher(output, tmp_path, "old").nights((ALARMS,), ["M1"], lambda *_: None)
     record = read_record(output, "M1")
     assert record is not None
-    assert record.rules == rules_now()
-    write_record(output, "M1", replace(record, trend_hash="", rules={**rules_now(), "trends": 0}))
+    rules = rules_now(motor())
+    assert record.rules == rules
+    write_record(output, "M1", replace(record, trend_hash="", rules={**rules, "trends": 0}))
     (told,) = run(config).alarms
     assert (told["indicator"], told["from_state"], told["to_state"]) == (
         "K_balance_sleeve",
