@@ -66,6 +66,8 @@ def csv_head(path: Path) -> CsvHead:
     lines = list(islice(_lines(path, encoding, _HEAD_BYTES), _MOST_LINES))
     table = max((_table(lines, separator) for separator in _SEPARATORS), key=lambda one: one.fit)
     if table.width < 2:
+        if any(len(_cells(line, mark)) > 2 for line in lines for mark in _SEPARATORS):
+            raise LogError("log_empty", path, "there are names of columns and no row of samples")
         raise LogError("log_not_csv", path, "the first lines are no table of two columns or more")
     header, units = _header(table)
     if header is None:
