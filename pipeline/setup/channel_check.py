@@ -18,7 +18,7 @@ from pipeline.logs.ledger import FileRecord
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
 from pipeline.setup.sampling_look import configured, look_of, remark, words
-from pipeline.setup.unit_look import suspect_units
+from pipeline.setup.unit_look import suspect_units, units_told
 
 # Larger logs are not read for a look: a check answers in seconds.
 LARGEST_LOG_BYTES = 200 << 20
@@ -38,7 +38,8 @@ class ChannelCheck:
     refused_by: Mapping[str, float]  # share by rule, of those that refused any
     configured: str  # its sampling, in words
     looks: str  # its sampling by its looks, in words; empty where nothing can be told
-    remarks: tuple[str, ...]  # what does not look as configured: sampling, unit
+    remarks: tuple[str, ...]  # where its sampling does not look as configured
+    unit_faults: tuple[str, ...]  # where its unit is not the header's, or its size is unusual
 
 
 def check_channels(
@@ -46,8 +47,8 @@ def check_channels(
 ) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...]]:
     """Look into the newest log of a motor that can be read and is not too large.
 
-    Returned are its configured channels, none where there is no such log, and the fault of a log
-    that looks sound from outside and cannot be read.
+    Returned are its configured channels, none where there is no such log, and faults: of a log that
+    looks sound from outside and cannot be read, and of units.
     """
     readable = [
         name
@@ -62,15 +63,20 @@ def check_channels(
     except LogError as error:
         return (), (f"{error.code}: {error.message}",)
     suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)
+    told = units_told(path_of(newest), spec.file)
     found = tuple(
-        _looked_at(spec, name, channel, log.channels[name], suspects.get(name))
+        _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    return found, ()
+    return found, tuple(fault for one in found for fault in one.unit_faults)
 
 
 def _looked_at(
-    spec: MotorSpec, name: str, channel: Channel, raw: RawChannel, suspect: str | None
+    spec: MotorSpec,
+    name: str,
+    channel: Channel,
+    raw: RawChannel,
+    unit_faults: tuple[str | None, ...],
 ) -> ChannelCheck:
     look = look_of(raw, is_flow=name == COUNTED, resolution=channel.resolution)
     rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
@@ -92,5 +98,6 @@ def _looked_at(
         },
         configured=configured(channel),
         looks=words(look),
-        remarks=tuple(text for text in (remark(channel, look), suspect) if text),
+        remarks=tuple(filter(None, [remark(channel, look)])),
+        unit_faults=tuple(filter(None, unit_faults)),
     )
