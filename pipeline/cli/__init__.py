@@ -7,7 +7,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import checking, housekeeping, model, publishing, runs, state
+from pipeline.cli import checking, housekeeping, model, publishing, runs, starting, state
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
@@ -33,6 +33,7 @@ baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
 # In the order in which the help lists them.
 app.command("fit-fleet")(runs.fit_fleet)
 app.command()(runs.retry)
+app.command()(starting.init)
 app.command()(checking.check)
 app.command()(publishing.explain)
 app.command()(runs.fit)

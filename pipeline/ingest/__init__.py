@@ -105,8 +105,8 @@ def _with_constants(log: RawLog, channels: Channels) -> RawLog:
     if not stated:
         return log
     flow = log.channels[COUNTED]
-    found = {name: _constant(name, one, flow) for name, one in stated.items()}
-    every = {**log.channels, **found}
+    every = dict(log.channels)
+    every |= {name: _constant(name, one, flow) for name, one in stated.items()}
     return replace(log, channels={name: every[name] for name in CHANNELS if name in every})
 
 

@@ -175,17 +175,23 @@ def _header(table: _Table) -> tuple[int | None, Cells]:
     """The line that has the names, and the cells of a line of units below it."""
     block: list[int] = []
     for at in range(table.first - 1, -1, -1):
-        if len(table.lines[at]) != table.width and any(table.lines[at]):
+        line = table.lines[at]
+        # Marks of a dataset, such as "#ROWS", may stand between.
+        if len(line) != table.width and any(line) and not line[0].startswith("#"):
             break
         if len(table.lines[at]) == table.width:
             block.insert(0, at)
+    # Annotations, such as "#datatype", are no names where others are there.
+    block = [at for at in block if not table.lines[at][0].startswith("#")] or block
     if not block:
         return None, ()
     with_time = [at for at in block if any(map(is_time_name, table.lines[at]))]
     distinct = {at: len(set(table.lines[at]) - {""}) for at in block}
     header = with_time[0] if with_time else max(block, key=lambda at: (distinct[at], -at))
     below = [table.lines[at] for at in block if at > header]
-    return header, max(below, key=_count_of_units, default=())
+    # The same in all cells are types of numbers, such as "F".
+    units = [cells for cells in below if len(set(cells[1:]) - {""}) > 1 or len(cells) == 2]
+    return header, max(units, key=_count_of_units, default=())
 
 
 def _count_of_units(cells: Cells) -> int:

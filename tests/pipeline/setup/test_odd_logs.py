@@ -92,7 +92,7 @@ def test_check_of_any_log(
     workshop.take(motor.replace('unit = "l/min"', COUNTED) if counted else motor)
     log = write(workshop, odd, rows, times)
     text = said(call("check", workshop.fleet))
-    assert all(f"  {name}: " in text for name in CANONICAL)
+    assert all(f"\n{name}\t" in text for name in CANONICAL)
     assert "[channels.speed]" in said(call("check", "--suggest", log))
 
 
