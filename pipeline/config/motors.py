@@ -272,6 +272,10 @@ class Logs(Section):
         "name, or one file per channel",
     )
     channel_column: str = Field("channel", description="Layout `long`: column of channels' names")
+    motor_column: str = Field(
+        "", description="Layout `long`: column of the motor's name, where rows are of several"
+    )
+    motor_name: str = Field("", description="The motor's name in `motor_column`")
     value_column: str = Field(
         "value", description="Layouts `long` and `file_per_channel`: column of the values"
     )
@@ -344,6 +348,9 @@ class Logs(Section):
     @model_validator(mode="after")
     def _marks_apart(self) -> Logs:
         refuse("logs", _mark_faults(self))
+        if bool(self.motor_column) != bool(self.motor_name):
+            message = "expected motor_column and motor_name together"
+            refuse("logs", [(("motor_name",), message, self.motor_name)])
         return self
 
 

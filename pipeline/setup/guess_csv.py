@@ -87,10 +87,11 @@ def csv_head(path: Path) -> CsvHead:
 
 
 def csv_rows(path: Path, head: CsvHead, most_bytes: int) -> Iterator[Cells]:
-    """Rows of a CSV from its begin on, those as wide as the header, up to so many bytes of text."""
-    for line in _lines(path, head.encoding, 2**20, most_bytes):
+    """Rows below the header, those as wide as it is, up to so many bytes of text."""
+    lines = _lines(path, head.encoding, 2**20, most_bytes)
+    for line in islice(lines, head.skip_rows + 1 + head.unit_rows, None):
         row = _cells(line, head.separator)
-        if len(row) == len(head.names) and row != head.names:
+        if len(row) == len(head.names) and row != head.names and not row[0].startswith("#"):
             yield row
 
 

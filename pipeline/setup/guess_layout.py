@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -30,6 +30,9 @@ from pipeline.setup.guess_times import (
 Kind = Literal["timestamp", "stamp", "date", "clock", "number", "text", "nothing"]
 Scan = Callable[[Sequence[str]], Iterable[tuple[str, ...]]]
 """Cells of some columns, by name, row by row through a file."""
+
+FEWEST_CHANNELS = 3
+"""Channels by which names are a motor's."""
 
 SAMPLES = 50
 """Cells of a channel that are looked at."""
@@ -94,7 +97,8 @@ class TableLayout:
     value_column: str = ""
     files: tuple[str, ...] = ()  # patterns of the files' names, of a file a channel
     candidates: tuple[Candidate, ...] = ()  # all columns or names, besides those of the time
-    motor_column: str = ""  # of a long table that has several motors' rows under the same names
+    # Motors by column, of a long table whose rows have the same names for several.
+    motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quality: str = ""  # column of the rows' quality, in a long table
 
 
@@ -212,7 +216,8 @@ def _long(value: GuessedColumn, texts: Sequence[GuessedColumn], scan: Scan) -> T
     candidates = tuple((name, name, unit, tuple(samples)) for name, (samples, unit) in seen.items())
     sources, unused = assigned(candidates)
     # Each of another column's words comes with the same names of channels: it is the motor's.
-    parts = [one for one in names if one is not column and len(set(one.filled)) > 1]
+    parts = [one for one in names if one is not column and not _tells_quality(one)]
+    motors = {part.name: _motors(scan([part.name, column.name])) for part in parts}
     return TableLayout(
         "long",
         sources,
@@ -220,9 +225,18 @@ def _long(value: GuessedColumn, texts: Sequence[GuessedColumn], scan: Scan) -> T
         channel_column=column.name,
         value_column=value.name,
         candidates=candidates,
-        motor_column=next((one.name for one in parts if not _tells_quality(one)), ""),
+        motors={name: own for name, own in motors.items() if len(own) > 1},
         quality=next((one.name for one in texts if _tells_quality(one)), ""),
     )
+
+
+def _motors(rows: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    """Cells that each stand beside a motor's channels; none where any does not."""
+    seen: dict[str, set[str | None]] = {}
+    for cell, name in rows:
+        seen.setdefault(cell.strip(), set()).add(channel_of(name))
+    is_motors = all(len(channels - {None}) >= FEWEST_CHANNELS for channels in seen.values())
+    return tuple(sorted(seen)) if is_motors else ()
 
 
 def _tells_quality(column: GuessedColumn) -> bool:

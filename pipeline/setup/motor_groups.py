@@ -8,11 +8,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pipeline.setup.guess_channels import channel_of
+from pipeline.setup.guess_layout import FEWEST_CHANNELS
 
 _BRACKETED = re.compile(r"[\[(<{][^\])>}]*[\])>}]")
 _MARK = re.compile(r"[._/:|\\\s-]+")
-# Fewest channels by which a group is a motor's.
-_FEWEST = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +38,7 @@ def groups_of(names: Sequence[str], units: dict[str, str]) -> tuple[tuple[Group,
     found: list[Group] = []
     while True:
         best = max(_candidates(left), key=lambda one: _merit(one, units), default=None)
-        if best is None or _merit(best, units)[0] < _FEWEST:
+        if best is None or _merit(best, units)[0] < FEWEST_CHANNELS:
             return tuple(found), left
         found.append(best)
         left = [name for name in left if name not in best.signals]
@@ -56,7 +55,7 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
             unit = name[end:].removeprefix(tail)
             parts.setdefault((tail, False), {})[name] = name[:begin] + unit
     for (name, _), signals in parts.items():
-        if name and len(signals) >= _FEWEST:
+        if name and len(signals) >= FEWEST_CHANNELS:
             yield Group(name, signals)
 
 

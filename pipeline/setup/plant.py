@@ -88,11 +88,13 @@ def propose(source: Path, answers: Mapping[str, str]) -> Proposal:
     unused: dict[str, None] = {}
     faults: list[str] = []
     split: set[str] = set()
+    unread = 0
     for pattern, example, name in _kinds(files, root):
         try:
             guess = look(example)
         except LogError as error:
             faults.append(f"{error.code}: {error.message}")
+            unread += 1
             continue
         folder = pattern.rpartition("/")[0]
         if guess.layout.kind == "file_per_channel":
@@ -107,7 +109,7 @@ def propose(source: Path, answers: Mapping[str, str]) -> Proposal:
             faults.append(f"no_motor: {pattern}: its columns are no motor's: {columns}")
         motors += found
         questions |= asked.open
-    if not motors and faults:
+    if unread and unread == len(faults) and not motors and not questions:
         raise LogError("log_not_readable", source, f"no log of it can be read: {faults[0]}")
     return Proposal(root, _apart(motors), tuple(questions.values()), tuple(unused), tuple(faults))
 
@@ -165,18 +167,28 @@ def _motors(
     own = [f"{folder}/{name}" if folder else name for name in guess.layout.files]
     is_split = guess.layout.kind == "file_per_channel" or guess.format == "mcap"
     logs = _logs(guess, own if guess.layout.kind == "file_per_channel" else [pattern], asked)
-    if guess.layout.motor_column:
-        asked.ask(
-            f"{log}.motor_column",
-            f"{log}: rows of several motors under the same names ({guess.layout.motor_column}); "
-            "have a file written for each motor",
+    if guess.layout.motors:
+        columns = tuple(guess.layout.motors)
+        text = f"{log}: rows of several motors: which column has the motor's name?"
+        column = (
+            columns[0] if len(columns) == 1 else asked.ask(f"{log}.motor_column", text, columns)
         )
+        for name in guess.layout.motors.get(column or "", ()):
+            own_logs = logs | {"motor_column": column, "motor_name": name}
+            yield from _grouped(guess, own_logs, name, asked, unused)
         return
     if is_split:
         sources = {one.channel: _with_unit(one, guess, asked) for one in guess.layout.sources}
         yield from _complete(ProposedMotor("", log, logs, sources, {}), guess, asked)
         unused |= dict.fromkeys(guess.layout.unused)
         return
+    yield from _grouped(guess, logs, log, asked, unused)
+
+
+def _grouped(
+    guess: LogGuess, logs: Mapping[str, Any], log: str, asked: _Asked, unused: dict[str, None]
+) -> Iterator[ProposedMotor]:
+    """The motors whose columns or tags a table has."""
     candidates = {one[0]: one for one in guess.layout.candidates}
     qualities = _qualities(candidates)
     plain = [name for name in candidates if name not in qualities.values()]

@@ -105,7 +105,7 @@ def test_every_command_over_a_night_of_nothing(tmp_path: Path, call: Call, kind:
     assert "insufficient_data" in said(call("explain", workshop.fleet, "M1", LABEL))
     assert said(call("status", workshop.fleet)).startswith("M1; insufficient; unknown; none yet")
     found = said(call("check", workshop.fleet))
-    assert ("no value is kept" in found) == (kind != "one sample")
+    assert ("none is kept" in found) == (kind != "one sample")
     assert "e+" not in found
 
 
