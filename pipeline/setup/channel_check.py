@@ -17,6 +17,7 @@ from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import FileRecord
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
+from pipeline.setup.night_worth import night_worth
 from pipeline.setup.sampling_look import configured, look_of, remark, words
 from pipeline.setup.unit_look import suspect_units, units_told
 
@@ -44,11 +45,11 @@ class ChannelCheck:
 
 def check_channels(
     spec: MotorSpec, records: Mapping[str, FileRecord], path_of: Callable[[str], Path]
-) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...]]:
+) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...], tuple[str, ...]]:
     """Look into the newest log of a motor that can be read and is not too large.
 
     Returned are its configured channels, none where there is no such log, and faults: of a log that
-    looks sound from outside and cannot be read, and of units.
+    looks sound from outside and cannot be read, and of units; and notes on what a night gives.
     """
     readable = [
         name
@@ -56,19 +57,20 @@ def check_channels(
         if record.status == "ok" and record.nights and record.size <= LARGEST_LOG_BYTES
     ]
     if not readable:
-        return (), ()
+        return (), (), ()
     newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
     try:
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
-        return (), (f"{error.code}: {error.message}",)
+        return (), (f"{error.code}: {error.message}",), ()
     suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)
     told = units_told(path_of(newest), spec.file)
     found = tuple(
         _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    return found, tuple(fault for one in found for fault in one.unit_faults)
+    worth = night_worth(spec, log.channels, len(labels_of(records[newest])))
+    return found, tuple(fault for one in found for fault in one.unit_faults), (worth,)
 
 
 def _looked_at(

@@ -101,7 +101,7 @@ def test_a_pattern_without_a_match_beside_one_with_a_match(tmp_path: Path) -> No
     write_log(tmp_path / "logs" / "M1" / "a[1].parquet", operation.time_us, values)
     one = checks_of(fleet)["M1"]
     assert one.n_files == 1
-    (note,) = one.notes
+    (_, note) = one.notes
     assert note.startswith("no file matches M1/*/late-*.parquet below ")
 
 
@@ -253,3 +253,26 @@ def test_a_motor_without_a_readable_log_has_no_channels(own_fleet: OwnFleet) -> 
     for path in (fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir():
         path.write_bytes(b"nonsense")
     assert checks_of(fleet)["CB400-02"].channels == ()
+
+
+def test_running_minutes_and_whether_they_are_enough(tmp_path: Path) -> None:
+    """40 minutes at one sample a second, of which the last 36 or all are at rest."""
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    for running, told in ((2400, "ran 40 minutes"), (240, "ran 4 minutes")):
+        operation = operate()
+        values = operation.channels(operation.pressure_bar)
+        values["speed"][running:] = 0.0
+        write_log(tmp_path / "logs" / "M1" / "a.parquet", operation.time_us, values)
+        (note,) = checks_of(fleet)["M1"].notes
+        assert told in note
+        # 5 minutes of training are 80 % of a night.
+        assert note.endswith("enough for a fit every night (6.25 minutes)") == (running == 2400)
+
+
+def test_two_motors_of_one_drain_flow(tmp_path: Path) -> None:
+    motors = {name: motor_toml(name, files='"M1/*.parquet"') for name in ("M1", "M2")}
+    checks = checks_of(write_configs(tmp_path, motors))
+    assert checks["M1"].faults == ()
+    assert checks["M2"].faults == (
+        "column_claimed_twice: leakage_flow is the drain flow of M1, too",
+    )
