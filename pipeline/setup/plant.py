@@ -178,7 +178,7 @@ def _motors(
             yield from _grouped(guess, own_logs, name, asked, unused)
         return
     if is_split:
-        sources = {one.channel: _with_unit(one, guess, asked) for one in guess.layout.sources}
+        sources = {one.channel: _with_unit(one, guess, asked, log) for one in guess.layout.sources}
         yield from _complete(ProposedMotor("", log, logs, sources, {}), guess, asked)
         unused |= dict.fromkeys(guess.layout.unused)
         return
@@ -198,7 +198,7 @@ def _grouped(
         motor_id = _plain(group.name or log)
         rivals = _rivals(group, candidates)
         sources = {
-            channel: _with_unit(source, guess, asked)
+            channel: _with_unit(source, guess, asked, group.name)
             for channel, source in _chosen(motor_id, rivals, asked)
         }
         quality = {
@@ -229,7 +229,9 @@ def _complete(motor: ProposedMotor, guess: LogGuess, asked: _Asked) -> Iterator[
         text = f"{motor.motor_id}: no {channel.replace('_', ' ')} was found: which is it?"
         named = asked.ask(key, text, by_name)
         if named is not None:
-            sources[channel] = _with_unit(_source(channel, by_name[named]), guess, asked)
+            sources[channel] = _with_unit(
+                _source(channel, by_name[named]), guess, asked, motor.name
+            )
     yield replace(motor, sources={name: sources[name] for name in CHANNELS if name in sources})
 
 
@@ -240,7 +242,12 @@ def _logs(guess: LogGuess, files: Sequence[str], asked: _Asked) -> dict[str, Any
         ((key, value),) = tomllib.loads(line).items()
         text, _, comment = line.partition("  # ")
         if comment:
-            value = asked.ask(key, f"{asked.log}: {text}: {comment}") or value
+            # Logs that read alike have one answer; those of another mark or format their own.
+            own_key = key if key == "time_zone" else f"{key} {value}"
+            answer = asked.ask(own_key, f"{asked.log}: {text}: {comment}")
+            if key == "decimal" and answer not in (None, value):
+                logs["thousands"] = value
+            value = answer or value
         logs[key] = value
     return logs
 
@@ -296,7 +303,8 @@ def _chosen(
         yield from ((channel, one) for one in own if one.source == named)
 
 
-def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked) -> GuessedSource:
+def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked, motor: str) -> GuessedSource:
+    """The source with its unit; one answer is for columns called alike, where it is plausible."""
     if source.unit is not None:
         return source
     numbers = [as_number(cell, guess.marks) for cell in source.samples]
@@ -305,7 +313,10 @@ def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked) -> Guessed
     text = f"unit of {source.channel.replace('_', ' ')} ({source.source}: {shown}): which is it?"
     units = tuple(UNITS[QUANTITIES[source.channel]])
     likely = likely_units(source.channel, known) or units
-    return replace(source, unit=asked.ask(f"unit.{source.channel}", text, likely, units))
+    key = f"unit of {source.source.replace(motor, '').strip('._/: -') or source.channel}"
+    if key in asked.answers and asked.answers[key] not in likely:
+        key = f"{key} in {asked.log}"
+    return replace(source, unit=asked.ask(key, text, likely, units))
 
 
 def _plain(name: str) -> str:

@@ -29,8 +29,9 @@ LEAST_RIGHT = 0.95
 
 def answered(question: Question) -> str:
     """The answer of a person who knows the plant."""
-    if question.key.startswith("unit."):
-        return UNITS[QUANTITIES[question.key.removeprefix("unit.")]]
+    unit = re.match(r"unit of ([a-z ]+) \(", question.text)
+    if unit:
+        return UNITS[QUANTITIES[unit[1].replace(" ", "_")]]
     stated = re.search(r' = "([^"]*)"', question.text)
     return stated[1] if stated else question.choices[0]
 
@@ -106,7 +107,7 @@ def test_nothing_is_overwritten_and_nothing_written_unasked(tmp_path: Path) -> N
     source = next(one for one in PLANTS if "four motors" in one.name).write(tmp_path / "plant")
     run = CliRunner().invoke
     options = ["init", str(source), "--to", str(tmp_path / "fleet")]
-    known = ["--answer", "motor_type=CB560", "--answer", "oil=vg68", "--answer", "decimal=."]
+    known = ["--answer", "motor_type=CB560", "--answer", "oil=vg68", "--answer", "decimal .=."]
     assert run(app, [*options, "--write"]).exit_code == 1
     assert run(app, [*options, *known]).exit_code == 0
     assert not (tmp_path / "fleet").exists()
@@ -142,3 +143,25 @@ def test_a_source_without_a_log(tmp_path: Path, name: str, content: str, code: s
     with pytest.raises(LogError) as caught:
         propose(tmp_path / "nowhere", {})
     assert caught.value.code == "log_missing"
+
+
+def test_an_answer_for_one_log_is_not_taken_for_another_of_another_size(tmp_path: Path) -> None:
+    """180 bar in one, and 18 000 kPa in the other, under the same name."""
+    for motor, pressure in (("M1", "180.5"), ("M2", "18050.5")):
+        rows = [f"2026-01-13T06:00:{i:02}Z,{pressure},45.5,30.5,1.5" for i in range(9)]
+        path = tmp_path / motor / "a.csv"
+        path.parent.mkdir()
+        path.write_text("\n".join(["time,dp,T [°C],n [rpm],leak [l/min]", *rows]) + "\n", "utf-8")
+    answers = {"unit of dp": "bar"}
+    (question,) = propose(tmp_path, answers).questions
+    assert (question.key, question.choices) == ("unit of dp in M2", ("kPa", "mbar"))
+    found = propose(tmp_path, answers | {question.key: "kPa"})
+    assert [one.sources["pressure_difference"].unit for one in found.motors] == ["bar", "kPa"]
+
+
+def test_a_mark_that_is_not_the_decimal_one_is_between_thousands(tmp_path: Path) -> None:
+    rows = [f"2026-01-13T06:00:{i:02}Z;1.250;45;30;2.500" for i in range(9)]
+    log = tmp_path / "a.csv"
+    log.write_text("\n".join(["time;dp [kPa];T [°C];n [rpm];leak [ml/min]", *rows]) + "\n", "utf-8")
+    (motor,) = propose(log, {"decimal .": ","}).motors
+    assert (motor.logs["decimal"], motor.logs["thousands"]) == (",", ".")
