@@ -6,7 +6,7 @@ import codecs
 import datetime as dt
 from collections.abc import Iterator, Mapping
 from itertools import chain, pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import AwareDatetime, Field, field_validator, model_validator
 
@@ -45,7 +45,7 @@ QualityValue = str | int | float | bool
 GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
-COUNTED = "leakage_flow"
+COUNTED: Final = "leakage_flow"
 # Keys of a channel that is not logged.
 OF_A_CONSTANT = {"constant", "unit", "offset_tolerance", "gain_tolerance_percent"}
 # Channels that differ from sample to sample, or say nothing.
