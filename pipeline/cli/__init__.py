@@ -7,7 +7,16 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from pipeline.cli import checking, housekeeping, looking, model, publishing, runs, state
+from pipeline.cli import (
+    checking,
+    housekeeping,
+    looking,
+    model,
+    publishing,
+    runs,
+    starting,
+    state,
+)
 from pipeline.cli.arguments import (
     EXIT_INTERRUPTED,
     EXIT_LOCKED,
@@ -34,6 +43,7 @@ baseline = typer.Typer(no_args_is_help=True, help="Baselines of a motor.")
 app.command("fit-fleet")(runs.fit_fleet)
 app.command()(looking.look)
 app.command()(runs.retry)
+app.command()(starting.init)
 app.command()(checking.check)
 app.command()(publishing.explain)
 app.command()(runs.fit)

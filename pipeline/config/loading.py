@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
 from leakage.model_verdict import LowSide
 from leakage.walther import kinematic_viscosity_mm2_per_s
+from pipeline.config.defaults import at_their_place, completed
 from pipeline.config.faults import ConfigError, Fault, Place, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import MotorFile, channel_faults
@@ -42,12 +43,15 @@ class Folder(Generic[Model]):
 
     Attributes
     ----------
-    documents
+    own
         Content of every file there is; empty where it cannot be read.
+    documents
+        The same with the fleet's defaults.
     parsed
-        Those without a fault of their own.
+        Those without a fault.
     """
 
+    own: Mapping[str, Document]
     documents: Mapping[str, Document]
     parsed: Mapping[str, Model]
 
@@ -173,7 +177,8 @@ def load_fleet(path: Path) -> Fleet:
     log_root = places.get("logs", path.parent)
     types = _read_folder(places.get("motor_types"), MotorTypeFile, faults)
     oils = _read_folder(places.get("oils"), OilFile, faults)
-    motors = _read_folder(places.get("motors"), MotorFile, faults)
+    defaults = fleet.defaults if fleet else {}
+    motors = _read_folder(places.get("motors"), MotorFile, faults, defaults)
     circuits = _read_folder(_if_there(places.get("oil_circuits")), OilCircuitFile, faults)
     faults += _misnamed("motor_types", "motor_type", types.documents)
     specs = [
@@ -186,7 +191,8 @@ def load_fleet(path: Path) -> Fleet:
     if not motors.documents and not faults:
         faults.append(Fault(folders.motors, "", "expected at least one motor's file"))
     if faults or fleet is None:
-        raise ConfigError(faults)
+        own = {f"motors/{name}.toml": one for name, one in motors.own.items()}
+        raise ConfigError(at_their_place(faults, own, defaults, path.name))
     log_url = folders.logs if is_url(folders.logs) else ""
     found = Fleet(
         name=fleet.name,
@@ -449,23 +455,32 @@ def _impossible(file: str, spec: MotorSpec) -> Iterator[Fault]:
                 yield Fault(file, "", f"with {spec.file.oil_on(night)}: {error}")
 
 
-def _read_folder(folder: Path | None, model: type[Model], faults: list[Fault]) -> Folder[Model]:
+def _read_folder(
+    folder: Path | None,
+    model: type[Model],
+    faults: list[Fault],
+    defaults: Document | None = None,
+) -> Folder[Model]:
     """All TOML files of a folder; none where it cannot be, which is told already."""
     if folder is None:
-        return Folder({}, {})
+        return Folder({}, {}, {})
     if not folder.is_dir():
         faults.append(Fault(folder.name, "", f"expected a folder at {folder}"))
-        return Folder({}, {})
+        return Folder({}, {}, {})
+    own: dict[str, Document] = {}
     documents: dict[str, Document] = {}
     parsed: dict[str, Model] = {}
     for path in sorted(folder.glob("*.toml")):
-        file = f"{folder.name}/{path.name}"
+        file, name = f"{folder.name}/{path.name}", path.stem
         document = _read_toml(path, file, faults)
-        documents[path.stem] = document or {}
-        content = _validate(model, document, file, faults) if document is not None else None
+        own[name] = document or {}
+        documents[name] = completed(own[name], defaults or {}, name)
+        content = None
+        if document is not None:
+            content = _validate(model, documents[name], file, faults)
         if content is not None:
-            parsed[path.stem] = content
-    return Folder(documents, parsed)
+            parsed[name] = content
+    return Folder(own, documents, parsed)
 
 
 def _read_toml(path: Path, file: str, faults: list[Fault]) -> dict[str, Any] | None:

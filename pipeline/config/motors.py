@@ -6,7 +6,7 @@ import codecs
 import datetime as dt
 from collections.abc import Iterator, Mapping
 from itertools import chain, pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import AwareDatetime, Field, field_validator, model_validator
 
@@ -45,7 +45,11 @@ QualityValue = str | int | float | bool
 GOOD_QUALITY: tuple[QualityValue, ...] = ("Good", 192)
 # Unit of a drain flow that is logged as counts of a volume.
 COUNT = "count"
-COUNTED = "leakage_flow"
+COUNTED: Final = "leakage_flow"
+# Keys of a channel that is not logged.
+OF_A_CONSTANT = {"constant", "unit", "offset_tolerance", "gain_tolerance_percent"}
+# Channels that differ from sample to sample, or say nothing.
+NEVER_CONSTANT = (COUNTED, "running_hours")
 # Bytes of a pattern of logs; S3 takes no longer names, and most systems 255 bytes a part.
 LONGEST_PATTERN, LONGEST_NAME = 1024, 255
 FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
@@ -71,9 +75,16 @@ class Channel(Section):
     """
 
     source: str = Field(
-        min_length=1,
+        "",
         description="Column of a CSV or Parquet log (nested: its path, `a.b.c`), topic of an MCAP; "
-        "in the layout `long` the channel's name, in `file_per_channel` a glob of the file's name",
+        "in the layout `long` the channel's name, in `file_per_channel` a glob of the file's name. "
+        "Needed without a `constant`",
+    )
+    constant: float | None = Field(
+        None,
+        description="In place of `source`, for what is not logged, such as the speed of a motor "
+        "that always turns alike, or the case pressure: its value, in `unit`. The drain flow's "
+        "time stamps are its own, and no rule of cleaning judges it",
     )
     field: str = Field(
         "value",
@@ -164,7 +175,7 @@ class Channel(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Channel:
-        refuse("channel", chain(_sampling_faults(self), _quality_faults(self)))
+        refuse("channel", chain(_place_faults(self), _sampling_faults(self), _quality_faults(self)))
         return self
 
     @field_validator("field")
@@ -197,6 +208,16 @@ class Channel(Section):
 
 
 Channels = Mapping[ChannelName, Channel]
+
+
+def _place_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
+    """Neither a source nor a constant, or a constant with keys of what is logged."""
+    if channel.constant is None:
+        if not channel.source:
+            yield ("source",), "is missing: the place in the log, or else a constant", None
+        return
+    for key in sorted(channel.model_fields_set - OF_A_CONSTANT):
+        yield (key,), "expected no such key beside a constant", getattr(channel, key)
 
 
 def _quality_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
@@ -251,6 +272,10 @@ class Logs(Section):
         "name, or one file per channel",
     )
     channel_column: str = Field("channel", description="Layout `long`: column of channels' names")
+    motor_column: str = Field(
+        "", description="Layout `long`: column of the motor's name, where rows are of several"
+    )
+    motor_name: str = Field("", description="The motor's name in `motor_column`")
     value_column: str = Field(
         "value", description="Layouts `long` and `file_per_channel`: column of the values"
     )
@@ -323,6 +348,9 @@ class Logs(Section):
     @model_validator(mode="after")
     def _marks_apart(self) -> Logs:
         refuse("logs", _mark_faults(self))
+        if bool(self.motor_column) != bool(self.motor_name):
+            message = "expected motor_column and motor_name together"
+            refuse("logs", [(("motor_name",), message, self.motor_name)])
         return self
 
 
@@ -447,6 +475,11 @@ class MotorFile(Section):
 
     motor_id: MotorId = Field(description="Unique name; the file has the same")
     motor_type: str = Field(description="One of the motor types")
+    name_in_log: str = Field(
+        "",
+        exclude=True,
+        description="The motor's name as the log writes it, for `[defaults]`; empty: `motor_id`",
+    )
     oil: str = Field(description="One of the oils; changes are dated in `events`")
     oil_circuit: str = Field("", description="Motors with the same name share tank and pump")
     logs: Logs = Field(description="The log files")
@@ -469,6 +502,7 @@ class MotorFile(Section):
     @model_validator(mode="after")
     def _complete(self) -> MotorFile:
         refuse("motor", channel_faults({name: part.unit for name, part in self.channels.items()}))
+        refuse("motor", _constant_faults(self.channels))
         if self.logs.format == "mcap":
             refuse("motor", _quality_paths(self.channels))
         refuse("motor", order_faults(self.oil_samples))
@@ -487,6 +521,13 @@ class MotorFile(Section):
     def _filling(self, night: dt.date) -> Event | None:
         changes = [event for event in self.events if event.oil and event.date <= night]
         return max(changes, key=lambda event: event.date, default=None)
+
+
+def _constant_faults(channels: Channels) -> Iterator[tuple[Place, str, object]]:
+    """Constants of channels that have to be measured."""
+    for name, channel in channels.items():
+        if channel.constant is not None and name in NEVER_CONSTANT:
+            yield ("channels", name, "constant"), "expected a source", channel.constant
 
 
 def _quality_paths(channels: Mapping[ChannelName, Channel]) -> Iterator[tuple[Place, str, object]]:

@@ -7,7 +7,7 @@ from these models. A motor's file may override any key of any section here.
 from __future__ import annotations
 
 import datetime as dt
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 from zoneinfo import ZoneInfo, available_timezones
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -641,3 +641,9 @@ class FleetFile(Settings):
     execution: Execution = Field(default_factory=lambda: Execution())
     retention: Retention = Field(default_factory=lambda: Retention())
     metrics: Metrics = Field(default_factory=lambda: Metrics())
+    defaults: dict[str, Any] = Field(
+        default_factory=dict,
+        description="Any part of a motor's file, for motors that do not state it: tables are "
+        "merged key by key, but a channel's that names a `source` or a `constant` stands alone. "
+        "`{name_in_log}` in a text is the motor's name in the log",
+    )

@@ -6,17 +6,20 @@ Imports config, units and errors, nothing else of the pipeline.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import NamedTuple
 
-from pipeline.config.motors import Channels, Logs
+import numpy as np
+
+from pipeline.config.motors import COUNTED, Channel, Channels, Logs
 from pipeline.ingest.contract import Place, RawChannel, RawLog, readable
 from pipeline.ingest.csv.log import csv_time_span, read_csv_log, read_csv_piece
 from pipeline.ingest.csv.text import is_packed, is_utf8
 from pipeline.ingest.mcap.log import mcap_time_span, read_mcap_log
 from pipeline.ingest.parquet.log import parquet_time_span, read_parquet_log
-from pipeline.units import CHANNELS
+from pipeline.units import CHANNELS, to_canonical
 
 __all__ = ["Place", "RawChannel", "RawLog", "can_grow", "read_log", "read_piece", "time_span"]
 
@@ -60,7 +63,8 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
     with readable(path):
-        return _READERS[logs.format].read(path, logs, _in_order(channels), latest_us)
+        log = _READERS[logs.format].read(path, logs, _logged(channels), latest_us)
+    return _with_constants(log, channels)
 
 
 def can_grow(path: Path, logs: Logs) -> bool:
@@ -107,7 +111,8 @@ def read_piece(
         As `read_log`.
     """
     with readable(path):
-        return read_csv_piece(path, logs, _in_order(channels), latest_us, place, most_bytes)
+        log, end = read_csv_piece(path, logs, _logged(channels), latest_us, place, most_bytes)
+    return None if log is None else _with_constants(log, channels), end
 
 
 def time_span(
@@ -134,8 +139,28 @@ def time_span(
         As `read_log`; ``log_empty`` where the log holds no samples.
     """
     with readable(path):
-        return _READERS[logs.format].span(path, logs, _in_order(channels), latest_us)
+        return _READERS[logs.format].span(path, logs, _logged(channels), latest_us)
 
 
-def _in_order(channels: Channels) -> Channels:
-    return dict(sorted(channels.items(), key=lambda item: CHANNELS.index(item[0])))
+def _logged(channels: Channels) -> Channels:
+    """The channels that a log holds, in their order."""
+    logged = (item for item in channels.items() if item[1].constant is None)
+    return dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
+
+
+def _with_constants(log: RawLog, channels: Channels) -> RawLog:
+    """A log with the channels that are stated: they have the samples of the drain flow."""
+    stated = {name: one for name, one in channels.items() if one.constant is not None}
+    if not stated:
+        return log
+    flow = log.channels[COUNTED]
+    every = dict(log.channels)
+    every |= {name: _constant(name, one, flow) for name, one in stated.items()}
+    return replace(log, channels={name: every[name] for name in CHANNELS if name in every})
+
+
+def _constant(name: str, channel: Channel, flow: RawChannel) -> RawChannel:
+    value = np.full(flow.value.size, to_canonical(name, channel.constant or 0.0, channel.unit))
+    value[flow.missing] = np.nan
+    value.flags.writeable = False
+    return RawChannel(flow.time_us, value, flow.missing, 0)

@@ -48,12 +48,25 @@ class Columns:
     name: str | None  # of the channel's name; None where it is not in the rows
     numbers: tuple[str, ...]  # of readings
     qualities: tuple[str, ...] = ()  # of what the log says of its samples
+    motor: str | None = None  # of the name of the row's motor; None: all rows are the motor's
 
     @property
     def all(self) -> tuple[str, ...]:
         """All of them."""
-        names = () if self.name is None else (self.name,)
+        names = tuple(name for name in (self.name, self.motor) if name is not None)
         return tuple(dict.fromkeys((*self.time, *names, *self.numbers, *self.qualities)))
+
+    def channel_names(
+        self, logs: Logs, cells: Mapping[str, pa.ChunkedArray]
+    ) -> pa.ChunkedArray | None:
+        """Names of the rows' channels, null in rows of another motor; None: rows have none."""
+        if self.name is None:
+            return None
+        names = cells[self.name].cast(pa.string())
+        if self.motor is None:
+            return names
+        motors = pc.utf8_trim_whitespace(cells[self.motor].cast(pa.string()))
+        return pc.if_else(pc.equal(motors, logs.motor_name), names, pa.scalar(None, pa.string()))
 
 
 def wanted_columns(path: Path, logs: Logs, channels: Channels) -> Columns:
@@ -67,7 +80,8 @@ def wanted_columns(path: Path, logs: Logs, channels: Channels) -> Columns:
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
     if logs.layout == "long":
         qualities = _qualities(channels.values())
-        return Columns(times, logs.channel_column, (logs.value_column,), qualities)
+        motor = logs.motor_column or None
+        return Columns(times, logs.channel_column, (logs.value_column,), qualities, motor)
     if logs.layout == "file_per_channel":
         here = [channel for channel in channels.values() if is_of_file(channel, path)]
         if not here:

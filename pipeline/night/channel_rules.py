@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from pipeline.config import Channel, Cleaning
@@ -58,6 +59,8 @@ class ChannelRules:
         cls, name: str, channel: Channel, cleaning: Cleaning, logs: Logs | None = None
     ) -> ChannelRules:
         """The rules of a channel: its own keys where stated, else the fleet's."""
+        if channel.constant is not None:
+            return cls.of_a_constant(cleaning)
         is_temperature = name == "oil_temperature"
         fallback = TEMPERATURE_FROZEN_AFTER_S if is_temperature else cleaning.frozen_after_s
         # A value that did not change was not sent: silence is no sign of a frozen sensor.
@@ -79,4 +82,19 @@ class ChannelRules:
             sampling=Sampling.of(channel),
             puts_in_order=cleaning.out_of_order == "sort",
             has_rows_of_its_own=logs is not None and logs.layout != "wide",
+        )
+
+    @classmethod
+    def of_a_constant(cls, cleaning: Cleaning) -> ChannelRules:
+        """The rules of a value that is stated: none refuses it."""
+        return cls(
+            valid_range=(-math.inf, math.inf),
+            sensor_maximum=None,
+            resolution=0.0,
+            hampel_window=cleaning.hampel_window,
+            hampel_threshold=cleaning.hampel_threshold,
+            frozen_after_s=math.inf,
+            gap_sample_periods=cleaning.gap_sample_periods,
+            longest_gap_s=math.inf,
+            puts_in_order=cleaning.out_of_order == "sort",
         )

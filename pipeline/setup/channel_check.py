@@ -17,8 +17,9 @@ from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import FileRecord
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import clean_channel
+from pipeline.setup.night_worth import night_worth
 from pipeline.setup.sampling_look import configured, look_of, remark, words
-from pipeline.setup.unit_look import suspect_units
+from pipeline.setup.unit_look import suspect_units, units_told
 
 # Larger logs are not read for a look: a check answers in seconds.
 LARGEST_LOG_BYTES = 200 << 20
@@ -38,16 +39,17 @@ class ChannelCheck:
     refused_by: Mapping[str, float]  # share by rule, of those that refused any
     configured: str  # its sampling, in words
     looks: str  # its sampling by its looks, in words; empty where nothing can be told
-    remarks: tuple[str, ...]  # what does not look as configured: sampling, unit
+    remarks: tuple[str, ...]  # where its sampling does not look as configured
+    unit_faults: tuple[str, ...]  # where its unit is not the header's, or its size is unusual
 
 
 def check_channels(
     spec: MotorSpec, records: Mapping[str, FileRecord], path_of: Callable[[str], Path]
-) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...]]:
+) -> tuple[tuple[ChannelCheck, ...], tuple[str, ...], tuple[str, ...]]:
     """Look into the newest log of a motor that can be read and is not too large.
 
-    Returned are its configured channels, none where there is no such log, and the fault of a log
-    that looks sound from outside and cannot be read.
+    Returned are its configured channels, none where there is no such log, and faults: of a log that
+    looks sound from outside and cannot be read, and of units; and notes on what a night gives.
     """
     readable = [
         name
@@ -55,22 +57,28 @@ def check_channels(
         if record.status == "ok" and record.nights and record.size <= LARGEST_LOG_BYTES
     ]
     if not readable:
-        return (), ()
+        return (), (), ()
     newest = max(readable, key=lambda name: (max(labels_of(records[name])), name))
     try:
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
-        return (), (f"{error.code}: {error.message}",)
+        return (), (f"{error.code}: {error.message}",), ()
     suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)
+    told = units_told(path_of(newest), spec.file)
     found = tuple(
-        _looked_at(spec, name, channel, log.channels[name], suspects.get(name))
+        _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    return found, ()
+    worth = night_worth(spec, log.channels, len(labels_of(records[newest])))
+    return found, tuple(fault for one in found for fault in one.unit_faults), (worth,)
 
 
 def _looked_at(
-    spec: MotorSpec, name: str, channel: Channel, raw: RawChannel, suspect: str | None
+    spec: MotorSpec,
+    name: str,
+    channel: Channel,
+    raw: RawChannel,
+    unit_faults: tuple[str | None, ...],
 ) -> ChannelCheck:
     look = look_of(raw, is_flow=name == COUNTED, resolution=channel.resolution)
     rules = ChannelRules.of(name, channel, spec.settings.cleaning, spec.file.logs)
@@ -92,5 +100,6 @@ def _looked_at(
         },
         configured=configured(channel),
         looks=words(look),
-        remarks=tuple(text for text in (remark(channel, look), suspect) if text),
+        remarks=tuple(filter(None, [remark(channel, look)])),
+        unit_faults=tuple(filter(None, unit_faults)),
     )

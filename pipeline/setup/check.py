@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
+from pipeline.config.motors import COUNTED
 from pipeline.errors import LogError
 from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
 from pipeline.logs.ledger import FileRecord
@@ -48,7 +49,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
     names = _some(logs.names) if spec.log_url else logs.names
     records = {name: _looked_at(name, logs, spec) for name in names}
     nights = {label for record in records.values() for label in labels_of(record)}
-    channels, unread = check_channels(spec, records, logs.path)
+    channels, unfit, worth = check_channels(spec, records, logs.path)
     broken = [record for record in records.values() if record.status == "failed"]
     written = [record for record in records.values() if record.status == "growing"]
     return MotorCheck(
@@ -59,13 +60,14 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*map(_fault, broken), *map(_absent, logs.absent), *unread),
+        faults=(*map(_fault, broken), *map(_absent, logs.absent), *unfit),
         placeholders=(
             *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
             *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),
         ),
         channels=channels,
         notes=(
+            *worth,
             *map(_fault, written),
             *_left_out(spec, len(names), len(logs.names)),
             *logs.unmatched(),
@@ -115,4 +117,23 @@ def _absent(name: str) -> str:
 
 def check_fleet(fleet: Fleet) -> tuple[MotorCheck, ...]:
     """Look at the logs of every motor."""
-    return tuple(check_motor(spec) for spec in fleet.motors)
+    claimed = _claimed_twice(fleet.motors)
+    return tuple(
+        replace(one, faults=(*one.faults, *claimed.get(one.motor_id, ())))
+        for one in map(check_motor, fleet.motors)
+    )
+
+
+def _claimed_twice(motors: Sequence[MotorSpec]) -> dict[str, list[str]]:
+    """Faults of motors that take their drain flow from one place."""
+    first: dict[object, str] = {}
+    found: dict[str, list[str]] = {}
+    for spec in motors:
+        flow, logs = spec.file.channels[COUNTED], spec.file.logs
+        place = (logs.files, logs.motor_name, flow.source, flow.field)
+        other = first.setdefault(place, spec.motor_id)
+        if other != spec.motor_id:
+            found[spec.motor_id] = [
+                f"column_claimed_twice: {flow.source} is the drain flow of {other}, too"
+            ]
+    return found

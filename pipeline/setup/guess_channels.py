@@ -7,6 +7,7 @@ letter does, and a unit only where no word does.
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
@@ -15,43 +16,115 @@ from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 _T = TypeVar("_T")
 
-# English, German and Swedish, as loggers are labelled; by quantity, the first that fits counts.
+
+def _spelled(*words: str) -> set[str]:
+    """Words as they are spelled with and without their marks: ö as oe and as o."""
+    two = {"ö": "oe", "ä": "ae", "ü": "ue"}
+    found = set(words)
+    for word in words:
+        found.add("".join(two.get(letter, letter) for letter in word))
+        parts = unicodedata.normalize("NFD", word)
+        found.add("".join(one for one in parts if not unicodedata.combining(one)))
+    return found
+
+
+# English, German, Swedish, Spanish and French, as loggers are labelled, and letters of ISA 5.1; by
+# quantity, the first that fits counts.
 _WORDS: Mapping[str, set[str]] = {
-    "temperature": {"temp", "temperature", "temperatur", "oiltemp", "öltemperatur", "oljetemp"},
-    "pressure": {
-        *("press", "pressure", "druck", "tryck", "dp", "deltap", "port", "anschluss"),
+    "temperature": _spelled(
+        *("temp", "temperature", "temperatur", "oiltemp", "öltemperatur", "oljetemp", "toil"),
+        *("temperatura", "température", "töl", "tt", "tit"),
+    ),
+    "pressure": _spelled(
+        *("press", "pressure", "druck", "tryck", "dp", "deltap", "port", "anschluss", "pdiff"),
         *("differenzdruck", "hochdruck", "niederdruck", "speisedruck", "gehäusedruck"),
-    },
-    "speed": {"speed", "rpm", "drehzahl", "varvtal", "revs", "rotation", "omega"},
-    "flow": {
+        *("tryckskillnad", "differenstryck", "högtryck", "lågtryck", "hustryck", "matningstryck"),
+        *("presión", "pression", "pt", "pit", "pdt", "pdit", "dpt"),
+    ),
+    "speed": _spelled(
+        *("speed", "rpm", "drehzahl", "varvtal", "revs", "rotation", "omega", "nmot"),
+        *("velocidad", "vitesse", "régime", "st", "sit"),
+    ),
+    "flow": _spelled(
         *("flow", "flowrate", "leak", "leakage", "drain", "durchfluss", "volumenstrom", "flöde"),
         *("leck", "leckage", "lecköl", "leckstrom", "leckölstrom", "läckage", "läckflöde"),
-    },
+        *("leckölmenge", "qleak", "qleck", "caudal", "fuga", "débit", "fuite", "ft", "fit"),
+    ),
 }
 _ALL_WORDS = {word for known in _WORDS.values() for word in known}
+# Ends of words that German and Swedish put together.
+_ENDINGS: Mapping[str, str] = {
+    "temperatur": "temperature",
+    "druck": "pressure",
+    "tryck": "pressure",
+    "drehzahl": "speed",
+    "varvtal": "speed",
+    "durchfluss": "flow",
+    "volumenstrom": "flow",
+}
 _LETTERS = {"p": "pressure", "t": "temperature", "n": "speed", "q": "flow"}
 _LONGEST_WITH_A_LETTER = 4
 # Of another machine or place, or no measurement.
 _STRANGERS: Mapping[str, set[str]] = {
-    "temperature": {"ambient", "room", "air", "water", "winding", "umgebung", "luft", "wasser"},
-    "pressure": set(),
-    "speed": {"pump", "fan", "engine", "diesel", "wind", "pumpe", "lüfter"},
-    "flow": {"pump", "pumpe", "flush", "flushing", "spülung", "charge", "feed", "boost", "speise"},
+    "temperature": _spelled(
+        *("ambient", "room", "air", "water", "winding", "umgebung", "luft", "wasser", "tank"),
+        *("ambiente", "ambiante", "omgivning", "vatten", "agua", "eau", "bearing", "lager"),
+    ),
+    "pressure": {"water", "air", "luft"},
+    "speed": _spelled(
+        "pump", "fan", "engine", "diesel", "wind", "pumpe", "lüfter", "bomba", "pompe"
+    ),
+    "flow": _spelled(
+        *("pump", "pumpe", "flush", "flushing", "spülung", "charge", "feed", "boost", "speise"),
+        *("bomba", "pompe", "gavage", "matning", "water", "wasser"),
+    ),
 }
-_NO_MEASUREMENT = {"setpoint", "target", "limit", "soll", "max", "demand", "reference"}
+_NO_MEASUREMENT = {"setpoint", "sp", "target", "limit", "soll", "max", "demand", "reference"}
+_DIFFERENCE = _spelled(
+    *("dp", "deltap", "delta", "diff", "difference", "differential", "differenzdruck", "pdiff"),
+    *("tryckskillnad", "differenstryck", "diferencial", "différentielle", "pdt", "pdit", "dpt"),
+)
 _PRESSURES = (
-    ("pressure_difference", {"dp", "deltap", "delta", "diff", "difference", "differenzdruck"}),
-    ("charge_pressure", {"charge", "feed", "boost", "speise", "speisedruck", "matning"}),
-    ("case_pressure", {"case", "housing", "gehäuse", "gehäusedruck", "drain", "hus"}),
-    ("low_port_pressure", {"low", "lp", "niederdruck", "nd", "låg", "return", "b", "2"}),
-    ("high_port_pressure", {"high", "hp", "hochdruck", "hd", "hög", "supply", "a", "1"}),
+    ("pressure_difference", _DIFFERENCE),
+    (
+        "charge_pressure",
+        _spelled(
+            *("charge", "feed", "boost", "speise", "speisedruck", "matning", "matningstryck"),
+            *("carga", "gavage"),
+        ),
+    ),
+    (
+        "case_pressure",
+        _spelled(
+            *("case", "housing", "gehäuse", "gehäusedruck", "drain", "hus", "hustryck"),
+            *("carcasa", "carter"),
+        ),
+    ),
+    (
+        "low_port_pressure",
+        _spelled(
+            *("low", "lp", "niederdruck", "nd", "låg", "return", "lågtryck", "bp", "baja", "basse"),
+            *("b", "2"),
+        ),
+    ),
+    (
+        "high_port_pressure",
+        _spelled(
+            *("high", "hp", "hochdruck", "hd", "hög", "supply", "högtryck", "alta", "haute"),
+            *("a", "1"),
+        ),
+    ),
 )
 _PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
 _PORTS = {"a", "b", "1", "2"}
 _BESIDE_A_PORT = {"p", "pressure", "press", "port", "druck", "tryck", "anschluss"}
 _PREFERRED: Mapping[str, set[str]] = {
-    "leakage_flow": _WORDS["flow"] - {"flow", "flowrate", "durchfluss", "volumenstrom", "flöde"},
-    "oil_temperature": {"oil", "öl", "olja", "drain", "case", "leck", "oiltemp", "öltemperatur"},
+    "leakage_flow": _WORDS["flow"]
+    - _spelled("flow", "flowrate", "durchfluss", "volumenstrom", "flöde", "caudal", "débit", "ft"),
+    "oil_temperature": _spelled(
+        *("oil", "öl", "olja", "drain", "case", "leck", "oiltemp", "öltemperatur", "aceite"),
+        *("huile", "toil", "oljetemperatur", "lecköltemperatur"),
+    ),
     "speed": {"motor", "shaft", "actual", "ist"},
 }
 
@@ -60,7 +133,9 @@ _UNIT_NAMES = {
     **dict.fromkeys(("°c", "c", "oc", "℃", "celsius", "deg c", "grad c"), "degC"),
     **dict.fromkeys(("°f", "f", "fahrenheit", "deg f"), "degF"),
     **dict.fromkeys(("kelvin",), "K"),
-    **dict.fromkeys(("1/min", "min-1", "min^-1", "min⁻¹", "r/min", "u/min", "rev/min"), "rpm"),
+    **dict.fromkeys(
+        ("1/min", "min-1", "min^-1", "min⁻¹", "r/min", "u/min", "rev/min", "tr/min"), "rpm"
+    ),
     **dict.fromkeys(("varv/min",), "rpm"),
     **dict.fromkeys(("rps", "rev/s", "s-1", "s^-1", "s⁻¹", "hz"), "1/s"),
     **dict.fromkeys(("°/s",), "deg/s"),
@@ -117,7 +192,7 @@ def channel_of(name: str, unit: str = "") -> str | None:
     """
     words = words_of(name)
     quantity = _quantity_of(words, name, unit)
-    if quantity is None or (_STRANGERS[quantity] | _NO_MEASUREMENT) & set(words):
+    if quantity is None or _is_strange(quantity, words):
         return None
     if quantity != "pressure":
         return _channel_of_quantity(quantity)
@@ -130,13 +205,37 @@ def channel_of(name: str, unit: str = "") -> str | None:
     return next(found, "pressure_difference")
 
 
+def is_bare_pressure(name: str) -> bool:
+    """True if a name that means a pressure does not say which.
+
+    Examples
+    --------
+    >>> is_bare_pressure("PT101"), is_bare_pressure("delta p")
+    (True, False)
+    """
+    return channel_of(name) == "pressure_difference" and not _DIFFERENCE & set(words_of(name))
+
+
+def _is_strange(quantity: str, words: Sequence[str]) -> bool:
+    """True if words name another machine or place, also at the begin of a word put together."""
+    known = _STRANGERS[quantity] | _NO_MEASUREMENT
+    ended = [word for word in words if _ending(word)]
+    return bool(known & set(words)) or any(
+        word.startswith(other) for word in ended for other in known if len(other) > 3
+    )
+
+
+def _ending(word: str) -> str | None:
+    return next((q for end, q in _ENDINGS.items() if word.endswith(end)), None)
+
+
 def _channel_of_quantity(quantity: str) -> str:
     return next(channel for channel in CHANNELS if QUANTITIES[channel] == quantity)
 
 
 def _quantity_of(words: Sequence[str], name: str, unit: str) -> str | None:
     for quantity, known in _WORDS.items():
-        if known & set(words):
+        if known & set(words) or quantity in map(_ending, words):
             return quantity
     if {"pa", "pb"} & set(words):
         return "pressure"

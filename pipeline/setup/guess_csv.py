@@ -66,6 +66,8 @@ def csv_head(path: Path) -> CsvHead:
     lines = list(islice(_lines(path, encoding, _HEAD_BYTES), _MOST_LINES))
     table = max((_table(lines, separator) for separator in _SEPARATORS), key=lambda one: one.fit)
     if table.width < 2:
+        if any(len(_cells(line, mark)) > 2 for line in lines for mark in _SEPARATORS):
+            raise LogError("log_empty", path, "there are names of columns and no row of samples")
         raise LogError("log_not_csv", path, "the first lines are no table of two columns or more")
     header, units = _header(table)
     if header is None:
@@ -85,10 +87,11 @@ def csv_head(path: Path) -> CsvHead:
 
 
 def csv_rows(path: Path, head: CsvHead, most_bytes: int) -> Iterator[Cells]:
-    """Rows of a CSV from its begin on, those as wide as the header, up to so many bytes of text."""
-    for line in _lines(path, head.encoding, 2**20, most_bytes):
+    """Rows below the header, those as wide as it is, up to so many bytes of text."""
+    lines = _lines(path, head.encoding, 2**20, most_bytes)
+    for line in islice(lines, head.skip_rows + 1 + head.unit_rows, None):
         row = _cells(line, head.separator)
-        if len(row) == len(head.names) and row != head.names:
+        if len(row) == len(head.names) and row != head.names and not row[0].startswith("#"):
             yield row
 
 
@@ -173,17 +176,23 @@ def _header(table: _Table) -> tuple[int | None, Cells]:
     """The line that has the names, and the cells of a line of units below it."""
     block: list[int] = []
     for at in range(table.first - 1, -1, -1):
-        if len(table.lines[at]) != table.width and any(table.lines[at]):
+        line = table.lines[at]
+        # Marks of a dataset, such as "#ROWS", may stand between.
+        if len(line) != table.width and any(line) and not line[0].startswith("#"):
             break
         if len(table.lines[at]) == table.width:
             block.insert(0, at)
+    # Annotations, such as "#datatype", are no names where others are there.
+    block = [at for at in block if not table.lines[at][0].startswith("#")] or block
     if not block:
         return None, ()
     with_time = [at for at in block if any(map(is_time_name, table.lines[at]))]
     distinct = {at: len(set(table.lines[at]) - {""}) for at in block}
     header = with_time[0] if with_time else max(block, key=lambda at: (distinct[at], -at))
     below = [table.lines[at] for at in block if at > header]
-    return header, max(below, key=_count_of_units, default=())
+    # The same in all cells are types of numbers, such as "F".
+    units = [cells for cells in below if len(set(cells[1:]) - {""}) > 1 or len(cells) == 2]
+    return header, max(units, key=_count_of_units, default=())
 
 
 def _count_of_units(cells: Cells) -> int:

@@ -13,7 +13,7 @@ from pipeline.setup.guess_channels import channel_of
 from pipeline.units import CHANNELS
 
 # A date, with a time or without, or a long number: what differs from file to file of one channel.
-_VARYING = re.compile(
+VARYING = re.compile(
     r"(?<!\d)(?:20\d\d[-_.]?\d\d[-_.]?\d\d(?:[-_T. ]?\d\d[-_.]?\d\d(?:[-_.]?\d\d)?)?|\d{6,})(?!\d)"
 )
 
@@ -43,7 +43,7 @@ def files_by_channel(path: Path) -> dict[str, tuple[str, Path]]:
     names = sorted(one.name for one in folder.iterdir() if one.is_file())
     of_channel: dict[str, list[str]] = {}
     for name in (name for name in names if name.endswith(suffix)):
-        channel = channel_of(_VARYING.sub(" ", name.removesuffix(suffix)))
+        channel = channel_of(VARYING.sub(" ", name.removesuffix(suffix)))
         if channel is not None:
             of_channel.setdefault(channel, []).append(name)
     if not any(path.name in own for own in of_channel.values()):
@@ -59,7 +59,7 @@ def files_by_channel(path: Path) -> dict[str, tuple[str, Path]]:
 
 def _pattern(own: list[str], others: Iterable[str]) -> str:
     """Pattern that fits all of a channel's names and no other; else the first name."""
-    templates = sorted({_VARYING.sub(_STAR, name) for name in own})
+    templates = sorted({VARYING.sub(_STAR, name) for name in own})
     template = templates[0]
     if len(templates) > 1:
         head = _begin(templates)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from pipeline.config.motors import LogLayout
+from pipeline.config.motors import GOOD_QUALITY, LogLayout
 from pipeline.setup.guess_cells import Marks, as_number, is_missing, is_number
 from pipeline.setup.guess_channels import (
     best_by_channel,
@@ -31,6 +31,9 @@ Kind = Literal["timestamp", "stamp", "date", "clock", "number", "text", "nothing
 Scan = Callable[[Sequence[str]], Iterable[tuple[str, ...]]]
 """Cells of some columns, by name, row by row through a file."""
 
+FEWEST_CHANNELS = 3
+"""Channels by which names are a motor's."""
+
 SAMPLES = 50
 """Cells of a channel that are looked at."""
 
@@ -39,6 +42,7 @@ _NAME_COLUMNS = {
     *("item", "quantity", "measurement", "kanal", "signalname", "messstelle", "messgröße"),
 }
 VALUE_WORDS = {"value", "val", "values", "reading", "wert", "messwert", "data", "värde"}
+_QUALITY_WORDS = {"quality", "status", "qualität", "kvalitet", "calidad", "qualité"}
 _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
 
@@ -78,6 +82,10 @@ class GuessedSource:
     field: str = ""
 
 
+Candidate = tuple[str, str, str, tuple[str, ...]]
+"""Name by which a channel is told, its source, what is written as its unit, and samples."""
+
+
 @dataclass(frozen=True, slots=True)
 class TableLayout:
     """Layout of the channels in a table."""
@@ -88,6 +96,10 @@ class TableLayout:
     channel_column: str = ""
     value_column: str = ""
     files: tuple[str, ...] = ()  # patterns of the files' names, of a file a channel
+    candidates: tuple[Candidate, ...] = ()  # all columns or names, besides those of the time
+    # Motors by column, of a long table whose rows have the same names for several.
+    motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    quality: str = ""  # column of the rows' quality, in a long table
 
 
 def kind_of(cells: Sequence[str]) -> Kind:
@@ -170,11 +182,10 @@ def find_layout(
         if found is not None:
             return found
     readable = [one for one in rest if one.kind in ("number", "nothing")]
-    sources, unused = _assigned(
-        [(one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable]
-    )
+    candidates = tuple((one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable)
+    sources, unused = assigned(candidates)
     unused |= {one.name: one.filled[:SAMPLES] for one in texts}
-    return TableLayout("wide", sources, unused)
+    return TableLayout("wide", sources, unused, candidates=candidates)
 
 
 def _value_column(numbers: Sequence[GuessedColumn]) -> GuessedColumn | None:
@@ -202,10 +213,49 @@ def _long(value: GuessedColumn, texts: Sequence[GuessedColumn], scan: Scan) -> T
     is_named = bool(_NAME_COLUMNS & set(words_of(column.name)))
     if len(channels) < 2 - is_named:
         return None
-    sources, unused = _assigned(
-        [(name, name, unit, tuple(samples)) for name, (samples, unit) in seen.items()]
+    candidates = tuple((name, name, unit, tuple(samples)) for name, (samples, unit) in seen.items())
+    sources, unused = assigned(candidates)
+    # Each of another column's words comes with the same names of channels: it is the motor's.
+    parts = [one for one in names if one is not column and not _tells_quality(one)]
+    motors = {part.name: _motors(scan([part.name, column.name])) for part in parts}
+    return TableLayout(
+        "long",
+        sources,
+        unused,
+        channel_column=column.name,
+        value_column=value.name,
+        candidates=candidates,
+        motors={name: own for name, own in motors.items() if len(own) > 1},
+        quality=next((one.name for one in texts if _tells_quality(one)), ""),
     )
-    return TableLayout("long", sources, unused, channel_column=column.name, value_column=value.name)
+
+
+def _motors(rows: Iterable[tuple[str, ...]]) -> tuple[str, ...]:
+    """Cells that each stand beside a motor's channels; none where any does not."""
+    seen: dict[str, set[str | None]] = {}
+    for cell, name in rows:
+        seen.setdefault(cell.strip(), set()).add(channel_of(name))
+    is_motors = all(len(channels - {None}) >= FEWEST_CHANNELS for channels in seen.values())
+    return tuple(sorted(seen)) if is_motors else ()
+
+
+def _tells_quality(column: GuessedColumn) -> bool:
+    """True for a column of what historians write beside a good sample."""
+    good = {str(one).lower() for one in GOOD_QUALITY}
+    cells = [cell.lower() for cell in column.filled]
+    return bool(cells) and bool(good & set(cells)) and is_quality_name(column.name)
+
+
+def is_quality_name(name: str) -> bool:
+    """True if the last word of a name is that of a quality.
+
+    Examples
+    --------
+    >>> is_quality_name("PT101.Q"), is_quality_name("status"), is_quality_name("Q")
+    (True, True, False)
+    """
+    last = (words_of(name) or ("",))[-1]
+    return last in _QUALITY_WORDS or (last == "q" and len(words_of(name)) > 1)
 
 
 def _file_per_channel(
@@ -228,11 +278,7 @@ def _file_per_channel(
     )
 
 
-Candidate = tuple[str, str, str, tuple[str, ...]]
-"""Name by which a channel is told, its source, what is written as its unit, and samples."""
-
-
-def _assigned(
+def assigned(
     candidates: Sequence[Candidate],
 ) -> tuple[tuple[GuessedSource, ...], dict[str, tuple[str, ...]]]:
     """Channels among candidates, each once, and the samples of those that are none."""
@@ -241,12 +287,13 @@ def _assigned(
         (channel, (preference(channel or "", one[0]),), one) for channel, one in named
     )
     sources = tuple(
-        GuessedSource(channel, one[1], _unit(channel, one), one[3]) for channel, one in best.items()
+        GuessedSource(channel, one[1], unit_said(channel, one), one[3])
+        for channel, one in best.items()
     )
     used = {source.source for source in sources}
     return sources, {one[1]: one[3] for one in candidates if one[1] not in used}
 
 
-def _unit(channel: str, candidate: Candidate) -> str | None:
+def unit_said(channel: str, candidate: Candidate) -> str | None:
     name, _, unit, _ = candidate
     return (unit_of(channel, unit) if unit else None) or unit_of(channel, name)

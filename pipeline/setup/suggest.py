@@ -7,7 +7,7 @@ is a comment beside what was assumed, or a question.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 
@@ -27,7 +27,7 @@ from pipeline.setup.guess_layout import (
     find_times,
     kind_of,
 )
-from pipeline.setup.guess_mcap import McapGuess, guess_mcap
+from pipeline.setup.guess_mcap import guess_mcap
 from pipeline.setup.guess_parquet import parquet_columns, parquet_scan
 from pipeline.units import CHANNELS, canonical_unit
 
@@ -36,6 +36,39 @@ _MOST_UNUSED = 40
 _MOST_LIKELY = 3
 _SAMPLES_SHOWN = 3
 _NEEDED = ("oil_temperature", "speed", "leakage_flow")
+
+
+@dataclass(frozen=True, slots=True)
+class LogGuess:
+    """A log as its first lines tell it.
+
+    `logs` are the lines of ``[logs]``, besides those of `files`; a comment there is a question.
+    """
+
+    format: str
+    files: tuple[str, ...]  # patterns of the names of files that are alike
+    logs: tuple[str, ...]
+    layout: TableLayout
+    marks: Marks
+    listing: tuple[str, ...] = ()  # of an MCAP: topics and fields
+
+
+def look(path: Path) -> LogGuess:
+    """Tell the dialect, layout and channels of a log.
+
+    Raises
+    ------
+    LogError
+        The file cannot be read, or its lines are no table.
+    """
+    with readable(path):
+        with path.open("rb") as file:
+            magic = file.read(8)
+        if magic.startswith(b"PAR1"):
+            return _parquet_guess(path)
+        if magic.startswith(b"\x89MCAP"):
+            return _mcap_guess(path)
+        return _csv_guess(path, csv_head(path))
 
 
 def suggest(path: Path) -> str:
@@ -47,21 +80,24 @@ def suggest(path: Path) -> str:
     Raises
     ------
     LogError
-        The file cannot be read, or its lines are no table.
+        As of `look`.
     """
-    with readable(path):
-        with path.open("rb") as file:
-            magic = file.read(8)
-        if magic.startswith(b"PAR1"):
-            lines = _parquet_lines(path)
-        elif magic.startswith(b"\x89MCAP"):
-            lines = _mcap_lines(path, guess_mcap(path))
-        else:
-            lines = _csv_lines(path, csv_head(path))
-        return "\n".join(lines) + "\n"
+    return "\n".join(_lines(path, look(path))) + "\n"
 
 
-def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:
+def _lines(path: Path, found: LogGuess) -> Iterator[str]:
+    yield from (f"# {_comment(line)}" for line in found.listing)
+    folder = escape(path.resolve().parent.name)
+    files = [f"{folder}/{name}" for name in found.files]
+    yield "[logs]"
+    yield f'format = "{found.format}"'
+    yield f"files = [{', '.join(map(quoted, files))}]  # below the folder of the logs"
+    yield from found.logs
+    yield from _channel_lines(found.layout.sources, found.marks)
+    yield from _unused_lines("fields" if found.listing else "columns", found.layout.unused)
+
+
+def _csv_guess(path: Path, head: CsvHead) -> LogGuess:
     columns = _csv_columns(head)
     cells = [one.cells for one in columns if one.kind == "number"]
     marks = marks_of(cell for own in cells for cell in own)
@@ -94,14 +130,15 @@ def _csv_lines(path: Path, head: CsvHead) -> Iterator[str]:
             "a comma is the decimal mark and separates the cells, too: such a log is not read, "
             "have it written with another separator",
         )
-    yield from _head_lines(path, "csv", layout.files)
-    yield from _time_lines(times)
-    yield from _layout_lines(layout)
     # UTF-8 may be no more than text without any other letter.
     encoding = next((name for name in encodings if name != "utf-8"), "utf-8")
-    yield from _dialect_lines(replace(head, encoding=encoding), marks, cells)
-    yield from _channel_lines(layout.sources, marks)
-    yield from _unused_lines("columns", layout.unused)
+    dialect = _dialect_lines(replace(head, encoding=encoding), marks, cells)
+    logs = (*_time_lines(times), *_layout_lines(layout), *dialect)
+    return LogGuess("csv", _files(path, layout), logs, layout, marks)
+
+
+def _files(path: Path, layout: TableLayout) -> tuple[str, ...]:
+    return layout.files or (f"*{escape(suffix_of(path))}",)
 
 
 def _csv_columns(head: CsvHead) -> list[GuessedColumn]:
@@ -114,7 +151,7 @@ def _csv_columns(head: CsvHead) -> list[GuessedColumn]:
     ]
 
 
-def _parquet_lines(path: Path) -> Iterator[str]:
+def _parquet_guess(path: Path) -> LogGuess:
     columns = parquet_columns(path)
     times = find_times(columns, Marks(), path, lambda _: ())
     layout = find_layout(
@@ -124,43 +161,31 @@ def _parquet_lines(path: Path) -> Iterator[str]:
         scan=lambda names: parquet_scan(path, names),
         read=parquet_columns,
     )
-    yield from _head_lines(path, "parquet", layout.files)
-    yield from _time_lines(times)
-    yield from _layout_lines(layout)
-    yield from _channel_lines(layout.sources, Marks())
-    yield from _unused_lines("columns", layout.unused)
+    logs = (*_time_lines(times), *_layout_lines(layout))
+    return LogGuess("parquet", _files(path, layout), logs, layout, Marks())
 
 
-def _mcap_lines(path: Path, guess: McapGuess) -> Iterator[str]:
-    yield from (f"# {_comment(line)}" for line in guess.listing)
-    yield from _head_lines(path, "mcap", ())
-    yield f"time = {_quoted(guess.time)}{_remark(guess.remark)}"
+def _mcap_guess(path: Path) -> LogGuess:
+    guess = guess_mcap(path)
+    logs = [f"time = {quoted(guess.time)}{_remark(guess.remark)}"]
     if guess.stamp:
-        yield f"stamp = {_quoted(guess.stamp)}"
+        logs.append(f"stamp = {quoted(guess.stamp)}")
         if guess.stamp_format:
-            yield from _time_lines(Times("", "", guess.stamp_format))
-    yield from _channel_lines(guess.sources, Marks())
-    yield from _unused_lines("fields", guess.unused)
-
-
-def _head_lines(path: Path, log_format: str, patterns: Sequence[str]) -> Iterator[str]:
-    folder = escape(path.resolve().parent.name)
-    files = [f"{folder}/{name}" for name in patterns or [f"*{escape(suffix_of(path))}"]]
-    yield "[logs]"
-    yield f'format = "{log_format}"'
-    yield f"files = [{', '.join(map(_quoted, files))}]  # below the folder of the logs"
+            logs += _time_lines(Times("", "", guess.stamp_format))
+    layout = TableLayout("wide", guess.sources, guess.unused)
+    return LogGuess("mcap", _files(path, layout), tuple(logs), layout, Marks(), guess.listing)
 
 
 def _time_lines(times: Times) -> Iterator[str]:
     guess = times.guess
     if times.time:
-        yield f"time = {_quoted(times.time)}"
+        yield f"time = {quoted(times.time)}"
     if times.date:
-        yield f"date_column = {_quoted(times.date)}"
+        yield f"date_column = {quoted(times.date)}"
     if not guess.formats:
         yield 'time_format = "iso8601"  # not recognised: which is it?'
     elif not times.is_typed:
-        yield f"time_format = {_quoted(guess.formats[0])}{_remark(_other_readings(times))}"
+        yield f"time_format = {quoted(guess.formats[0])}{_remark(_other_readings(times))}"
     if not guess.has_zone:
         yield 'time_zone = "UTC"  # the stamps name no zone: which is it?'
 
@@ -171,7 +196,7 @@ def _other_readings(times: Times) -> str:
     if len(formats) < 2:
         return ""
     others = ", ".join(
-        f"{reading} with {_quoted(form)}"
+        f"{reading} with {quoted(form)}"
         for form, reading in zip(formats[1:], readings[1:], strict=True)
     )
     return f"day or month first? The log begins on {readings[0]} so, on {others}"
@@ -181,9 +206,9 @@ def _layout_lines(layout: TableLayout) -> Iterator[str]:
     if layout.kind != "wide":
         yield f'layout = "{layout.kind}"'
     if layout.channel_column:
-        yield f"channel_column = {_quoted(layout.channel_column)}"
+        yield f"channel_column = {quoted(layout.channel_column)}"
     if layout.value_column:
-        yield f"value_column = {_quoted(layout.value_column)}"
+        yield f"value_column = {quoted(layout.value_column)}"
 
 
 def _dialect_lines(head: CsvHead, marks: Marks, numbers: Iterable[Sequence[str]]) -> Iterator[str]:
@@ -192,20 +217,20 @@ def _dialect_lines(head: CsvHead, marks: Marks, numbers: Iterable[Sequence[str]]
         other = "," if marks.decimal == "." else "."
         remark = f'or is it between thousands: decimal = "{other}", thousands = "{marks.decimal}"?'
     if head.separator != ",":
-        yield f"separator = {_quoted(head.separator)}"
+        yield f"separator = {quoted(head.separator)}"
     if marks.decimal != "." or remark:
-        yield f"decimal = {_quoted(marks.decimal)}{_remark(remark)}"
+        yield f"decimal = {quoted(marks.decimal)}{_remark(remark)}"
     if marks.thousands:
-        yield f"thousands = {_quoted(marks.thousands)}"
+        yield f"thousands = {quoted(marks.thousands)}"
     if head.encoding != "utf-8":
-        yield f"encoding = {_quoted(head.encoding)}"
+        yield f"encoding = {quoted(head.encoding)}"
     if head.skip_rows:
         yield f"skip_rows = {head.skip_rows}"
     if head.unit_rows:
         yield f"unit_rows = {head.unit_rows}"
     tokens = dict.fromkeys(token for cells in numbers for token in strange_tokens(cells))
     if tokens:
-        written = ", ".join(map(_quoted, (*MISSING_TOKENS, *tokens)))
+        written = ", ".join(map(quoted, (*MISSING_TOKENS, *tokens)))
         yield f"missing_tokens = [{written}]"
 
 
@@ -213,9 +238,9 @@ def _channel_lines(sources: Sequence[GuessedSource], marks: Marks) -> Iterator[s
     for one in sources:
         yield ""
         yield f"[channels.{one.channel}]"
-        yield f"source = {_quoted(one.source)}" + ("" if one.field else _shown(one.samples))
+        yield f"source = {quoted(one.source)}" + ("" if one.field else _shown(one.samples))
         if one.field and one.field != "value":
-            yield f"field = {_quoted(one.field)}{_shown(one.samples)}"
+            yield f"field = {quoted(one.field)}{_shown(one.samples)}"
         yield _unit_line(one, marks)
     found = {one.channel for one in sources}
     missing = set(_NEEDED) - found
@@ -246,7 +271,7 @@ def _unused_lines(what: str, unused: Mapping[str, Sequence[str]]) -> Iterator[st
         yield ""
         yield f"# {what} not used:"
     for name in list(unused)[:_MOST_UNUSED]:
-        yield f"#   {_comment(_quoted(name))}{_shown(unused[name]).replace('#', '').rstrip()}"
+        yield f"#   {_comment(quoted(name))}{_shown(unused[name]).replace('#', '').rstrip()}"
 
 
 def _shown(samples: Sequence[str]) -> str:
@@ -262,7 +287,7 @@ def _comment(text: str) -> str:
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
     """Text as a TOML string."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in escaped) + '"'

@@ -1,17 +1,21 @@
-"""Units that look wrong by magnitude, and which would be right."""
+"""Units that are not the log's own, or look wrong by magnitude, and which would be right."""
 
 from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Iterator, Mapping
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
+from pipeline.config.motors import MotorFile
 from pipeline.ingest import RawChannel
-from pipeline.setup.guess_channels import LOW_SIDE, USUAL
+from pipeline.setup.guess_channels import LOW_SIDE, USUAL, unit_of
+from pipeline.setup.guess_csv import csv_head
+from pipeline.setup.guess_parquet import parquet_columns
 from pipeline.units import QUANTITIES, UNITS, canonical_unit, from_canonical, to_canonical
 
 # A drain flow this many times off the configured model's is of another unit sooner than worn.
@@ -33,7 +37,9 @@ def suspect_units(
     typical = {
         str(name): value
         for name, channel in spec.file.channels.items()
-        if channel.counts is None and (value := _typical(channels[name])) is not None
+        if channel.counts is None
+        and channel.constant is None
+        and (value := _typical(channels[name])) is not None
     }
     found: dict[str, str] = {}
     for name, value in typical.items():
@@ -42,7 +48,29 @@ def suspect_units(
             units = [unit for unit, _ in _usual_values(spec, name, value)]
             found[name] = f"{_unusual(name, value)}{_mended(units)}"
     flow = _unusual_flow(spec, night, typical, set(found))
-    return found | ({FLOW: flow} if flow else {})
+    found |= {FLOW: flow} if flow else {}
+    return {name: f"unit_unusual: {name}: {words}" for name, words in found.items()}
+
+
+def units_told(path: Path, file: MotorFile) -> dict[str, str]:
+    """Channels that a table's header or line of units gives another unit than the config."""
+    beside: dict[str, str] = {}
+    if file.logs.layout == "wide" and file.logs.format == "csv":
+        head = csv_head(path)
+        beside = dict(zip(head.names, head.units, strict=False))
+    elif file.logs.layout == "wide" and file.logs.format == "parquet":
+        beside = {one.name: one.unit for one in parquet_columns(path) if one.kind != "timestamp"}
+    found = {}
+    for name, channel in file.channels.items():
+        if channel.counts is not None or channel.constant is not None:
+            continue
+        unit = unit_of(name, beside.get(channel.source, "")) or unit_of(name, channel.source)
+        if unit is not None and unit != channel.unit:
+            found[str(name)] = (
+                f"unit_differs: {name}: configured in {channel.unit}, and the log says {unit} of "
+                f"{channel.source}"
+            )
+    return found
 
 
 def _typical(raw: RawChannel) -> float | None:

@@ -288,7 +288,7 @@ class _Reader:
                 name: csv_cells.readings(self.path, self.logs, name, cells[name])
                 for name in self.columns.numbers
             },
-            None if self.columns.name is None else cells[self.columns.name],
+            self.columns.channel_names(self.logs, cells),
             {name: cells[name] for name in self.columns.qualities},
         )
 

@@ -72,7 +72,7 @@ def _gather(path: Path, columns: Columns, table: RawTable) -> None:
             table.add(
                 _stamps(path, table.logs, [found[name] for name in columns.time]),
                 {name: readings_of(found[name]) for name in columns.numbers},
-                None if columns.name is None else found[columns.name].cast(pa.string()),
+                columns.channel_names(table.logs, found),
                 {name: found[name] for name in columns.qualities},
             )
 

@@ -379,7 +379,8 @@ def test_check_prints_a_table_for_each_motor(call: Call, fleet: Path) -> None:
     assert (code, err) == (0, "")
     *motors, last = out.split("\n\n")
     assert [text.split(":")[0] for text in motors] == [CSV, PARQUET]
-    title, columns, *channels = motors[0].splitlines()
+    title, columns, *channels, worth = motors[0].splitlines()
+    assert worth.startswith("the motor ran ")
     assert "3 nights, 2026-01-02 to 2026-01-04, 0 faults" in title
     assert columns.startswith("channel\trate\tmedian\t")
     assert {line.count("\t") for line in channels} == {columns.count("\t")}
@@ -520,7 +521,8 @@ def test_examples_of_the_help_run_as_they_stand(
         if example == "demo . --nights 3" or example.startswith("ack "):
             continue
         code, _, err = call(*shlex.split(example))
-        assert (code, err) == (0, ""), example
+        # The demo's logs leave questions open, which is 1.
+        assert (code, err) == (int(example.startswith("init ")), ""), example
 
 
 def test_version(call: Call) -> None:

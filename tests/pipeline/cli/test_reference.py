@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import datetime as dt
 import re
+import shutil
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -214,18 +215,16 @@ def test_queries_on_the_validation_page_work() -> None:
     assert sum(bound is None for *_, bound in drawn) == 1
 
 
-def test_motor_file_on_the_page_for_own_fleets_loads(tmp_path: Path) -> None:
-    (example,) = blocks((DOCS / "own_fleet.md").read_text("utf-8"), "toml")
-    file = example.splitlines()[0].removeprefix("# ")
-    for path in shipped_configs().rglob("*.toml"):
-        if path.parent.name != "motors":
-            copy = tmp_path / path.relative_to(shipped_configs())
-            copy.parent.mkdir(exist_ok=True)
-            copy.write_bytes(path.read_bytes())
-    (tmp_path / file).parent.mkdir()
-    (tmp_path / file).write_text(example, "utf-8")
-    (motor,) = load_fleet(tmp_path / "fleet.toml").motors
-    assert motor.motor_id == Path(file).stem
+def test_fleet_on_the_page_for_own_fleets_loads(tmp_path: Path) -> None:
+    shutil.copytree(shipped_configs() / "motor_types", tmp_path / "my-fleet" / "motor_types")
+    shutil.copytree(shipped_configs() / "oils", tmp_path / "my-fleet" / "oils")
+    (tmp_path / "my-fleet" / "motors").mkdir()
+    for example in blocks((DOCS / "own_fleet.md").read_text("utf-8"), "toml"):
+        file = example.splitlines()[0].removeprefix("# ")
+        (tmp_path / file).write_text(example, "utf-8")
+    (motor,) = load_fleet(tmp_path / "my-fleet" / "fleet.toml").motors
+    assert motor.file.channels["speed"].source == "W1_n"
+    assert motor.file.channels["case_pressure"].constant == 1.5
 
 
 def test_stated_exit_codes_are_those_of_the_command() -> None:

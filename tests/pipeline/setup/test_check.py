@@ -101,7 +101,7 @@ def test_a_pattern_without_a_match_beside_one_with_a_match(tmp_path: Path) -> No
     write_log(tmp_path / "logs" / "M1" / "a[1].parquet", operation.time_us, values)
     one = checks_of(fleet)["M1"]
     assert one.n_files == 1
-    (note,) = one.notes
+    (_, note) = one.notes
     assert note.startswith("no file matches M1/*/late-*.parquet below ")
 
 
@@ -168,13 +168,12 @@ def test_a_wrong_unit_is_suspected_and_the_right_one_named(
     own_fleet: OwnFleet, right: str, wrong: str, channel: str
 ) -> None:
     fleet = own_fleet("CB1120-01")
-    assert channels_of(fleet, "CB1120-01")[channel].remarks == ()
+    assert checks_of(fleet)["CB1120-01"].faults == ()
     change(fleet, "CB1120-01", (f'"{right}"', f'"{wrong}"'))
-    channels = channels_of(fleet, "CB1120-01")
-    (remark,) = channels[channel].remarks
-    assert right in remark
     # The others are as they were: a wrong unit of theirs is not theirs.
-    assert [name for name, one in channels.items() if one.remarks] == [channel]
+    (fault,) = checks_of(fleet)["CB1120-01"].faults
+    assert fault.startswith(f"unit_unusual: {channel}: ")
+    assert right in fault
 
 
 UNITS = {"kPa": "bar", "K": "degC", "1/s": "rad/s", "m3/h": "l/min"}
@@ -190,7 +189,7 @@ def test_each_of_several_wrong_units_is_suspected_and_no_other(
     remarks = {
         one.channel: remark
         for one in channels_of(fleet, "CB1120-01").values()
-        for remark in one.remarks
+        for remark in one.unit_faults
     }
     of_unit = {"kPa": "pressure_difference", "K": "oil_temperature", "m3/h": "leakage_flow"}
     assert set(remarks) == {of_unit[right] for right in wrong}
@@ -204,8 +203,11 @@ def test_wrong_units_of_a_usual_size_are_named_beside_the_flow(own_fleet: OwnFle
     wrong = ('unit = "bar"', 'unit = "bar"\nscale = 0.1'), ('unit = "degC"', 'unit = "degF"')
     change(fleet, "CB400-01", *wrong)
     channels = channels_of(fleet, "CB400-01")
-    assert [name for name, one in channels.items() if one.remarks] == ["leakage_flow"]
-    (remark,) = channels["leakage_flow"].remarks
+    told = [name for name, one in channels.items() if one.unit_faults]
+    assert told == ["oil_temperature", "leakage_flow"]
+    (header,) = channels["oil_temperature"].unit_faults
+    assert header.endswith("configured in degF, and the log says degC of oil_temp_c")
+    (remark,) = channels["leakage_flow"].unit_faults
     assert "l/min, which is unusual where the model has 0.0" in remark
     assert "or that of oil_temperature degC" in remark
 
@@ -215,7 +217,7 @@ def test_counts_and_channels_that_say_nothing_of_the_load_have_no_usual_size(
 ) -> None:
     fleet = own_fleet("CB560-02")
     change(fleet, "CB560-02", ('source = "p_low"\nunit = "bar"', 'source = "p_low"\nunit = "Pa"'))
-    assert channels_of(fleet, "CB560-02")["low_port_pressure"].remarks == ()
+    assert channels_of(fleet, "CB560-02")["low_port_pressure"].unit_faults == ()
 
 
 def test_a_channel_that_does_not_look_as_configured_is_remarked_on(own_fleet: OwnFleet) -> None:
@@ -251,3 +253,26 @@ def test_a_motor_without_a_readable_log_has_no_channels(own_fleet: OwnFleet) -> 
     for path in (fleet.parent.parent / "demo" / "logs" / "CB400-02").iterdir():
         path.write_bytes(b"nonsense")
     assert checks_of(fleet)["CB400-02"].channels == ()
+
+
+def test_running_minutes_and_whether_they_are_enough(tmp_path: Path) -> None:
+    """40 minutes at one sample a second, of which the last 36 or all are at rest."""
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    for running, told in ((2400, "ran 40 minutes"), (240, "ran 4 minutes")):
+        operation = operate()
+        values = operation.channels(operation.pressure_bar)
+        values["speed"][running:] = 0.0
+        write_log(tmp_path / "logs" / "M1" / "a.parquet", operation.time_us, values)
+        (note,) = checks_of(fleet)["M1"].notes
+        assert told in note
+        # 5 minutes of training are 80 % of a night.
+        assert note.endswith("enough for a fit every night (6.25 minutes)") == (running == 2400)
+
+
+def test_two_motors_of_one_drain_flow(tmp_path: Path) -> None:
+    motors = {name: motor_toml(name, files='"M1/*.parquet"') for name in ("M1", "M2")}
+    checks = checks_of(write_configs(tmp_path, motors))
+    assert checks["M1"].faults == ()
+    assert checks["M2"].faults == (
+        "column_claimed_twice: leakage_flow is the drain flow of M1, too",
+    )

@@ -1,0 +1,1 @@
+"""Plants' logs as their historians write them, and the mapping that a person would make."""
