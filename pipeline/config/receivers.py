@@ -67,20 +67,20 @@ def require_variable(text: str) -> str:
     return text
 
 
-def require_mail_address(address: str) -> None:
+def require_mail_address(key: str, address: str) -> None:
     """Refuse what is no address of mail.
 
     Raises
     ------
     ValueError
-        That quotes it.
+        That names the key and quotes the address.
     """
     try:
         whole = bool(Address(addr_spec=address).domain)
     except (ValueError, IndexError, MessageError):
         whole = False
     if not whole:
-        raise ValueError(f"expected an address such as shift@plant.example, found {address!r}")
+        raise ValueError(f"expected {key} as shift@plant.example, found {address!r}")
 
 
 def require_mail_server(server: str) -> tuple[str, int | None]:

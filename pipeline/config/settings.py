@@ -407,9 +407,10 @@ class Email(Section):
 
     @model_validator(mode="after")
     def _complete(self) -> Email:
-        for address in (*self.to, *([self.sender] if self.to else [])):
-            require_mail_address(address)
+        for address in self.to:
+            require_mail_address("to", address)
         if self.to:
+            require_mail_address("sender", self.sender)
             require_mail_server(self.server)
         if bool(self.user) != bool(self.password):
             raise ValueError("expected user and password together")

@@ -237,8 +237,8 @@ def test_a_server_that_says_nothing_is_left_at_the_deadline() -> None:
     ("changed", "words"),
     [
         ({"to": ("shift",)}, "shift@plant.example"),
-        ({"to": ("a@b.example\nBcc: c@d.example",)}, "expected an address"),
-        ({"sender": ""}, "expected an address"),
+        ({"to": ("a@b.example\nBcc: c@d.example",)}, "expected to as"),
+        ({"sender": ""}, "expected sender as"),
         ({"server": ""}, "host or host:port"),
         ({"server": "smtp://mail.example"}, "host or host:port"),
         ({"user": "a"}, "user and password together"),
