@@ -31,7 +31,7 @@ def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
         return duty_words(standing.history, standing.era(place), place)
     if found.verdict == "common":
         return ""
-    if standing.model.state[place] == "warning":
+    if standing.model.state[place] == "warning" and not _is_of_factor(standing, place, found):
         return f"no path is named: {standing.model.words(place)}"
     if duty != BALANCED:
         return ""
@@ -46,6 +46,12 @@ def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
     if set(found.named) - raised:
         return f"which path cannot be told {elsewhere}"
     return ""
+
+
+def _is_of_factor(standing: Standing, place: int, found: Posterior) -> bool:
+    """True if a common factor explains the model's misfit: the rollers are held as stated in it."""
+    misfit = standing.model.at(place)
+    return found.is_common and misfit is not None and misfit.kinds == ("speed",)
 
 
 def path_named(standing: Standing, name: str, place: int, found: Posterior | None) -> str | None:

@@ -261,9 +261,29 @@ class Standing:
         begins = [
             onset
             for name in self.watched
-            if self.told[name][place] in CHANGED and (onset := self.onset(name, place)) is not None
+            if self.told[name][place] in CHANGED
+            and (onset := self._onset_of_rise(name, place)) is not None
         ]
         return max([min([place, *begins]), *self._sudden_places(place)])
+
+    def _onset_of_rise(self, name: str, place: int) -> int | None:
+        """The same as `onset`, of a rise that only the levels tell as well."""
+        segment, found, _ = self.watched[name].at(place)
+        inside, own = place - segment.first, found.own
+        if own.severity[inside] and own.onset[inside] < 0:
+            return segment.first + self._onset_by_level(name, place)
+        return self.onset(name, place)
+
+    def _onset_by_level(self, name: str, place: int) -> int:
+        """Place in its segment of the first night that the levels count for a rise."""
+        watched = self.watched[name]
+        segment, found, _ = watched.at(place)
+        levels, deviation = watched.settings.levels, found.own.deviation
+        off = np.flatnonzero(found.own.severity[: place - segment.first + 1] == 0)
+        went_on = int(off[-1]) + 1 if len(off) else 0
+        good = np.flatnonzero(np.isfinite(deviation[: went_on + 1]))[-levels.of_nights :]
+        above = good[deviation[good] >= self.levels(name, place)[0]]
+        return int(above[0]) if len(above) else went_on
 
     def _sudden_places(self, place: int) -> list[int]:
         """Places of the sudden changes that stand in a night."""

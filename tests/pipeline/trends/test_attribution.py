@@ -92,6 +92,17 @@ def test_explanations_do_not_hang_on_the_form_of_the_rollers(wear: dict[str, flo
     assert names[0] == names[1]
 
 
+def test_a_step_that_only_the_levels_tell_is_explained_by_all_nights_since_it() -> None:
+    name, found = (
+        "K_balance_piston",
+        standing(Nights(motor(), N, {"balance_piston": step(N, AT, 0.6)})),
+    )
+    told = [one for one in range(AT, N) if found.told[name][one] in RAISED]
+    by_level = [one for one in told if found.onset(name, one) is None]
+    assert by_level
+    assert {found.earliest_onset(one) for one in by_level} == {AT}
+
+
 def test_rollers_of_a_free_scale_that_follow_temperature_have_not_grown() -> None:
     """Ten nights 10 K colder than the baseline's, where all flows fall by 1 % a kelvin."""
     cold = 50.0 - step(N, AT, 10.0) + 1.0 + np.random.default_rng(1).standard_normal(N)

@@ -6,12 +6,14 @@ import datetime as dt
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
 import pytest
 
 from leakage.balanced_baseline import DutyBlocks
+from leakage.model_verdict import StructuredMisfit
 from pipeline.config import MotorSpec
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.tables import night_file, write_table
@@ -145,6 +147,19 @@ def test_no_path_is_named_where_the_model_has_changed() -> None:
     changed = replace(found, model=replace(found.model, state=("warning",) * N))
     assert path_named(changed, SLEEVE, N - 1, behind) is None
     assert changed.states[SLEEVE][N - 1] == found.states[SLEEVE][N - 1]
+
+
+def test_wear_with_thinner_oil_is_named_although_the_rollers_misfit_has_grown() -> None:
+    """The model as stated holds the rollers, so a common factor alone makes it misfit by speed."""
+    nights = Nights(motor(), N, {OIL: step(N, AT, 0.25), "balance_sleeve": step(N, AT, 0.4)})
+    (found,) = standings(histories(nights)).values()
+    behind = path_behind(found, SLEEVE, N - 1)
+    assert behind is not None
+    assert behind.is_common
+    for kinds, name in ((("speed",), "balance_sleeve"), (("load", "speed"), None)):
+        misfit = StructuredMisfit(0.04, 0.03, 0.001, kinds, 10)
+        model = Mock(state=("warning",) * N, at=lambda _, one=misfit: one, words=lambda _: "misfit")
+        assert path_named(replace(found, model=model), SLEEVE, N - 1, behind) == name
 
 
 @dataclass
