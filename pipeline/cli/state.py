@@ -90,6 +90,8 @@ def ack(
     from pipeline.trends.decisions import FINDINGS, Decision, record_decision
     from pipeline.trends.motor_states import TOLD
 
+    if not note.strip():
+        raise UsageError("note", "--note: expected some words")
     if finding not in ("", *FINDINGS):
         raise UsageError("finding", f"got {finding!r}; expected {' or '.join(FINDINGS)}")
     fleet = load(config, output, None, logs=False)
@@ -188,6 +190,8 @@ def baseline_reset(
 
     label = night_label(night, "NIGHT")
     assert label is not None
+    if label > dt.datetime.now(dt.UTC).date() + dt.timedelta(days=1):
+        raise UsageError("date", f"NIGHT: got {label}, which has not come")
     fleet = load(config, output, None, logs=False)
     known_motors([motor], fleet)
     known = known_indicators(fleet.output, motor)

@@ -80,6 +80,10 @@ def _fleet_lines(found: FleetStatus, *, too_old: bool) -> Iterator[str]:
     """Lines below the motors: last run, deliveries, damage, inspections."""
     ended = f"{found.last_good_run:%Y-%m-%d %H:%M} UTC" if found.last_good_run else "never"
     yield f"last good run: {ended}{', which is too old' if too_old else ''}"
+    newest = max((one.data_night for one in found.motors if one.data_night), default=None)
+    if newest is not None:
+        days = (dt.datetime.now(dt.UTC).date() - newest).days
+        yield f"newest samples: night of {newest}{f', {days} days ago' if days > 1 else ''}"
     if (line := _run_line(found)) is not None:
         yield line
     yield from (one.words for one in found.receivers if one.undelivered)

@@ -314,7 +314,7 @@ def _went_blind(spec: MotorSpec, state: LookState, until_us: int) -> tuple[LookS
 
 def _silent(spec: MotorSpec, state: LookState, now_us: int, changes: list[Change]) -> LookState:
     """The state by the clock, where the logs say nothing new."""
-    if state.state == CLEAR and state.newest_us <= state.judged_us + block_us(spec):
+    if state.newest_us <= state.judged_us + block_us(spec):
         state = replace(state, cause="no new samples")
     state, found = _went_blind(spec, state, now_us)
     changes += found

@@ -11,7 +11,8 @@ import polars as pl
 
 from pipeline.trends.decisions import Decision
 
-# Nights up to the opening in which the newest alarm counts.
+# Nights up to the last one before the opening in which the newest alarm counts: a motor may stand
+# for weeks before it is opened.
 NIGHTS_BEFORE = 7
 ALARMED = ("warning", "alarm")
 COEFFICIENT = "K_"
@@ -47,10 +48,9 @@ def scores(
     """
     found: dict[str, Counter[str]] = {}
     inspected = {one: is_worn for said in decisions for one, is_worn in _parts(said)}
-    raised = trends.filter(pl.col("state").is_in(ALARMED)).select(COLUMNS)
     for (motor_id, night, part), is_worn in sorted(inspected.items()):
         if motor_id in types:
-            named = _named(raised.filter(motor_id=motor_id), night)
+            named = _named(trends.filter(motor_id=motor_id), night)
             counts = found.setdefault(types[motor_id], Counter())
             counts.update(_outcome(part, named, is_worn=is_worn))
     return {motor_type: Score(**counts) for motor_type, counts in sorted(found.items())}
@@ -78,10 +78,14 @@ def _parts(said: Decision) -> list[tuple[tuple[str, dt.date, str], bool]]:
     return [((said.motor_id, said.night, part), is_worn) for part, is_worn in parts]
 
 
-def _named(raised: pl.DataFrame, opened: dt.date) -> Sequence[str] | None:
+def _named(trends: pl.DataFrame, opened: dt.date) -> Sequence[str] | None:
     """Parts that a motor's newest alarm before its opening named; None: there was none."""
-    earliest = opened - dt.timedelta(days=NIGHTS_BEFORE)
-    before = raised.filter(pl.col("night") > earliest, pl.col("night") <= opened)
+    nights = trends.filter(pl.col("night") <= opened)
+    last = nights["night"].max()
+    if not isinstance(last, dt.date):
+        return None
+    is_late = pl.col("night") > last - dt.timedelta(days=NIGHTS_BEFORE)
+    before = nights.filter(is_late, pl.col("state").is_in(ALARMED))
     if before.is_empty():
         return None
     paths = before.filter(pl.col("night") == pl.col("night").max())["path"].drop_nulls()

@@ -103,6 +103,8 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
 
 def _by_own_rules(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
     one = standing.by_own_rules[name]
+    if after == "common_cause":
+        return {"reason": one.words(place), "way": after}
     if after == "warning":
         return {"reason": one.words(place), "way": "change" if name == MODEL_MISFIT else "drift"}
     if after == INSUFFICIENT:

@@ -185,10 +185,10 @@ class MotorState:
 
     @property
     def sentence(self) -> str:
-        """The state in words, a rise within the day first."""
-        look = "" if self.look is None or self.look.state == CLEAR else self.look.words
-        words = (look, self.reason or "no change of external leakage")
-        return "; ".join(part for part in words if part)
+        """The state in words, a sudden rise within the day first."""
+        reason = self.reason or "no change of external leakage"
+        rise = self.look.words if self.look is not None and self.is_sudden else ""
+        return f"{rise}; {reason}" if rise else reason
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -196,7 +196,9 @@ class MotorState:
         dates = f"its limit {self.limit_dates}" if self.limit_dates else ""
         oil = "" if self.oil in self.sentence else self.oil
         beside = (self.temperature_effect, self.model_misfit, self.failure, self.poor_fit)
-        return tuple(note for note in (dates, *beside, oil) if note)
+        is_told = self.look is not None and not self.is_sudden and self.look.state != CLEAR
+        look = self.look.words if self.look is not None and is_told else ""
+        return tuple(note for note in (dates, *beside, oil, look) if note)
 
     @property
     def why(self) -> str:

@@ -135,7 +135,13 @@ class Standing:
         An absolute limit holds whatever the others do, and what a path did is the motor's own.
         """
         told = self.told[name][place]
-        if told not in RAISED or self.why.circuit is None or name not in self.watched:
+        if told not in RAISED or self.why.circuit is None:
+            return told
+        if name == MODEL_MISFIT:
+            # Another oil moves the gaps and not the rollers, which the stated model holds.
+            others = {self.state(one, place) for one in self.watched}
+            return "common_cause" if "common_cause" in others and not others & {*RAISED} else told
+        if name not in self.watched:
             return told
         segment, found, _ = self.watched[name].at(place)
         if found.own.limit_severity[place - segment.first] or name == FLUSHING:

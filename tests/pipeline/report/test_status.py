@@ -652,3 +652,13 @@ def test_a_sudden_rise_within_the_day_comes_first_and_a_clear_look_is_not_shown(
     assert min((worn, quiet, broken), key=urgency).motor_id == "M2"
     assert "look now since 2026-03-02 14:30 UTC: drain flow +82 % [75, 90]" in broken.why
     assert "clear" not in quiet.why
+
+
+def test_a_night_to_come_begins_no_baseline_and_a_note_has_words(
+    output: Path, config: Path, call: Call
+) -> None:
+    code, _, err = call("baseline", "reset", config, "M1", "2199-01-01", "--note", "new rings")
+    assert (code, "which has not come" in err) == (2, True)
+    code, _, err = call("ack", config, "M1", "K_piston_ring", "--note", " ")
+    assert (code, "expected some words" in err) == (2, True)
+    assert read_decisions(output) == ()
