@@ -130,7 +130,9 @@ def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
     """Publish the state of each motor; where a table is damaged, that of the run before stays."""
     output, motor_ids = publisher.output, sorted(spec.motor_id for spec in fleet.motors)
     published = _published_latest(output)
-    if published["motor_id"].to_list() == motor_ids and _nothing_since(whole_file(output, LATEST)):
+    is_of_all = published["motor_id"].to_list() == motor_ids
+    # The times of a working copy's files say nothing of when they were made.
+    if is_of_all and not fleet.object_store and _nothing_since(whole_file(output, LATEST)):
         return
     try:
         states = latest_states(output, motor_ids)

@@ -36,7 +36,7 @@ def night_worth(spec: MotorSpec, channels: Mapping[str, RawChannel], nights: int
         f"{low:.3g} to {high:.3g} {unit}"
         for name, unit in _INPUTS.items()
         if name in channels and (numbers := _numbers(channels[name])).size
-        for low, high in [np.percentile(numbers, (5, 95))]
+        for low, high in [np.percentile(numbers, (5, 95), method="nearest")]
     ]
     ran = f"the motor ran {minutes:.3g} minutes a night, at {', '.join(conditions)}"
     if minutes >= needed:

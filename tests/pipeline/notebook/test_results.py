@@ -69,7 +69,7 @@ def test_a_table_without_files_is_empty_and_has_its_columns(tables: Tables) -> N
 
 def test_what_is_not_there_is_told(tables: Tables, tmp_path: Path) -> None:
     for ask, words in (
-        (lambda: tables.table("fit"), "no table fit; there are fits"),
+        (lambda: tables.table("fit"), "no table fit; there are latest"),
         (tables.latest, "no table latest"),
         (lambda: open_tables(tmp_path / "nowhere"), "run fit-fleet first"),
         (lambda: open_tables("s3://bucket/fleet"), "say copy="),

@@ -64,6 +64,6 @@ def test_status_says_how_many(capsys: Any) -> None:
         print_status(
             "Mill", FleetStatus((), None, 0, 0, n_by_rules=n), too_old=False, as_json=False
         )
-        lines = capsys.readouterr().out.splitlines()
+        lines = capsys.readouterr().err.splitlines()
         said = "changes of the program's rules: other states of past nights: 3"
         assert any(line.startswith(said) for line in lines) is expected

@@ -70,14 +70,18 @@ def logs_at(fleet_file: Path, url: str) -> None:
 
 
 def published(url: str = URL) -> dict[str, bytes]:
-    """Every table file that is published, by its path, but for those of the run itself."""
+    """Every table file that is published, by its path, but for those of the run itself and `latest`."""
     store = ObjectStore.at(url)
     found = {}
     for path, entry in read_snapshot(store).files.items():
         content = store.get(entry.key)
         assert content is not None
         assert hashlib.sha256(content[0]).hexdigest() == entry.sha256
-        if path.startswith("tables/") and path.split("/")[1] not in ("runs", "motor_outcomes"):
+        if path.startswith("tables/") and path.split("/")[1] not in (
+            "runs",
+            "motor_outcomes",
+            "latest",
+        ):
             found[path.removeprefix("tables/")] = content[0]
     return found
 
