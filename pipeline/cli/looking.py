@@ -25,6 +25,7 @@ from pipeline.cli.runs import stoppable
 from pipeline.errors import LockedError, StoreError, UsageError
 
 if TYPE_CHECKING:
+    from pipeline.config import Fleet
     from pipeline.look.look import MotorLook
 
 UNITS_S = {"s": 1, "min": 60, "h": 3600}
@@ -64,13 +65,29 @@ def look(
         while pause_s:
             try:
                 _print(look_at_fleet(fleet, wanted), as_json=as_json)
+                _measure(fleet)
             except (StoreError, LockedError) as error:
                 say(f"{error.code}: {error}; the next look tries again", err=True)
             due = max(due + pause_s, time.monotonic())
             time.sleep(max(due - time.monotonic(), 0.0))
         found = look_at_fleet(fleet, wanted)
         _print(found, as_json=as_json)
+        _measure(fleet)
     raise typer.Exit(EXIT_MOTORS_FAILED if any(one.fault for one in found) else EXIT_OK)
+
+
+def _measure(fleet: Fleet) -> None:
+    """Write the metrics of the looks; that they cannot be written costs nobody the look."""
+    if fleet.metrics_file is None:
+        return
+    from pipeline.look.state import look_standings
+    from pipeline.run.metrics import look_metrics_file, look_metrics_text, write_metrics
+
+    looks = look_standings(fleet.output, [spec.motor_id for spec in fleet.motors])
+    try:
+        write_metrics(look_metrics_file(fleet.metrics_file), look_metrics_text(fleet, looks))
+    except StoreError as error:
+        say(f"{error.code}: {error}; there are no metrics of this look", err=True)
 
 
 def _seconds(text: str) -> float:

@@ -9,11 +9,12 @@ from pathlib import Path
 from pipeline.config import Fleet
 from pipeline.config.nights import night
 from pipeline.errors import StoreError
+from pipeline.look.state import BLIND, NOT_READY
 from pipeline.night.fit_night import FAILED
 from pipeline.run.tasks import MotorOutcome
 from pipeline.store.atomic_files import put, read, remove_leftovers
 from pipeline.telling.outbox import Backlog
-from pipeline.trends.motor_states import ORDER, MotorState
+from pipeline.trends.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
 
 HEAD = "# Made by motor-leakage"
 # Labels and value of a sample.
@@ -79,6 +80,34 @@ def metrics_text(
             ({}, last_good_run.timestamp()) for _ in [0] if last_good_run is not None
         ],
     }
+    return _text(fleet, families)
+
+
+def look_metrics_file(path: Path) -> Path:
+    """File of the looks within the day beside that of the runs, as both replace theirs whole."""
+    return path.with_name(f"{path.stem}-look{path.suffix}")
+
+
+def look_metrics_text(fleet: Fleet, looks: Mapping[str, LookStanding]) -> str:
+    """The metrics of the looks within the day, by motor."""
+    return _text(
+        fleet,
+        {
+            ("look_state", "1 for the state of a motor within the day, 0 for the others"): [
+                ({"motor": motor_id, "state": state}, float(one.state == state))
+                for motor_id, one in looks.items()
+                for state in (LOOK_NOW, CLEAR, BLIND, NOT_READY)
+            ],
+            ("look_state_timestamp_seconds", "Time since which a motor is in that state"): [
+                ({"motor": motor_id}, one.since.timestamp())
+                for motor_id, one in looks.items()
+                if one.since is not None
+            ],
+        },
+    )
+
+
+def _text(fleet: Fleet, families: Mapping[tuple[str, str], Sequence[Sample]]) -> str:
     lines = (
         line
         for (name, words), samples in families.items()

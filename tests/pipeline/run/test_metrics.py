@@ -14,10 +14,16 @@ import pytest
 from pipeline.config import Fleet
 from pipeline.config.settings import Settings
 from pipeline.errors import StoreError
-from pipeline.run.metrics import HEAD, metrics_text, write_metrics
+from pipeline.run.metrics import (
+    HEAD,
+    look_metrics_file,
+    look_metrics_text,
+    metrics_text,
+    write_metrics,
+)
 from pipeline.run.tasks import MotorOutcome
 from pipeline.telling.outbox import Backlog
-from pipeline.trends.motor_states import MotorState
+from pipeline.trends.motor_states import LookStanding, MotorState
 from tests.pipeline.faults.disk import Disk, on
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)
@@ -118,3 +124,15 @@ def test_a_full_disk_leaves_the_metrics_before(tmp_path: Path) -> None:
         write_metrics(path, f"{HEAD}\nsecond\n")
     assert path.read_text() == f"{HEAD}\nfirst\n"
     assert [one.name for one in tmp_path.iterdir()] == ["fleet.prom"]
+
+
+def test_looks_have_a_file_of_their_own() -> None:
+    assert look_metrics_file(Path("/a/mill.prom")) == Path("/a/mill-look.prom")
+    looks = {"M1": LookStanding("look_now", WHEN, "+82 %"), "M2": LookStanding("blind", None, "x")}
+    lines = look_metrics_text(cast(Fleet, SomeFleet()), looks).splitlines()
+    assert lines[0] == HEAD
+    assert [line for line in lines if "look_now" in line and line.endswith(" 1.0")] == [
+        line for line in lines if 'motor="M1",state="look_now"' in line
+    ]
+    (since,) = (line for line in lines if line.startswith("motor_leakage_look_state_timestamp"))
+    assert since.endswith(f" {WHEN.timestamp()!r}")
