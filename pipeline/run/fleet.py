@@ -264,6 +264,9 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
                 damage = Damage(output, restore)
                 result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
             _take_up(fleet)
+        if not result.files:
+            where = fleet.log_url or fleet.log_root
+            log.warning("no log of any motor is below %s: is the folder mounted?", where)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
         _tell(fleet, receivers)

@@ -700,3 +700,14 @@ def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(
     assert after["motor_id"].to_list() == ["CB400-01", "CB400-02"]
     other = pl.col("motor_id") == "CB400-02"
     assert after.filter(other).equals(before.filter(other))
+
+
+def test_a_fleet_whose_logs_are_gone_says_so(
+    own_fleet: OwnFleet, caplog: pytest.LogCaptureFixture
+) -> None:
+    fleet = own_fleet(PARQUET, fitted=True)
+    run(fleet)
+    assert "is the folder mounted" not in caplog.text
+    shutil.rmtree(log_file(fleet, PARQUET, NIGHTS[1]).parent)
+    assert run(fleet).n_nights == 0
+    assert "no log of any motor is below" in caplog.text
