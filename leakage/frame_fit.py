@@ -36,7 +36,7 @@ from leakage.model_verdict import (
 )
 from leakage.motor import Motor, regressors
 from leakage.multi_start import Parametrisation, SearchSettings
-from leakage.paths import Constant, LeakagePath
+from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH, Constant, LeakagePath
 from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.sample_blocks import (
     NONE_CHOSEN,
@@ -61,7 +61,6 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Part = Literal["training", "validation"]
 
-FLUSHING_PATH, FLUSHING_PARAMETER = "flushing", "C_f"
 HIGHEST_FLUSHING_L_PER_MIN = 20.0
 PARTS: tuple[Part, Part] = ("training", "validation")
 # Samples that carry the stated tolerances.

@@ -44,6 +44,10 @@ __all__ = [
 ]
 
 
+# The motor's flushing is a path beside those of its type: its name, and that of its flow.
+FLUSHING_PATH, FLUSHING_PARAMETER = "flushing", "C_f"
+
+
 @dataclass(frozen=True, slots=True)
 class Laminar(Law):
     r"""Laminar leakage of an unknown geometry (Darcy's law); the thesis's distributor.

@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
 from leakage.motor import FIXED_COLUMNS
-from leakage.paths import LeakagePath
+from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
 from leakage.simulated_curves import fit_deformation_pressure, fit_speed_curve
 from leakage.walther import walther_coefficients
 from pipeline.config.faults import Place, refuse
@@ -21,9 +21,6 @@ from pipeline.config.settings import NonNegative, Positive, Section
 BAR = 1e5
 MILLIMETRE = 1e-3
 MICROMETRE = 1e-6
-
-# The motor's flushing is a path beside those of its type.
-FLUSHING_PATH, FLUSHING_PARAMETER = "flushing", "C_f"
 
 Name = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
 Source = Annotated[

@@ -11,9 +11,9 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AwareDatetime, Field, field_validator, model_validator
 
 from leakage import Constant, Parameter
+from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.faults import Place, refuse
 from pipeline.config.field_paths import field_path
-from pipeline.config.motor_types import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.oil_samples import OilSample, order_faults
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.config.time_formats import require_time_format

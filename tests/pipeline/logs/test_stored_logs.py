@@ -153,8 +153,9 @@ def test_check_says_of_a_bucket_what_it_says_of_a_folder(server: Server, tmp_pat
     there = check_motor(spec)
     assert there.n_files == 3
     assert len(there.channels) == 4
-    (fault,) = (one for one in there.faults if not one.startswith("unit_unusual"))
+    fault, unusual = there.faults
     assert "broken.parquet" in fault
+    assert unusual.startswith("unit_unusual: leakage_flow: ")
     assert replace(there, faults=()) == replace(here, faults=())
 
 
@@ -166,7 +167,8 @@ def test_check_opens_the_first_and_the_newest_objects_alone(server: Server, tmp_
     opened = {Path(path).stem for path in server.asked("GET") if path.endswith(".parquet")}
     assert opened == {str(FIRST + number * DAY) for number in (0, 3, 4)}
     assert (one.n_files, one.first, one.last) == (5, str(FIRST), str(FIRST + 4 * DAY))
-    note = one.notes[-1]
+    ran, note = one.notes
+    assert ran.startswith("the motor ran ")
     assert note.startswith("3 of 5 objects were opened")
     ended = CliRunner().invoke(app, ["check", str(shop.fleet)])
     assert ended.exit_code == 0
@@ -184,5 +186,9 @@ def test_check_tells_of_globs_without_a_match_and_of_names_that_are_absent(
     shop.configure(files=files, fleet=QUICK.replace("../logs", URL))
     (spec,) = load_fleet(shop.fleet).motors
     one = check_motor(spec)
-    assert one.notes[1:] == (f"no object matches M1/*.csv below {URL}",)
-    assert one.faults[0] == "log_missing: M1/named.parquet: named in the config and absent"
+    ran, note = one.notes
+    assert ran.startswith("the motor ran ")
+    assert note == f"no object matches M1/*.csv below {URL}"
+    absent, unusual = one.faults
+    assert absent == "log_missing: M1/named.parquet: named in the config and absent"
+    assert unusual.startswith("unit_unusual: leakage_flow: ")
