@@ -23,15 +23,13 @@ from pipeline.schema import (
     Table,
 )
 from pipeline.store.tables import read_rows
-from pipeline.trends.motor_states import FITS_OF_A_NIGHT, fit_words
+from pipeline.trends.motor_states import CHANGED, FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
 # A rule that refused less than this is not worth a line.
 WORTH_TELLING = 0.005
 LARGEST_EFFECTS = 3
-# States of an indicator that are told, the worst first.
-RAISED = ("alarm", "warning", "common_cause")
 PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
 # Fits of a night by the column of `fits`, in words.
 
@@ -124,8 +122,8 @@ def _refusals(rows: list[Row]) -> Iterator[str]:
 
 def _states(rows: list[Row]) -> Iterator[str]:
     """Indicators that are raised, the worst first; each by its own reason."""
-    raised = [row for row in rows if row["state"] in RAISED and row["state_reason"]]
-    for row in sorted(raised, key=lambda row: RAISED.index(row["state"])):
+    raised = [row for row in rows if row["state"] in CHANGED and row["state_reason"]]
+    for row in sorted(raised, key=lambda row: CHANGED.index(row["state"])):
         yield f"{row['state'].replace('_', ' ')}: {row['state_reason']}"
 
 

@@ -91,7 +91,7 @@ def message_of(delivery: Delivery, settings: Email) -> EmailMessage:
     else:
         subject, lines = _changes(document["changes"])
     message = EmailMessage()
-    message["Subject"] = _shortened(f"{document['fleet']}: {subject}")
+    message["Subject"] = one_line(f"{document['fleet']}: {subject}", LONGEST_SUBJECT)
     message["From"] = settings.sender
     message["To"] = ", ".join(settings.to)
     message["Date"] = formatdate()
@@ -147,11 +147,6 @@ def _paragraph(motor: str, rows: Sequence[Row]) -> Iterator[str]:
         before, after = _plain(row["from_state"]), _plain(row["to_state"])
         yield f"  {_when(row)}, {before} to {after}: {row['reason']}"
     yield ""
-
-
-def _shortened(text: str) -> str:
-    text = one_line(text)
-    return text if len(text) <= LONGEST_SUBJECT else text[: LONGEST_SUBJECT - 1] + "…"
 
 
 def _words(error: Exception) -> str:
