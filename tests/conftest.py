@@ -58,10 +58,14 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
         from pipeline.run.fleet import RunRequest, run_fleet
+        from tests.pipeline.simulated import with_settings
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})
-        run_fleet(RunRequest(replace(fleet, execution=execution, output=folder)))
+        motors = tuple(
+            with_settings(spec, "estimation", search_every_nights=1) for spec in fleet.motors
+        )
+        run_fleet(RunRequest(replace(fleet, motors=motors, execution=execution, output=folder)))
 
     return made_once(shared_folder / "fitted", make)
 
