@@ -12,7 +12,8 @@ from typing import Any
 from leakage.annular_gap import AnnularGap
 from leakage.conditions import OperatingConditions
 from leakage.errors import EstimationError, LeakageError
-from leakage.frame_fit import FrameFit, fit_frame
+from leakage.frame_fit import fit_frame
+from leakage.frame_result import FrameFit
 from leakage.law import Parameter
 from leakage.motor import Motor, leakage_l_per_min, regressors, total_flow_l_per_min
 from leakage.oil import FilmPressure, Oil

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import polars as pl
 
-from leakage.frame_fit import FrameFit, fit_frame
+from leakage.frame_fit import fit_frame
+from leakage.frame_result import FrameFit
 from pipeline.config import Fleet, Nights
 from pipeline.config.nights import night, night_of, nights_between
 from pipeline.errors import UsageError
