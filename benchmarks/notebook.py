@@ -1,0 +1,235 @@
+"""A fit in a notebook beside the nightly run: the same figures, and what it costs.
+
+Same figures: for each motor and night of a fitted fleet, `prepare_log(...).fit()` against the
+published rows of the primary fit, equal to the last bit or not.
+
+Cost: one frame of 864 000 rows, a day at 10 Hz, fitted by `fit_frame`, and by the nightly run's own
+steps in the same process: regressors, blocks and their factors, error budget, fit without the
+search and the bootstrap, verdicts and intervals. Both in turn, processor time, medians. What the
+frame has on top is reading its columns; what the night has on top is left out of its time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import statistics as statistics_of
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from benchmarks.results_file import Part, write_stored
+from benchmarks.simulated_nights import duty
+from leakage import FrameFit, fit_frame, total_flow_l_per_min
+from leakage.frame_result import PARTS
+from leakage.model_verdict import model_verdict
+from leakage.sample_blocks import TRAINING, VALIDATION
+from leakage.validation import agreement
+from pipeline.config import MotorSpec, load_fleet
+from pipeline.config.nights import night
+from pipeline.night.fit import fit_modes
+from pipeline.night.rows import statistics_rows
+from pipeline.night.statistics import night_statistics
+from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.night.time_base import Samples
+from pipeline.night.tolerances import tolerances
+from pipeline.notebook import open_tables, prepare_log
+
+CONFIG = Path("configs/fleet.toml")
+FIRST = dt.date(2026, 1, 2)
+NIGHT = "the nightly run's steps"
+SAMPLES, RATE_HZ, REPEATS = 864_000, 10, 15
+CONDITIONS = ("pressure_bar", "temperature_c", "speed_rpm")
+
+Figures = dict[str, Any]
+
+
+def main(options: Sequence[str] = ()) -> None:
+    """Measure and write `benchmarks/results/notebook.md`; the fleet must have been fitted."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks notebook", add_help=False)
+    parser.add_argument("--config", type=Path, default=CONFIG)
+    known, rest = parser.parse_known_args(list(options))
+    makers: dict[str, Callable[[], Part]] = {
+        "figures": lambda: same_figures(known.config),
+        "cost": cost,
+    }
+    write_stored("notebook", "A fit in a notebook beside the nightly run", __doc__, makers, rest)
+
+
+def same_figures(config: Path) -> Part:
+    """Every night of a fitted fleet, once more by `prepare_log(...).fit()`."""
+    fleet = load_fleet(config)
+    tables = open_tables(fleet.output)
+    parameters = (
+        tables.table("parameters").collect().partition_by("motor_id", "night", as_dict=True)
+    )
+    compared: dict[str, list[int]] = {}
+    other: dict[str, int] = {}
+    for row in tables.fits().collect().iter_rows(named=True):
+        if row["status"] != "ok":
+            other[row["status"]] = other.get(row["status"], 0) + 1
+            continue
+        prepared = prepare_log(fleet, row["motor_id"], row["night"])
+        of_night = parameters[row["motor_id"], row["night"]]
+        mode = of_night.filter(flushing_mode=row["flushing_mode"])
+        wanted = published_figures(row, mode.iter_rows(named=True))
+        for name, value in figures_of(prepared.fit(), row).items():
+            counts = compared.setdefault(name.split(" ")[0], [0, 0])
+            counts[0] += 1
+            counts[1] += value == wanted[name]
+    n = sum(counts[0] for counts in compared.values())
+    equal = sum(counts[1] for counts in compared.values())
+    return Part(
+        "The same figures",
+        f"{equal} of {n} figures are equal to the last bit. Nights without a published fit: "
+        f"{', '.join(f'{count} {status}' for status, count in other.items()) or 'none'}.",
+        ("figure", "compared", "equal"),
+        [[name, str(counts[0]), str(counts[1])] for name, counts in compared.items()],
+    )
+
+
+FROM_FITS = (
+    "n_training",
+    "n_validation",
+    "training_fit_percent",
+    "validation_fit_percent",
+    "training_rmse_l_per_min",
+    "validation_rmse_l_per_min",
+    "training_mean_error_l_per_min",
+    "validation_mean_error_l_per_min",
+    "model_misfit_percent",
+    "model_verdict",
+    "slow_error_memory",
+    "slow_error_ratio",
+    "correlation_time_s",
+    "training_whiteness",
+    "validation_whiteness",
+    "own_conditions_leakage_l_per_min",
+    "own_conditions_leakage_statistical_half_width",
+    "own_conditions_verdict",
+    "reference_leakage_l_per_min",
+    "reference_leakage_statistical_half_width",
+    "reference_verdict",
+)
+FROM_PARAMETERS = ("value", "lower", "upper", "total_half_width", "verdict", "reason")
+
+
+def published_figures(fit: Figures, parameters: Iterable[Figures]) -> Figures:
+    """Figures of a night's rows in `fits` and `parameters`."""
+    found = {name: fit[name] for name in FROM_FITS}
+    for row in parameters:
+        found |= {f"{name} {row['parameter']}": row[name] for name in FROM_PARAMETERS}
+    return found
+
+
+def figures_of(found: FrameFit, fit: Figures) -> Figures:
+    """The same figures of a fit to a frame, its leakages at the conditions of the published row."""
+    slow, structured = found.identification.slow, found.structured
+    figures: Figures = {
+        "model_misfit_percent": None if structured is None else 100.0 * structured.share,
+        "model_verdict": None if structured is None else model_verdict(structured),
+        "slow_error_memory": slow.memory,
+        "slow_error_ratio": slow.variance_ratio,
+        "correlation_time_s": found.memory_s,
+    }
+    for part, judged in zip(PARTS, (found.training, found.validation), strict=True):
+        figures |= {
+            f"n_{part}": judged.n,
+            f"{part}_fit_percent": judged.fit_percent,
+            f"{part}_rmse_l_per_min": judged.rmse_l_per_min,
+            f"{part}_mean_error_l_per_min": judged.mean_error_l_per_min,
+            f"{part}_whiteness": found.residual_tests(part).whiteness.verdict,
+        }
+    for name, leakage in (("own", "own_conditions"), ("reference", "reference")):
+        judged = found.leakage(*(fit[f"{name}_{one}"] for one in CONDITIONS))
+        told = judged.information
+        figures |= {
+            f"{leakage}_leakage_l_per_min": judged.leakage_l_per_min,
+            f"{leakage}_leakage_statistical_half_width": told and told.half_width,
+            f"{leakage}_verdict": judged.verdict,
+        }
+    columns = found.columns()
+    for at, name in enumerate(columns["parameter"]):
+        figures |= {f"{one} {name}": columns[one][at] or None for one in FROM_PARAMETERS}
+    return figures
+
+
+def cost() -> Part:
+    """Processor time of a day at 10 Hz, by `fit_frame` and by the night's own steps."""
+    spec = demo_motor()
+    frame, samples = day_of(spec)
+    here = night(FIRST, spec.settings.nights)
+    motor, sensors = spec.motor(FIRST, "none"), tolerances(spec, FIRST)
+    rows = statistics_rows("M", FIRST, motor, night_statistics(spec, motor, here, samples))
+
+    def by_night() -> float:
+        begin = time.process_time()
+        statistics = night_statistics(spec, motor, here, samples)
+        spent = time.process_time() - begin
+        blocks = StoredBlocks.of_tonight(spec, rows, statistics.factors)
+        begin = time.process_time()
+        (mode,), _ = fit_modes(spec, FIRST, statistics, blocks)
+        for part in (TRAINING, VALIDATION):
+            agreement(statistics.judged_on(part), mode.training.coefficients)
+        return spent + time.process_time() - begin
+
+    kinds: dict[str, Any] = {
+        "Polars": frame,
+        "pandas": frame.to_pandas(),
+        "PyArrow": frame.to_arrow(),
+        "arrays": {name: frame[name].to_numpy() for name in frame.columns},
+    }
+
+    def by_frame(of: Any) -> float:
+        begin = time.process_time()
+        fit_frame(of, motor, tolerances=sensors)
+        return time.process_time() - begin
+
+    taken: dict[str, list[float]] = {name: [] for name in (NIGHT, *kinds)}
+    for _ in range(REPEATS + 1):
+        taken[NIGHT].append(by_night())
+        for name, of in kinds.items():
+            taken[name].append(by_frame(of))
+    # The first of each warms up.
+    medians = {name: statistics_of.median(one[1:]) for name, one in taken.items()}
+    return Part(
+        "The cost",
+        f"{SAMPLES} rows, medians of {REPEATS} in turn, processor time. Goal: at most 1.3.",
+        ("fitted from", "processor time", "over the night's steps"),
+        [
+            [name, f"{1000 * one:.0f} ms", f"{one / medians[NIGHT]:.2f}"]
+            for name, one in medians.items()
+        ],
+    )
+
+
+def demo_motor() -> MotorSpec:
+    """A CB560 of the demo, fitted without the search and the bootstrap."""
+    (spec,) = (one for one in load_fleet(CONFIG).motors if one.motor_id == "CB560-02")
+    estimation = spec.settings.estimation.model_copy(
+        update={"starting_points": 0, "bootstrap_resamples": 0}
+    )
+    settings = spec.settings.model_copy(update={"estimation": estimation})
+    return replace(spec, settings=settings)
+
+
+def day_of(spec: MotorSpec) -> tuple[pl.DataFrame, Samples]:
+    """A simulated day as a frame, and as the kept samples of a night."""
+    generator = np.random.default_rng(1)
+    seen = duty(SAMPLES / RATE_HZ / 3600, generator, RATE_HZ)
+    flow = total_flow_l_per_min(spec.motor(FIRST, "none"), seen.conditions)
+    flow = flow + 0.05 * generator.standard_normal(SAMPLES)
+    period_us = 1_000_000 // RATE_HZ
+    index = np.arange(SAMPLES)
+    time_us = night(FIRST, spec.settings.nights).start_us + period_us * index
+    samples = Samples(index, time_us, *seen.channels, flow, {}, period_us, SAMPLES, SAMPLES)
+    columns = dict(
+        zip(("pressure_bar", "oil_temperature_c", "speed_rpm"), seen.channels, strict=True)
+    )
+    frame = pl.DataFrame({"time": time_us} | columns | {"leakage_l_per_min": flow})
+    return frame.with_columns(pl.col("time").cast(pl.Datetime("us", "UTC"))), samples
