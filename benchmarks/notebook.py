@@ -1,7 +1,8 @@
 """A fit in a notebook beside the nightly run: the same figures, and what it costs.
 
-Same figures: for each motor and night of a fitted fleet, `prepare_log(...).fit()` against the
-published rows of the primary fit, equal to the last bit or not.
+Same figures: for each motor and night of a fleet, `prepare_log(...).fit()` against the rows that
+the nightly run's step makes of the same log, equal to the last bit or not; and against the
+published tables.
 
 Cost: one frame of 864 000 rows, a day at 10 Hz, fitted by `fit_frame`, and by the nightly run's own
 steps in the same process: regressors, blocks and their factors, error budget, fit without the
@@ -30,15 +31,19 @@ from leakage.frame_result import PARTS
 from leakage.model_verdict import model_verdict
 from leakage.sample_blocks import TRAINING, VALIDATION
 from leakage.validation import agreement
+from pipeline.clock import latest_us
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.nights import night
+from pipeline.logs.motor_logs import LogShelf
 from pipeline.night.fit import fit_modes
+from pipeline.night.fit_night import OK, fit_night
 from pipeline.night.rows import statistics_rows
 from pipeline.night.statistics import night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.night.time_base import Samples
 from pipeline.night.tolerances import tolerances
 from pipeline.notebook import open_tables, prepare_log
+from pipeline.notebook.preparing import raw_channels
 
 CONFIG = Path("configs/fleet.toml")
 FIRST = dt.date(2026, 1, 2)
@@ -50,46 +55,79 @@ Figures = dict[str, Any]
 
 
 def main(options: Sequence[str] = ()) -> None:
-    """Measure and write `benchmarks/results/notebook.md`; the fleet must have been fitted."""
+    """Measure and write `benchmarks/results/notebook.md`; of a fitted fleet."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks notebook", add_help=False)
     parser.add_argument("--config", type=Path, default=CONFIG)
     known, rest = parser.parse_known_args(list(options))
     makers: dict[str, Callable[[], Part]] = {
         "figures": lambda: same_figures(known.config),
+        "published": lambda: published(known.config),
         "cost": cost,
     }
     write_stored("notebook", "A fit in a notebook beside the nightly run", __doc__, makers, rest)
 
 
 def same_figures(config: Path) -> Part:
-    """Every night of a fitted fleet, once more by `prepare_log(...).fit()`."""
+    """Every night of a fleet by the nightly run's step, and by `prepare_log(...).fit()`."""
     fleet = load_fleet(config)
-    tables = open_tables(fleet.output)
-    parameters = (
-        tables.table("parameters").collect().partition_by("motor_id", "night", as_dict=True)
-    )
     compared: dict[str, list[int]] = {}
-    other: dict[str, int] = {}
-    for row in tables.fits().collect().iter_rows(named=True):
-        if row["status"] != "ok":
-            other[row["status"]] = other.get(row["status"], 0) + 1
-            continue
-        prepared = prepare_log(fleet, row["motor_id"], row["night"])
-        of_night = parameters[row["motor_id"], row["night"]]
-        mode = of_night.filter(flushing_mode=row["flushing_mode"])
-        wanted = published_figures(row, mode.iter_rows(named=True))
-        for name, value in figures_of(prepared.fit(), row).items():
-            counts = compared.setdefault(name.split(" ")[0], [0, 0])
-            counts[0] += 1
-            counts[1] += value == wanted[name]
-    n = sum(counts[0] for counts in compared.values())
-    equal = sum(counts[1] for counts in compared.values())
+    outcomes: dict[str, int] = {}
+    for spec in fleet.motors:
+        logs = LogShelf(spec, {}, latest_us(), {})
+        for label in sorted(logs.present()):
+            channels = raw_channels(spec, logs, label)
+            assert not isinstance(channels, str)
+            outcome = fit_night(spec, night(label, spec.settings.nights), channels, {})
+            outcomes[outcome.status] = outcomes.get(outcome.status, 0) + 1
+            if outcome.status != OK:
+                continue
+            fit, *_ = outcome.rows["fits"]
+            mode = fit["flushing_mode"]
+            rows = (row for row in outcome.rows["parameters"] if row["flushing_mode"] == mode)
+            wanted = published_figures(fit, rows)
+            found = prepare_log(fleet, spec.motor_id, label).fit()
+            for name, value in figures_of(found, fit).items():
+                counts = compared.setdefault(name.split(" ")[0], [0, 0])
+                counts[0] += 1
+                counts[1] += value == wanted[name]
+    n, equal = (sum(counts[at] for counts in compared.values()) for at in (0, 1))
     return Part(
         "The same figures",
-        f"{equal} of {n} figures are equal to the last bit. Nights without a published fit: "
-        f"{', '.join(f'{count} {status}' for status, count in other.items()) or 'none'}.",
+        f"{equal} of {n} figures are equal to the last bit. Nights: "
+        f"{', '.join(f'{count} {status}' for status, count in outcomes.items())}.",
         ("figure", "compared", "equal"),
         [[name, str(counts[0]), str(counts[1])] for name, counts in compared.items()],
+    )
+
+
+def published(config: Path) -> Part:
+    """Estimates of every published night beside those of a fit to its frame."""
+    fleet = load_fleet(config)
+    apart: dict[bool, list[float]] = {}
+    fits = open_tables(fleet.output).fits().filter(status=OK).collect()
+    for row in fits.iter_rows(named=True):
+        prepared = prepare_log(fleet, row["motor_id"], row["night"])
+        assert prepared.motor is not None
+        is_free = row["roller_is_free"]
+        motor = prepared.motor.with_free_standard() if is_free else prepared.motor
+        found = prepared.fit(motor)
+        at = found.leakage(*(row[f"own_{one}"] for one in CONDITIONS))
+        pairs = [
+            (at.leakage_l_per_min, row["own_conditions_leakage_l_per_min"]),
+            *zip(found.params.values(), row["coefficients"], strict=False),
+        ]
+        differences = [abs(own / other - 1.0) for own, other in pairs if other]
+        apart.setdefault(is_free, []).append(max(differences))
+    return Part(
+        "The published tables",
+        "Once a motor's baseline asks for it, the nightly run estimates the scale of the rollers' "
+        "curve as well, and makes these fits from stored blocks: `fit(motor.with_free_standard())` "
+        "sums the same samples in another order.",
+        ("scale of the rollers", "nights", "largest relative difference of an estimate"),
+        [
+            ["estimated" if is_free else "as stated", str(len(of)), f"{max(of):.1e}"]
+            for is_free, of in apart.items()
+        ],
     )
 
 
@@ -121,9 +159,9 @@ FROM_PARAMETERS = ("value", "lower", "upper", "total_half_width", "verdict", "re
 
 def published_figures(fit: Figures, parameters: Iterable[Figures]) -> Figures:
     """Figures of a night's rows in `fits` and `parameters`."""
-    found = {name: fit[name] for name in FROM_FITS}
+    found = {name: fit.get(name) for name in FROM_FITS}
     for row in parameters:
-        found |= {f"{name} {row['parameter']}": row[name] for name in FROM_PARAMETERS}
+        found |= {f"{name} {row['parameter']}": row.get(name) for name in FROM_PARAMETERS}
     return found
 
 
@@ -146,16 +184,21 @@ def figures_of(found: FrameFit, fit: Figures) -> Figures:
             f"{part}_whiteness": found.residual_tests(part).whiteness.verdict,
         }
     for name, leakage in (("own", "own_conditions"), ("reference", "reference")):
-        judged = found.leakage(*(fit[f"{name}_{one}"] for one in CONDITIONS))
-        told = judged.information
+        judged_at = found.leakage(*(fit[f"{name}_{one}"] for one in CONDITIONS))
+        told = judged_at.information if judged_at.is_told else None
         figures |= {
-            f"{leakage}_leakage_l_per_min": judged.leakage_l_per_min,
+            f"{leakage}_leakage_l_per_min": judged_at.leakage_l_per_min
+            if judged_at.is_told
+            else None,
             f"{leakage}_leakage_statistical_half_width": told and told.half_width,
-            f"{leakage}_verdict": judged.verdict,
+            f"{leakage}_verdict": judged_at.verdict,
         }
     columns = found.columns()
     for at, name in enumerate(columns["parameter"]):
-        figures |= {f"{one} {name}": columns[one][at] or None for one in FROM_PARAMETERS}
+        figures |= {
+            f"{one} {name}": (columns[one][at] or None) if one == "reason" else columns[one][at]
+            for one in FROM_PARAMETERS
+        }
     return figures
 
 

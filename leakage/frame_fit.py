@@ -179,7 +179,7 @@ def fit_frame(
         validation=agreement(made.judged_on(VALIDATION), theta),
         tolerances=tolerances,
         identification=estimate.identification,
-        beside_samples=np.zeros((2, len(theta))),
+        beside_samples=np.zeros(len(theta)),
     )
     return found.judged()
 

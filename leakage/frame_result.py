@@ -73,7 +73,7 @@ class FrameFit:
     training, validation
         Agreement of the fit to the training samples with these, and with the validation samples.
     beside_samples
-        ± of each coefficient of θ by the model, and by the sensors, shape (2, p + 1).
+        ± of each coefficient of θ by the model and the sensors, shape (p + 1,).
     """
 
     motor: Motor
@@ -192,7 +192,7 @@ class FrameFit:
             pressure_bar, temperature_c, speed_rpm, charge_over_case_bar
         )
         row = regressors(self.motor, at)[0]
-        model = LEAKAGE_FACTOR * self._model_errors(np.append(row[:-2], 0.0)[None])[0]
+        model = self._model_errors(np.append(row[:-2], 0.0)[None], LEAKAGE_FACTOR)[0]
         sensors = self._sensors([at]).leakages_l_per_min()
         systematic = math.hypot(model, 0.0 if sensors is None else float(sensors[0]))
         return judge_leakage(
@@ -202,25 +202,25 @@ class FrameFit:
     def judged(self) -> FrameFit:
         """The fit with what the model and the sensors can do to its coefficients."""
         free, beside = self.free_places, np.zeros_like(self.beside_samples)
-        beside[0, free] = COEFFICIENT_FACTOR * self._model_errors(np.eye(beside.shape[1])[free])
+        beside[free] = self._model_errors(np.eye(len(beside))[free], COEFFICIENT_FACTOR)
         sensors = self._sensors().coefficients()
         if sensors is not None:
-            beside[1, free] = sensors[free]
+            beside[free] = [math.hypot(sensors[at], beside[at]) for at in free]
         totals = {
-            at: None if told is None else math.hypot(told.half_width, *beside[:, at])
+            at: None if told is None else math.hypot(told.half_width, beside[at])
             for at in free
             for told in (self.identification.coefficients[at].information,)
         }
         identification = judge_by_total(self.estimate.fit, self.identification, totals)
         return replace(self, identification=identification, beside_samples=beside)
 
-    def _model_errors(self, contrasts: Array) -> Array:
-        """Reach of the model's error on some contrasts of θ."""
+    def _model_errors(self, contrasts: Array, factor: float) -> Array:
+        """± of some contrasts of θ by the structured misfit."""
         if self.structured is None:
             return np.zeros(len(contrasts))
         fixed = self.estimate.fit.certificate.fixed
         reach = model_errors(self.blocks.factors, fixed, contrasts, 1.0)
-        return reach * self.structured.l_per_min
+        return factor * reach * self.structured.l_per_min
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:
         """The stated tolerances of sensors carried through the fit; empty without, or beyond it."""
@@ -323,7 +323,7 @@ class FrameFit:
         yield (
             "total_half_width",
             (
-                None if half is None else math.hypot(half, *self.beside_samples[:, at])
+                None if half is None else math.hypot(half, self.beside_samples[at])
                 for at, half in zip(paths, halves, strict=True)
             ),
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -259,19 +259,29 @@ Part = tuple[pl.DataFrame, pl.DataFrame]
 
 
 def _of_logs(spec: MotorSpec, logs: LogShelf, label: dt.date) -> Part:
+    channels = raw_channels(spec, logs, label)
+    if isinstance(channels, str):
+        return _empty(), _refused(label, [], "log", channels)
+    return _cleaned(spec.file, spec.settings, label, channels)
+
+
+def raw_channels(
+    spec: MotorSpec, logs: LogShelf, label: dt.date
+) -> MutableMapping[str, RawChannel] | str:
+    """Channels of a night as logged, or the fault of a log that cannot be read."""
     here = night(label, spec.settings.nights)
     names = logs.of_night(label)
     read = [logs.content(name) for name in (*logs.before_night(here), *names)]
     broken = [one for name in names if (one := logs.files[name]).status != "ok"]
     if broken:
-        return _empty(), _refused(label, [], "log", broken[0].message or "")
+        return broken[0].message or ""
     channels = slice_night([one for one in read if one is not None], here, reaches_us(spec))
     logs.let_go_until(label)
-    return _cleaned(spec.file, spec.settings, label, channels)
+    return channels
 
 
 def _cleaned(
-    file: MotorFile, settings: Settings, label: dt.date, channels: dict[str, RawChannel]
+    file: MotorFile, settings: Settings, label: dt.date, channels: MutableMapping[str, RawChannel]
 ) -> Part:
     """Kept samples of a night, and what was refused."""
     here = night(label, settings.nights)
