@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from leakage.step_detection import StepWatch
 from pipeline.arrays import utc
-from pipeline.ingest.contract import Place
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.motor_states import LookStanding
+
+if TYPE_CHECKING:
+    from pipeline.ingest import Place
 
 BLIND, NOT_READY = "blind", "not_ready"
 # Judged blocks that are remembered.
@@ -179,6 +181,8 @@ def _decoded(document: Mapping[str, Any]) -> LookState:
 
 
 def _file(ends: Sequence[Mapping[str, Any]], **rest: Any) -> FileSeen:
+    from pipeline.ingest import Place
+
     places = (
         (Place(one["place"]["position"], tuple(one["place"]["columns"])), one["newest_us"])
         for one in ends
