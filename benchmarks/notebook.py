@@ -36,7 +36,7 @@ from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.nights import night
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.night.fit import fit_modes
-from pipeline.night.fit_night import OK, fit_night
+from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import statistics_rows
 from pipeline.night.statistics import night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
@@ -44,6 +44,7 @@ from pipeline.night.time_base import Samples
 from pipeline.night.tolerances import tolerances
 from pipeline.notebook import open_tables, prepare_log
 from pipeline.notebook.preparing import raw_channels
+from pipeline.schema.fits import OK
 
 CONFIG = Path("configs/fleet.toml")
 FIRST = dt.date(2026, 1, 2)
