@@ -28,7 +28,7 @@ def new_fleet(config: str, folder: Path) -> Path:
 
 
 def add_motor(fleet: Path, motor_id: str, nights: Sequence[pl.DataFrame], more: str = "") -> None:
-    """Write a motor whose logs are cuts, the first as of `FIRST`, each a day after the one before."""
+    """Write a motor whose logs are cuts: the first as of `FIRST`, each a day after the last."""
     file = fleet.parent / "motors" / f"{motor_id}.toml"
     file.write_text(f'motor_id = "{motor_id}"\n{more}', "utf-8")
     logs = fleet.parent.parent / "logs" / motor_id

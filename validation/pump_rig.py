@@ -7,7 +7,7 @@ program's own command, and writes the tables and pictures of docs/real_machines.
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,11 +15,13 @@ from typing import Any
 import numpy as np
 import polars as pl
 
-from leakage import Motor, OperatingConditions, leakage_l_per_min
+from leakage import Motor, OperatingConditions, leakage_l_per_min, total_flow_l_per_min
 from pipeline.config import load_fleet
 from pipeline.notebook import Tables
 from validation.fleet import DAY, FIRST, add_motor, fitted, label, new_fleet
+from validation.pictures import draw
 from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records, windows
+from validation.tables import Table
 
 BLOCK = dt.timedelta(minutes=10)
 SHORT = dt.timedelta(minutes=20)
@@ -38,43 +40,46 @@ class Plan:
     nights: int = 90
     length: dt.timedelta = dt.timedelta(minutes=60)
     healthy: int = 60
+    kinds: tuple[str, ...] = ("all", "ring")
+    courses: tuple[str, ...] = ("step-10", "step-20", "step-30", "ramp-30")
 
 
-Course = Callable[[int, Plan], float]
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """One answer: a heading, a table, and rows as text."""
-
-    name: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
-
-
-def judge(folder: Path, work: Path, plan: Plan = Plan()) -> list[Table]:  # noqa: B008
+def judge(
+    folder: Path, work: Path, plan: Plan | None = None, pictures: Path | None = None
+) -> list[Table]:
     """Fit cuts of every record of a folder, and answer the questions of the page."""
+    plan = plan or Plan()
     records = read_records(folder)
-    fleet = new_fleet("pump_rig", work)
+    fleet = new_fleet("pump_rig", work / "cuts")
     for record in records:
         _add_cuts(fleet, record)
-    first = fitted(fleet)
-    tables = [
+    cuts = fitted(fleet)
+    fleet = new_fleet("pump_rig", work / "nights")
+    known = [record for record in records if _labelled(cuts, record)]
+    for record in known:
+        _add_nights(fleet, record, cuts, plan)
+    nights = fitted(fleet)
+    for record in known:
+        if pictures:
+            law, coefficients = _law(fleet, cuts, record)
+            flow = total_flow_l_per_min(law, _conditions(record.warm()), coefficients)
+            draw(record, pl.Series(flow), cuts, nights, pictures)
+    return [
         _records(records),
-        _held_out(first, records),
-        _stability(first, records),
-        _coverage(first, records),
+        _held_out(cuts, records),
+        _labels(cuts, records),
+        _stability(cuts, records),
+        _coverage(cuts, records),
+        _alarms(nights, records, plan),
     ]
-    worn = new_fleet("pump_rig", work / "nights")
-    for record in records:
-        coefficients = _coefficients(first, f"{record.name}-held-out-warm")
-        _add_nights(worn, record, coefficients, plan)
-    return [*tables, _alarms(fitted(worn), records, plan)]
 
 
 VARIANTS = {
-    "held-out-all": ("every sample", "[channels.leakage_flow]\nsource = 'Flow - leak line'\n"
-                     "unit = 'l/min'\nvalid_range = [0.0, 100.0]\n"),
+    "held-out-all": (
+        "every sample",
+        "[channels.leakage_flow]\nsource = 'Flow - leak line'\n"
+        "unit = 'l/min'\nvalid_range = [0.0, 100.0]\n",
+    ),
     "held-out": ("meter reads", ""),
     "held-out-warm": ("meter reads, 48 °C and above", ""),
 }
@@ -87,16 +92,18 @@ def _add_cuts(fleet: Path, record: Record) -> None:
         rows = warm if variant.endswith("warm") else record.rows
         if not rows.is_empty():
             add_motor(fleet, f"{record.name}-{variant}", [rows], channel + _periods(rows))
-    if not warm.is_empty():
+    if short := windows(warm, SHORT, STEP):
         quarter = (warm[TIME][-1] - warm[TIME][0]) / 4
         add_motor(fleet, f"{record.name}-quarters", windows(warm, quarter, quarter))
-        add_motor(fleet, f"{record.name}-windows", windows(warm, SHORT, STEP))
+        add_motor(fleet, f"{record.name}-windows", short)
 
 
 def _periods(rows: pl.DataFrame) -> str:
     """Alternate blocks: the first, third, … train, the others validate."""
     count = (rows[TIME][-1] - rows[TIME][0]) // BLOCK + 1
-    pairs = [f"[{FIRST + i * BLOCK:%FT%TZ}, {FIRST + (i + 1) * BLOCK:%FT%TZ}]" for i in range(count)]
+    pairs = [
+        f"[{FIRST + i * BLOCK:%FT%TZ}, {FIRST + (i + 1) * BLOCK:%FT%TZ}]" for i in range(count)
+    ]
     training, validation = ", ".join(pairs[::2]), ", ".join(pairs[1::2])
     return f"[periods]\ntraining = [{training}]\nvalidation = [{validation}]\n"
 
@@ -107,18 +114,30 @@ def _records(records: Sequence[Record]) -> Table:
             one.name,
             one.state,
             f"{one.rows.height}",
-            f"{one.rows[PRESSURE].quantile(0.05):.0f} to {one.rows[PRESSURE].quantile(0.95):.0f}",
-            f"{one.rows[TEMPERATURE].quantile(0.05):.0f} to {one.rows[TEMPERATURE].quantile(0.95):.0f}",
-            f"{100 * (one.rows[FLOW] < METER_READS_FROM).mean():.0f} %",
+            _range(one.rows[PRESSURE]),
+            _range(one.rows[TEMPERATURE]),
+            f"{100 * float((one.rows[FLOW] < METER_READS_FROM).to_numpy().mean()):.0f} %",
             "; ".join(one.notes) or "–",
         ]
         for one in records
     ]
     return Table(
         "records",
-        ("record", "state", "samples", "bar (5–95 %)", "°C (5–95 %)", "meter at its floor", "notes"),
+        (
+            "record",
+            "state",
+            "samples",
+            "bar (5–95 %)",
+            "°C (5–95 %)",
+            "meter at its floor",
+            "notes",
+        ),
         rows,
     )
+
+
+def _range(values: pl.Series) -> str:
+    return f"{values.quantile(0.05):.0f} to {values.quantile(0.95):.0f}"
 
 
 def _held_out(tables: Tables, records: Sequence[Record]) -> Table:
@@ -127,18 +146,32 @@ def _held_out(tables: Tables, records: Sequence[Record]) -> Table:
         [
             record.name,
             words,
-            f"{row['n_training']}",
-            f"{row['training_fit_percent']:.1f} %",
-            f"{row['n_validation']}",
-            f"{row['validation_fit_percent']:.1f} %",
-            f"{row['validation_rmse_l_per_min']:.3f}",
+            str(row["n_training"]),
+            _percent(row["training_fit_percent"]),
+            str(row["n_validation"]),
+            _percent(row["validation_fit_percent"]),
         ]
         for record in records
         for variant, (words, _) in VARIANTS.items()
         if (row := fits.get(f"{record.name}-{variant}"))
     ]
-    header = ("record", "samples", "training", "fit", "held out", "fit", "RMSE l/min")
+    header = ("record", "samples", "training", "fit", "held out", "fit")
     return Table("held_out", header, rows)
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f} %"
+
+
+def _labels(tables: Tables, records: Sequence[Record]) -> Table:
+    """Leakage by labelled state, in rising order: the training blocks of each warm part."""
+    found = [(record, row) for record in records for row in _labelled(tables, record)]
+    found.sort(key=lambda pair: float(pair[1][VALUE]))
+    rows = [
+        [record.name, record.state, *_leakage(row), row["reference_verdict"]]
+        for record, row in found
+    ]
+    return Table("labels", ("record", "state", "leakage", "± samples", "± total", "verdict"), rows)
 
 
 def _stability(tables: Tables, records: Sequence[Record]) -> Table:
@@ -157,14 +190,30 @@ def _stability(tables: Tables, records: Sequence[Record]) -> Table:
                 row["model_verdict"] or "–",
             ]
             for number, row in enumerate(quarters, start=1)
-            if row["reference_leakage_l_per_min"] is not None
+            if row[VALUE] is not None
         ]
-    header = ("record", "quarter", "°C", "K 1e-14 m³", "C l/min", "leakage", "samples", "total", "model")
+    header = (
+        "record",
+        "quarter",
+        "°C",
+        "K 1e-14 m³",
+        "C l/min",
+        "leakage",
+        "samples",
+        "total",
+        "model",
+    )
     return Table("stability", header, rows)
 
 
 def _of(tables: Tables, motor_id: str) -> list[dict[str, Any]]:
     return tables.fits().filter(pl.col("motor_id") == motor_id).collect().to_dicts()
+
+
+def _labelled(tables: Tables, record: Record) -> list[dict[str, Any]]:
+    """Fit of the training blocks of the warm part; empty where it tells no leakage."""
+    fits = _of(tables, f"{record.name}-held-out-warm")
+    return [fit for fit in fits if fit[VALUE] is not None]
 
 
 def _leakage(row: dict[str, Any]) -> list[str]:
@@ -179,7 +228,9 @@ def _coverage(tables: Tables, records: Sequence[Record]) -> Table:
     for record in records:
         found = {row["night"]: row for row in _of(tables, f"{record.name}-windows")}
         apart = SHORT // STEP * DAY
-        pairs = [(row, found[night + apart]) for night, row in found.items() if night + apart in found]
+        pairs = [
+            (row, found[night + apart]) for night, row in found.items() if night + apart in found
+        ]
         pairs = [pair for pair in pairs if None not in (pair[0][VALUE], pair[1][VALUE])]
         for words, kept in (
             ("overlapping, every 5 min", pairs),
@@ -206,22 +257,12 @@ def _held(pairs: Sequence[tuple[dict[str, Any], dict[str, Any]]], part: str) -> 
     return f"{held} ({100 * held / len(pairs):.0f} %)" if pairs else "–"
 
 
-def _steps(percent: float) -> Course:
-    return lambda number, _: percent / 100.0 if number >= 0 else 0.0
-
-
-def _ramp(percent: float) -> Course:
-    return lambda number, plan: max(number + 1, 0) / (plan.nights - plan.healthy) * percent / 100.0
-
-
-# Growth of the leakage by the number of the night since the last healthy one.
-COURSES: dict[str, Course] = {
-    "step-10": _steps(10.0),
-    "step-20": _steps(20.0),
-    "step-30": _steps(30.0),
-    "ramp-30": _ramp(30.0),
-}
-KINDS = {"all": "all paths alike", "ring": "ring-like"}
+def growth(course: str, number: int, plan: Plan) -> float:
+    """Growth of the leakage in a night, counted from the first one with wear, which is 0."""
+    kind, percent = course.split("-")
+    nights = plan.nights - plan.healthy
+    share = float(number >= 0) if kind == "step" else max(number + 1, 0) / nights
+    return share * float(percent) / 100.0
 
 
 def _add_nights(fleet: Path, record: Record, tables: Tables, plan: Plan) -> None:
@@ -230,18 +271,32 @@ def _add_nights(fleet: Path, record: Record, tables: Tables, plan: Plan) -> None
     if not nights:
         return
     add_motor(fleet, f"{record.name}-steady", nights)
-    fit = _of(tables, f"{record.name}-held-out-warm")[0]
-    law = load_fleet(fleet).motors[0].motor(fit["night"], "estimated")
-    coefficients = {fit["columns"][0]: fit["coefficients"][0]}
-    for kind in KINDS:
+    mixed = np.random.default_rng(1).permutation(len(nights))
+    add_motor(fleet, f"{record.name}-mixed", [nights[number] for number in mixed])
+    law, coefficients = _law(fleet, tables, record)
+    for kind in plan.kinds:
         flows = [_added(law, coefficients, night, kind) for night in nights]
-        for name, course in COURSES.items():
-            growths = [course(number - plan.healthy, plan) for number in range(len(nights))]
+        for course in plan.courses:
             worn = [
-                night.with_columns(pl.col(FLOW) + growth * flow)
-                for night, flow, growth in zip(nights, flows, growths, strict=True)
+                night.with_columns(pl.col(FLOW) + growth(course, number, plan) * flow)
+                for number, (night, flow) in enumerate(
+                    zip(nights, flows, strict=True), start=-plan.healthy
+                )
             ]
-            add_motor(fleet, f"{record.name}-{kind}-{name}", worn)
+            add_motor(fleet, f"{record.name}-{kind}-{course}", worn)
+
+
+def _law(fleet: Path, tables: Tables, record: Record) -> tuple[Motor, dict[str, float]]:
+    """The motor type's law, and its coefficients from the training blocks of the warm part."""
+    (fit,) = _labelled(tables, record)
+    law = load_fleet(fleet).motors[0].motor(fit["night"], "estimated")
+    return law, dict(zip((path.name for path in law.paths), fit["coefficients"], strict=True))
+
+
+def _conditions(rows: pl.DataFrame) -> OperatingConditions:
+    return OperatingConditions.from_bar(
+        rows[PRESSURE].to_numpy(), rows[TEMPERATURE].to_numpy(), SPEED_RPM
+    )
 
 
 def _added(law: Motor, coefficients: dict[str, float], night: pl.DataFrame, kind: str) -> pl.Series:
@@ -249,11 +304,43 @@ def _added(law: Motor, coefficients: dict[str, float], night: pl.DataFrame, kind
 
     Nothing is added where the meter stands at its floor and reads no flow at all.
     """
-    pressure = night[PRESSURE].to_numpy()
-    conditions = OperatingConditions.from_bar(pressure, night[TEMPERATURE].to_numpy(), SPEED_RPM)
     reads = night[FLOW].to_numpy() >= METER_READS_FROM
-    flow = np.where(reads, leakage_l_per_min(law, conditions, coefficients), 0.0)
+    flow = np.where(reads, leakage_l_per_min(law, _conditions(night), coefficients), 0.0)
     if kind == "ring":
-        shape = flow * np.exp(-3.0 * pressure / RING_BAR)
+        shape = flow * np.exp(-3.0 * night[PRESSURE].to_numpy() / RING_BAR)
         flow = shape * flow.sum() / shape.sum()
     return pl.Series(flow)
+
+
+def _alarms(tables: Tables, records: Sequence[Record], plan: Plan) -> Table:
+    """First warning or alarm of each course of wear, and all of those without wear."""
+    found = tables.alarms().filter(pl.col("to_state").is_in(RAISED)).collect().to_dicts()
+    motors = tables.fits().collect()["motor_id"].unique()
+    rows = []
+    for record in records:
+        for order in ("steady", "mixed"):
+            if (motor_id := f"{record.name}-{order}") in motors:
+                raised = [one for one in found if one["motor_id"] == motor_id]
+                rows.append([record.name, "none", f"nights {order}", *_told(raised, 0, None, plan)])
+        for kind in plan.kinds:
+            for course in plan.courses:
+                if (motor_id := f"{record.name}-{kind}-{course}") in motors:
+                    raised = [one for one in found if one["motor_id"] == motor_id]
+                    told = _told(raised, plan.healthy, course, plan)
+                    rows.append([record.name, kind, course.replace("-", " +") + " %", *told])
+    header = ("record", "wear", "course", "told in night", "at", "by", "the program says")
+    return Table("alarms", header, rows)
+
+
+def _told(
+    raised: Sequence[dict[str, Any]], begin: int, course: str | None, plan: Plan
+) -> tuple[str, str, str, str]:
+    """Night of the first warning or alarm since the first worn night, growth by then, words."""
+    since = [one for one in raised if one["night"] >= label(begin)]
+    if not since:
+        return "never", "–", "–", "–"
+    first = since[0]
+    number = (first["night"] - label(begin)).days
+    grown = f"+{100 * growth(course, number, plan):.0f} %" if course else "–"
+    said = first["reason"].split(";")[0]
+    return f"{number + 1}", grown, f"{first['indicator']}, {first['way']}", said

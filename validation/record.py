@@ -98,10 +98,14 @@ def _records_of(file: Path) -> list[Record]:
 
 def _gaps(rows: pl.DataFrame) -> tuple[str, ...]:
     steps = rows.select(TIME, step=pl.col(TIME).diff()).filter(pl.col("step") > GAP)
-    return tuple(f"gap of {step.total_seconds():.0f} s to {time:%F %T}" for time, step in steps.rows())
+    return tuple(
+        f"gap of {step.total_seconds():.0f} s to {time:%F %T}" for time, step in steps.rows()
+    )
 
 
-def windows(rows: pl.DataFrame, length: dt.timedelta, starts: int | dt.timedelta) -> list[pl.DataFrame]:
+def windows(
+    rows: pl.DataFrame, length: dt.timedelta, starts: int | dt.timedelta
+) -> list[pl.DataFrame]:
     """Stretches of a length: so many with equal steps, or one at each step of a length."""
     if rows.is_empty() or (room := rows[TIME][-1] - rows[TIME][0] - length) < dt.timedelta():
         return []
