@@ -10,12 +10,13 @@ import polars as pl
 import pytest
 
 from validation import published, pump_rig
+from validation.cuts import Plan, growth
 from validation.record import FLOW, PRESSURE, STATE, TEMPERATURE, TIME, read_records, windows
 from validation.tables import Table, show
 
 BEGIN = dt.datetime(2024, 3, 15, 8, 33, 44, tzinfo=dt.UTC)
 SECOND = dt.timedelta(seconds=1)
-PLAN = pump_rig.Plan(
+PLAN = Plan(
     nights=2, length=dt.timedelta(minutes=10), healthy=1, kinds=("all",), courses=("step-30",)
 )
 
@@ -81,16 +82,17 @@ class TestRecords:
 
 class TestWear:
     def test_a_step_is_whole_at_once_and_a_ramp_at_the_last_night(self) -> None:
-        plan = pump_rig.Plan(nights=90, healthy=60)
-        assert [pump_rig.growth("step-20", n, plan) for n in (-1, 0, 29)] == [0.0, 0.2, 0.2]
-        ramp = [pump_rig.growth("ramp-30", n, plan) for n in (-1, 0, 14, 29)]
+        plan = Plan(nights=90, healthy=60)
+        assert [growth("step-20", n, plan) for n in (-1, 0, 29)] == [0.0, 0.2, 0.2]
+        ramp = [growth("ramp-30", n, plan) for n in (-1, 0, 14, 29)]
         assert ramp == pytest.approx([0.0, 0.01, 0.15, 0.3])
 
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Table]:
     folder = tmp_path_factory.mktemp("rig")
-    record = written(folder, rows(24), rows(1, 2, BEGIN + dt.timedelta(minutes=24)))
+    later, last = (BEGIN + dt.timedelta(minutes=minutes) for minutes in (14, 32))
+    record = written(folder, rows(12), rows(18, begin=later), rows(1, 2, last))
     tables = pump_rig.judge(record, folder / "work", PLAN, folder / "pictures")
     assert (folder / "pictures" / "real_machines_dane_UT9-1.png").stat().st_size > 10_000
     return {table.name: table for table in tables}
@@ -100,27 +102,31 @@ class TestPumpRig:
     def test_a_record_of_the_law_is_fitted_on_held_out_blocks(
         self, answers: dict[str, Table]
     ) -> None:
-        fits = {row[1]: float(row[5].removesuffix(" %")) for row in answers["held_out"].rows[:3]}
+        fits = {
+            row["samples"]: float(row["held-out fit"].removesuffix(" %"))
+            for row in answers["held_out"].rows[:3]
+        }
         assert fits["meter reads"] > 90.0 > fits["every sample"]
 
     def test_both_states_are_told_and_never_averaged(self, answers: dict[str, Table]) -> None:
-        assert [row[1] for row in answers["records"].rows] == ["1", "2"]
-        assert all("judged apart" in row[-1] for row in answers["records"].rows)
+        assert [row["state"] for row in answers["records"].rows] == ["1", "2"]
+        assert all("judged apart" in row["notes"] for row in answers["records"].rows)
+        assert "gap of 121 s" in answers["records"].rows[0]["notes"]
 
     def test_the_leakage_of_a_labelled_state_is_the_true_one(
         self, answers: dict[str, Table]
     ) -> None:
         (row,) = answers["labels"].rows  # the other state is too short to tell one
-        assert row[:2] == ["dane_UT9-1", "1"]
-        assert float(row[2]) == pytest.approx(0.0135 * 150.0, rel=0.03)
+        assert (row["record"], row["state"]) == ("dane_UT9-1", "1")
+        assert float(row["leakage, l/min"]) == pytest.approx(0.0135 * 150.0, rel=0.03)
 
     def test_few_nights_tell_nothing(self, answers: dict[str, Table]) -> None:
-        assert [row[3] for row in answers["alarms"].rows] == ["never"] * 3
+        assert [row["told in night"] for row in answers["alarms"].rows] == ["never"] * 3
 
 
 def test_published_coefficients_are_recovered_by_config_alone(tmp_path: Path) -> None:
     (table,) = published.judge(tmp_path / "work", minutes=12.0)
-    assert [row[-1] for row in table.rows] == ["yes"] * len(published.PUBLISHED_M3)
+    assert [row["within 1 %"] for row in table.rows] == ["yes"] * len(published.PUBLISHED_M3)
 
 
 def test_the_textbooks_gap_leaks_as_the_textbook_says() -> None:
@@ -131,7 +137,7 @@ def test_the_textbooks_gap_leaks_as_the_textbook_says() -> None:
 def test_a_table_takes_its_place_in_the_page(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- one -->\nold\n<!-- end -->\nafter\n", "utf-8")
-    show([Table("one", ("a", "b"), [["1", "2"]]), Table("other", ("c",), [])], page)
+    show([Table("one", [{"a": "1", "b": "2"}]), Table("other", [])], page)
     assert page.read_text("utf-8") == (
         "before\n<!-- one -->\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n\n<!-- end -->\nafter\n"
     )

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from matplotlib.axes import Axes
+from PIL import Image
 
 from pipeline.model_figures.canvas import dots, drawing, label, line, new_figure, save
 from pipeline.notebook import Tables
@@ -16,6 +17,8 @@ SOURCE = (
     "Axial piston pump, valve plate UT3: Silesian University of Technology, Appl. Sci. 2024, "
     "14(16), 7183. Wear is added to the measured flow."
 )
+WIDTH = 1400
+COLOURS = 64
 SHOWN_MINUTES = (70.0, 80.0)  # of the warm part: a held-out block
 
 
@@ -30,7 +33,11 @@ def draw(record: Record, predicted: pl.Series, cuts: Tables, nights: Tables, fol
         _course(axes[0], record.warm(), predicted)
         _windows(axes[1], cuts, f"{record.name}-windows")
         _wear(axes[2], nights, record.name)
-        save(figure, folder / f"real_machines_{record.name}.png", "png")
+        path = folder / f"real_machines_{record.name}.png"
+        save(figure, path, "png")
+    picture = Image.open(path).convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH))
+    picture.quantize(COLOURS).save(path, optimize=True)
 
 
 def _course(axes: Axes, rows: pl.DataFrame, predicted: pl.Series) -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from validation.fleet import fitted, new_fleet
-from validation.tables import Table
+from validation.tables import Row, Table
 
 Array = NDArray[np.float64]
 
@@ -68,11 +69,16 @@ def judge(work: Path, minutes: float = 60.0) -> list[Table]:
         folder.mkdir()
         log_of(loss_factor, minutes, rng).write_parquet(folder / "log.parquet")
     fits = {row["motor_id"]: row for row in fitted(fleet).fits().collect().to_dicts()}
-    rows = []
-    for name, published in PUBLISHED_M3.items():
-        found = fits[name]["coefficients"][0]
-        error = 100.0 * (found / published - 1.0)
-        judged = "yes" if abs(error) <= GOAL_PERCENT else "no"
-        rows.append([name, f"{published:.4g}", f"{found:.4g}", f"{error:+.2f} %", judged])
-    header = ("machine", "published K, m³", "found", "error", "within 1 %")
-    return [Table("machines", header, rows)]
+    return [Table("machines", [_row(*known, fits[known[0]]) for known in PUBLISHED_M3.items()])]
+
+
+def _row(name: str, published: float, fit: dict[str, Any]) -> Row:
+    found = fit["coefficients"][0]
+    error = 100.0 * (found / published - 1.0)
+    return {
+        "machine": name,
+        "published K, m³": f"{published:.4g}",
+        "found": f"{found:.4g}",
+        "error": f"{error:+.3f} %",
+        "within 1 %": "yes" if abs(error) <= GOAL_PERCENT else "no",
+    }

@@ -7,19 +7,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+NONE = "–"
+Row = dict[str, str]
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """One answer: its name in the page, and rows as text."""
+    """One answer: its name in the page, and rows of text by column."""
 
     name: str
-    header: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    rows: Sequence[Row]
 
     def markdown(self) -> str:
         """As Markdown."""
-        rows = (self.header, ["---"] * len(self.header), *self.rows)
-        return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+        if not self.rows:
+            return "No record tells this.\n"
+        header = list(self.rows[0])
+        lines = (header, ["---"] * len(header), *(row.values() for row in self.rows))
+        return "".join(f"| {' | '.join(line)} |\n" for line in lines)
 
 
 def show(tables: Sequence[Table], page: Path | None) -> None:
