@@ -9,7 +9,7 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 GROUP = "motor_leakage.readers"
-BUILT_IN = ("csv", "mcap", "parquet")
+BUILT_IN = {name: f"pipeline.ingest.{name}:READER" for name in ("csv", "mcap", "parquet")}
 
 
 def reader_entry(name: str) -> EntryPoint:
@@ -21,11 +21,11 @@ def reader_entry(name: str) -> EntryPoint:
         None has this name, or several packages.
     """
     if name in BUILT_IN:
-        return EntryPoint(name, f"pipeline.ingest.{name}:READER", GROUP)
-    found = [entry for entry in _installed() if entry.name == name]
+        return EntryPoint(name, BUILT_IN[name], GROUP)
+    found = [entry for entry in installed() if entry.name == name]
     if len(found) == 1:
         return found[0]
-    names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in _installed()})))
+    names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
     if not found:
         raise ValueError(f"expected one of the formats that are built in or installed: {names}")
     packages = " and ".join(sorted(map(reader_version, found)))
@@ -38,5 +38,6 @@ def reader_version(entry: EntryPoint) -> str:
 
 
 @cache
-def _installed() -> tuple[EntryPoint, ...]:
+def installed() -> tuple[EntryPoint, ...]:
+    """Entry points of readers of installed packages."""
     return tuple(entry_points(group=GROUP))

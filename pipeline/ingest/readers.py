@@ -9,7 +9,6 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import cache
 from importlib.metadata import EntryPoint
 from typing import Any
 
@@ -34,15 +33,10 @@ def reader_of(file: LogFile) -> Reader:
     except ValueError as error:
         raise LogError("log_reader", file.path, f"format {file.logs.format!r}: {error}") from error
     with _its_faults(file, entry, "cannot be loaded"):
-        reader = _loaded(entry)
+        reader = entry.load()
     if not isinstance(reader, Reader):
         raise _fault(file, entry, f"is no Reader but of type {type(reader).__name__}")
     return reader
-
-
-@cache
-def _loaded(entry: EntryPoint) -> Any:
-    return entry.load()
 
 
 def called(file: LogFile, function: Callable[..., Any], *arguments: object) -> Any:

@@ -60,7 +60,7 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
 ) -> None:
     """A reader judges nothing but the file itself; the record of the file has the code."""
     (spec,) = load_fleet(write_configs(tmp_path, {"M1": motor_toml("M1")})).motors
-    path = tmp_path / f"CB560-01.{form.logs.format}"
+    path = tmp_path / f"CB560-01.{form.log_format}"
     record = FileRecord(path.name, 1, 1, "x")
     form.write(path, rows_of(5, dp=None, T=None, q=None), NAMES)
     log = read_log(path, form.logs, CHANNELS)
@@ -78,7 +78,7 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
 def test_what_may_not_be_opened(
     form: Format, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / f"CB560-01.{form.logs.format}"
+    path = tmp_path / f"CB560-01.{form.log_format}"
     form.write(path, rows_of(5), NAMES)
     if os.geteuid():
         path.chmod(0)

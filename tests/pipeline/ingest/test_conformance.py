@@ -38,7 +38,7 @@ def test_conformance(form: Format, check: Check, tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_a_log_of_another_format_is_an_error(form: Format, tmp_path: Path) -> None:
     for other in FORMATS:
-        if other.logs.format != form.logs.format:
+        if other.log_format != form.log_format:
             path = written(other, tmp_path, many_rows(20))
             assert outcome(lambda path=path: read_log(path, form.logs, CHANNELS)) != "read"
             assert outcome(lambda path=path: time_span(path, form.logs, CHANNELS)) != "read"

@@ -18,8 +18,6 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from pipeline.ingest.conformance import Cell, Format, Row
 
-from .sources import logs_of
-
 
 def iso(time_us: int, digits: int = 6) -> str:
     """Time in UTC as ISO 8601 without a zone."""
@@ -97,7 +95,7 @@ def _mcap(
 ) -> Format:
     return Format(
         name,
-        logs_of("mcap"),
+        "mcap",
         write_mcap(**options),
         wide=False,
         is_checked=is_checked,
@@ -106,27 +104,28 @@ def _mcap(
 
 
 FORMATS = (
-    Format("csv", logs_of("csv"), write_csv, has_whole_rows=True),
+    Format("csv", "csv", write_csv, has_whole_rows=True),
     Format(
         "csv-european",
-        logs_of(
-            "csv",
-            time="Zeit",
-            time_format="%d.%m.%Y %H:%M:%S,%f",
-            time_zone="Europe/Berlin",
-            separator=";",
-            decimal=",",
-            encoding="utf-16",
-            skip_rows=2,
-        ),
+        "csv",
         write_european_csv,
+        keys={
+            "time": "Zeit",
+            "time_format": "%d.%m.%Y %H:%M:%S,%f",
+            "time_zone": "Europe/Berlin",
+            "separator": ";",
+            "decimal": ",",
+            "encoding": "utf-16",
+            "skip_rows": 2,
+        },
         has_whole_rows=True,
     ),
-    Format("parquet", logs_of("parquet"), write_parquet, holds_text=False),
+    Format("parquet", "parquet", write_parquet, holds_text=False),
     Format(
         "parquet-other",
-        logs_of("parquet", time_zone="Europe/Berlin"),
+        "parquet",
         write_other_parquet,
+        keys={"time_zone": "Europe/Berlin"},
         holds_text=False,
     ),
     _mcap("mcap-zstd", compression=CompressionType.ZSTD),
