@@ -7,6 +7,7 @@ from these models. A motor's file may override any key of any section here.
 from __future__ import annotations
 
 import datetime as dt
+from functools import cache
 from typing import Annotated, Any, Literal
 from zoneinfo import ZoneInfo, available_timezones
 
@@ -28,6 +29,7 @@ URL_OR_NOTHING = r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$"
 RelativeFolder = Annotated[str, Field(min_length=1)]
 
 
+@cache  # to list all zones takes longer than to read a motor's file
 def known_zone(name: str) -> str:
     """The name itself, if it is one of an IANA time zone."""
     if name not in available_timezones():

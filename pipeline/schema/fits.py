@@ -18,6 +18,10 @@ from pipeline.schema.columns import (
     Table,
 )
 
+# Outcomes of a motor's night.
+OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
+INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
+
 
 def _interval(name: str, unit: str, what: str) -> tuple[Column, Column]:
     stem = name.removesuffix("_l_per_min")

@@ -14,8 +14,9 @@ from leakage import AnnularGap, Constant, Laminar, Motor, Parameter, SpeedCurve,
 from leakage.conditions import OperatingConditions
 from leakage.film import film_thickness_ratio
 from pipeline.config import MotorSpec, load_fleet
-from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     Operation,

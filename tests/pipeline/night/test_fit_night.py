@@ -16,17 +16,10 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.ingest import RawChannel, read_log
 from pipeline.night.block_fit import night_seed
-from pipeline.night.fit_night import (
-    FAILED,
-    INSUFFICIENT_DATA,
-    OK,
-    STOOD_STILL,
-    NightOutcome,
-    fit_night,
-    unfitted,
-)
+from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.rows import Rows
 from pipeline.schema import NIGHT_TABLES, frame
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from tests.pipeline.simulated import (
     CANONICAL,
     NIGHT,

@@ -14,10 +14,11 @@ from leakage.frame_fit import fit_frame
 from leakage.sample_blocks import DefaultWindows
 from pipeline.config import MotorSpec, Windows
 from pipeline.errors import UsageError
-from pipeline.night.fit_night import OK, fit_night
+from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Row
 from pipeline.night.tolerances import tolerances
 from pipeline.notebook import Prepared, prepare, prepare_log
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     Array,
