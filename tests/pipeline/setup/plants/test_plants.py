@@ -22,8 +22,9 @@ from tests.pipeline.setup.plants.control_systems import CONTROL_SYSTEMS
 from tests.pipeline.setup.plants.plant import ROWS, Plant
 from tests.pipeline.setup.plants.score import score_of
 from tests.pipeline.setup.plants.tables import TABLES
+from tests.pipeline.setup.plants.unseen import UNSEEN
 
-PLANTS = (*CONTROL_SYSTEMS, *TABLES)
+PLANTS = (*CONTROL_SYSTEMS, *TABLES, *UNSEEN)
 UNITS = {"pressure": "bar", "temperature": "degC", "speed": "rpm", "flow": "l/min"}
 OF_EACH = pytest.mark.parametrize("plant", PLANTS, ids=lambda plant: plant.name)
 # The recogniser of before had 52 right, 14 wrong and 86 asked.
