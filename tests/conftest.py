@@ -67,10 +67,12 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
         from pipeline.run.fleet import RunRequest, run_fleet
+        from tests.pipeline.simulated import with_search
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})
-        run_fleet(RunRequest(replace(fleet, execution=execution, output=folder)))
+        fleet = replace(with_search(fleet), execution=execution, output=folder)
+        run_fleet(RunRequest(fleet))
 
     return made_once(shared_folder / "fitted", make)
 
