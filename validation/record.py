@@ -25,24 +25,9 @@ WARM_C = 48.0
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Rows of one file in one state of the machine, in order of time.
-
-    Attributes
-    ----------
-    name
-        Of the file, with the state where the file has several, and the part where it has several.
-    file
-        The file.
-    state
-        Label of the state.
-    rows
-        Columns `COLUMNS`.
-    notes
-        Anything unusual, in words.
-    """
+    """Rows of one file in one state of the machine, in order of time; notes say what is unusual."""
 
     name: str
-    file: Path
     state: str
     rows: pl.DataFrame
     notes: tuple[str, ...]
@@ -60,11 +45,6 @@ def read_records(folder: Path) -> list[Record]:
 
     A new record begins where the state changes or the clock goes back: two states are never
     averaged. Gaps stay, as the program judges them itself; each is noted.
-
-    Raises
-    ------
-    SystemExit
-        There is no record, or one lacks a column.
     """
     files = sorted(path for path in folder.rglob("*UT*.csv*") if path.is_file())
     if not files:
@@ -87,7 +67,6 @@ def _records_of(file: Path) -> list[Record]:
     return [
         Record(
             f"{name}-{number}" if several else name,
-            file,
             str(part[STATE][0]),
             part.drop("part"),
             several + _gaps(part),
