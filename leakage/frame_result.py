@@ -208,7 +208,8 @@ class FrameFit:
         model = self._model_errors(contrasts, LEAKAGE_FACTOR)
         each = [at.part(slice(place, place + 1)) for place in range(len(rows))]
         sensors = self._sensors(each).leakages_l_per_min()
-        return np.hypot(np.hypot(samples, model), 0.0 if sensors is None else sensors)
+        total: Array = np.hypot(np.hypot(samples, model), 0.0 if sensors is None else sensors)
+        return total
 
     def judged(self) -> FrameFit:
         """The fit with what the model and the sensors can do to its coefficients."""
