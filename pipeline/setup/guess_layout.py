@@ -105,6 +105,8 @@ class TableLayout:
     # Motors by column, of a long table whose rows have the same names for several.
     motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quality: str = ""  # column of the rows' quality, in a long table
+    # Topics and fields of each of several motors of an MCAP, by what their names begin with.
+    fields: Mapping[str, tuple[GuessedSource, ...]] = field(default_factory=dict)
 
 
 def kind_of(cells: Sequence[str]) -> Kind:

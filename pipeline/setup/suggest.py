@@ -172,7 +172,7 @@ def _mcap_guess(path: Path) -> LogGuess:
         logs.append(f"stamp = {quoted(guess.stamp)}")
         if guess.stamp_format:
             logs += _time_lines(Times("", "", guess.stamp_format))
-    layout = TableLayout("wide", guess.sources, guess.unused)
+    layout = TableLayout("wide", guess.sources, guess.unused, fields=guess.motors)
     return LogGuess("mcap", _files(path, layout), tuple(logs), layout, Marks(), guess.listing)
 
 
