@@ -13,6 +13,7 @@ from leakage import LeakageError, Motor, OperatingConditions
 from leakage.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
+from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
 
 Array = NDArray[np.float64]
@@ -41,13 +42,15 @@ def night_worth(
     the 5th to 95th percentiles while the motor ran.
     """
     speed = channels["speed"]
-    is_running = np.abs(speed.value) > spec.settings.cleaning.standstill_rpm
+    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & _valid(
+        spec, "speed", speed
+    )
     steps = np.diff(np.unique(speed.time_us[~speed.missing]))
     step_us = float(np.median(steps)) if steps.size else 0.0
     minutes = float(is_running.sum()) * step_us / SECOND_US / 60.0 / max(nights, 1)
     windows = spec.settings.windows
     needed = windows.minimum_training_minutes / windows.training_share
-    inputs = _inputs(channels, is_running)
+    inputs = _inputs(spec, channels, is_running)
     if not inputs:
         return f"the motor ran {minutes:.3g} minutes a night, without a pressure and temperature"
     reached = []
@@ -64,17 +67,28 @@ def night_worth(
     return f"{ran}: leakage every night, {_paths_told(spec, label, inputs, minutes)}"
 
 
-def _inputs(channels: Mapping[str, RawChannel], is_running: NDArray[np.bool_]) -> list[Array]:
+def _valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
+    """Samples within the channel's range."""
+    stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
+    low, high = stated or FALLBACK_VALID_RANGE[name]
+    return (raw.value >= low) & (raw.value <= high)
+
+
+def _inputs(
+    spec: MotorSpec, channels: Mapping[str, RawChannel], is_running: NDArray[np.bool_]
+) -> list[Array]:
     """Pressure difference, speed and temperature at some samples at which the motor ran."""
     chosen = np.flatnonzero(is_running)
     chosen = chosen[:: max(1, len(chosen) // _MOST_SAMPLES)]
     time_us = channels["speed"].time_us[chosen]
 
     def at(name: str) -> Array | None:
-        known = np.isfinite(channels[name].value) if name in channels else np.zeros(0, np.bool_)
-        if not known.any() or not chosen.size:
+        if name not in channels or not chosen.size:
             return None
         own = channels[name]
+        known = _valid(spec, name, own)
+        if not known.any():
+            return None
         order = np.argsort(own.time_us[known], kind="stable")
         return np.interp(time_us, own.time_us[known][order], own.value[known][order])
 

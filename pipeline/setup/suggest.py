@@ -241,6 +241,8 @@ def _channel_lines(sources: Sequence[GuessedSource], marks: Marks) -> Iterator[s
         yield f"source = {quoted(one.source)}" + ("" if one.field else _shown(one.samples))
         if one.field and one.field != "value":
             yield f"field = {quoted(one.field)}{_shown(one.samples)}"
+        if one.value_column:
+            yield f"value_column = {quoted(one.value_column)}"
         yield _unit_line(one, marks)
     found = {one.channel for one in sources}
     missing = set(_NEEDED) - found
