@@ -24,6 +24,8 @@ BENCHMARKS = (
     "month_files",
     "multi_start",
     "night_cost",
+    "notebook",
+    "notebook_rivals",
     "report",
     "residual_tests",
     "scale",

@@ -16,7 +16,8 @@ from leakage.paths import Constant, Laminar
 from leakage.speed_curve import SpeedCurve
 
 if TYPE_CHECKING:
-    from leakage.frame_fit import FrameFit, fit_frame
+    from leakage.frame_fit import fit_frame
+    from leakage.frame_result import FrameFit
     from leakage.sensitivities import ChannelTolerance, Tolerances
 
 __all__ = [
@@ -43,7 +44,7 @@ __all__ = [
 # Modules that bring SciPy, or libraries of data frames: loaded with the first use of a name.
 _LATE = {
     "ChannelTolerance": "sensitivities",
-    "FrameFit": "frame_fit",
+    "FrameFit": "frame_result",
     "Tolerances": "sensitivities",
     "fit_frame": "frame_fit",
 }

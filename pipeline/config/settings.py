@@ -304,6 +304,13 @@ class Estimation(Section):
     starting_points: int = Field(
         10, ge=0, le=1000, description="Starting points a fit, the configured one first"
     )
+    search_every_nights: int = Field(
+        30,
+        ge=0,
+        description="The starts are made on every n-th night of the calendar, as an audit of the "
+        "certificate, and where that finds the rank short; 1: on every night; 0: by `fit` and "
+        "`--with-starts` alone",
+    )
     gradient_type: Literal["analytic", "2-point", "3-point"] = Field(
         "analytic", description="Method for the Jacobian"
     )

@@ -25,6 +25,7 @@ from tests.pipeline.simulated import (
     night_of,
     operate,
     raw,
+    with_settings,
     write_configs,
     write_log,
 )
@@ -218,7 +219,8 @@ def test_the_laminar_path_is_searched_as_well(axial: MotorSpec) -> None:
     flow = operation.flow(axial_by_hand(axial))
     noisy = flow + np.random.default_rng(3).normal(0.0, 0.005, len(flow))
     values = operation.channels(noisy)
-    outcome = fit_night(axial, night_of(), raw(operation.time_us, values), {})
+    searched = with_settings(axial, "estimation", search_every_nights=1)
+    outcome = fit_night(searched, night_of(), raw(operation.time_us, values), {})
     (row,) = outcome.rows["fits"]
     assert row["n_starts"] == 10
     assert row["n_starts_at_minimum"] >= 9
