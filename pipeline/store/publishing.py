@@ -163,8 +163,8 @@ class Publisher:
             if kept.height < present.height:
                 left = present.join(kept, on=key, how="anti")["motor_id"].unique()
                 rows = kept.filter(pl.col("motor_id").is_in(left.implode())).drop("run_id")
-                new = {night: NewRows(tuple(left), rows)}
-                self._publish({table: partial(dict, new)}, forget, {})
+                without = {night: NewRows(tuple(left), rows)}
+                self._publish({table: partial(dict, without)}, forget, {})
 
     def _publish(
         self,

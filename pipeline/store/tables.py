@@ -575,8 +575,8 @@ def new_rows(
 ) -> dict[dt.date, NewRows]:
     """Staged rows of some nights, by night; those that no motor has done are left out."""
     found: defaultdict[dt.date, dict[str, pa.RecordBatch]] = defaultdict(dict)
-    for motor_id, rows in staged.items():
-        for night, batch in rows.batches(nights).items():
+    for motor_id, own in staged.items():
+        for night, batch in own.batches(nights).items():
             found[night][motor_id] = batch
     made = {}
     for night, batches in found.items():
