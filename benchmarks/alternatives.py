@@ -215,7 +215,7 @@ def _limit(highest: Array) -> float:
         above = highest > limit
         exposed = np.where(above.any(axis=1), above.argmax(axis=1) + 1, highest.shape[1])
         if above.any(axis=1).sum() <= RATE * exposed.sum() / YEAR:
-            return float(limit)
+            return round(float(limit), 2)
     return 12.0
 
 

@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.machine_nights import BLOCK, MINUTES, Night
+from benchmarks.machine_nights import MINUTES, Night
 from benchmarks.simulated_nights import CONFIGS
 from leakage import OperatingConditions
 from leakage.balanced_baseline import DutyBlocks
@@ -61,7 +61,7 @@ class NightBlocks(BlockFiles):
     nights: Sequence[Night] = ()
 
     def of(
-        self, spec: MotorSpec, layout: Layout, nights: Sequence[dt.date], model: str
+        self, _spec: MotorSpec, _layout: Layout, nights: Sequence[dt.date], _model: str
     ) -> DutyBlocks:
         """Blocks of some nights."""
         chosen = [(label, self.nights[(label - FIRST).days]) for label in nights]
@@ -111,9 +111,7 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
     )
     at = spec.settings.reference
     conditions = (at.pressure_bar, at.temperature_c, at.speed_rpm)
-    reference = judge_leakage(
-        fit, verdicts, excitation, OperatingConditions.from_bar(*conditions)
-    )
+    reference = judge_leakage(fit, verdicts, excitation, OperatingConditions.from_bar(*conditions))
     half = reference.interval.half_width if reference.interval else np.nan
     covariance = np.zeros((len(fit.coefficients),) * 2)
     if verdicts.distribution is not None:

@@ -1,10 +1,9 @@
-"""Nights of motors as plants have them, sample by sample, in what users would compare methods on.
+"""Nights of motors as plants have them, sample by sample: what methods are compared on.
 
 A night is an hour at 1 Hz: a warm-up under steps of load, up to a load and a speed that differ from
-night to night. The errors of its drain flow are those of the one real record at hand
-(`benchmarks/results/noise.md`): short ones with heavy tails and slow ones, both relative to the
-flow; and the sensors wander from night to night. The same seed draws the same nights, whatever has
-changed in the motor, so that methods and changes are compared on one set of errors.
+night to night. Its drain flow has short and slow errors as the real record at hand has them
+(`benchmarks/results/noise.md`), and its sensors wander from night to night. A seed draws the same
+nights whatever has changed in the motor, so that methods and changes share one set of errors.
 """
 
 from __future__ import annotations
@@ -20,6 +19,8 @@ from leakage import Motor, OperatingConditions, regressors
 from leakage.block_statistics import factors
 from leakage.oil import FilmPressure, Oil, flow_drive_per_s
 from pipeline.demo import noise
+from pipeline.night.operation_rows import coarse_histogram
+from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 
 Array = NDArray[np.float64]
 
@@ -28,12 +29,8 @@ THETA = true_coefficients(MODEL)
 PATHS = RING, PISTON, SLEEVE = tuple(path.name for path in MODEL.column_paths)
 MINUTES, BLOCK = 60, 120
 N = 60 * MINUTES
-# Errors of the drain flow, relative to it, as recorded.
-SHORT, SHORT_PHI = 0.02, 0.4
-SLOW, SLOW_MINUTES = 0.012, 15.0
 # Ranges from which a night's highest load [bar] and speed [rpm] are drawn.
 TOP_BAR, TOP_RPM = (220.0, 300.0), (80.0, 110.0)
-COLUMNS_PER_BLOCK = ("pressure/viscosity", "pressure", "pressure²/viscosity", "speed·pressure/…")
 
 
 @dataclass(frozen=True)
@@ -124,9 +121,6 @@ def night_of(
     machine: Machine, state: State, wander: noise.NightWander, generator: np.random.Generator
 ) -> Night:
     """Simulate a night."""
-    from pipeline.night.operation_rows import coarse_histogram
-    from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
-
     pressure, temperature, speed = _duty(generator, state)
     temperature = temperature + state.warmer_k
     oil = MODEL.oil if state.oil is None else state.oil
@@ -135,9 +129,7 @@ def night_of(
     at = OperatingConditions.from_bar(pressure, temperature, speed, machine.charge_bar)
     flow = regressors(of, at) @ np.append(theta, 1.0) / state.viscosity
     flow *= 1.0 + machine.per_kelvin * (temperature - 55.0)
-    errors = SHORT * noise.autoregression(noise.heavy_tailed(generator, (N,)), SHORT_PHI)
-    slow_phi = noise.phi_of(1.0, 60.0 * SLOW_MINUTES)
-    errors += SLOW * noise.autoregression(generator.standard_normal(N), slow_phi)
+    errors = noise.as_recorded(generator, (N,))
     flow *= state.gain * (1.0 + float(wander.gain)) * (1.0 + errors)
     read_bar = np.maximum(pressure + float(wander.pressure_bar), 0.5)
     read_c = temperature + float(wander.temperature_c) + state.reads_high_c
@@ -157,9 +149,7 @@ def night_of(
     )
 
 
-def nights_of(
-    machine: Machine, course: Course, seed: Sequence[int], nights: range
-) -> list[Night]:
+def nights_of(machine: Machine, course: Course, seed: Sequence[int], nights: range) -> list[Night]:
     """Some of a motor's nights; the first is number 0."""
     wander = noise.night_wander(np.random.default_rng([*seed, 0]), (nights.stop,))
     return [
