@@ -25,6 +25,8 @@ BENCHMARKS = (
     "multi_start",
     "night_cost",
     "noise",
+    "notebook",
+    "notebook_rivals",
     "report",
     "residual_tests",
     "scale",

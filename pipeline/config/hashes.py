@@ -18,6 +18,7 @@ from leakage import Motor
 from pipeline.config.loading import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.periods import ChosenPeriods
+from pipeline.config.readers import reader_entry, reader_version
 
 # Raise it when the code makes other statistics of the same samples: old blocks then never merge
 # with new ones.
@@ -135,7 +136,14 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
         ],
         "settings": spec.settings.model_dump(mode="json", exclude=dict(UNSHAPING)),
         **_roller(spec),
+        **_reader(spec),
     }
+
+
+def _reader(spec: MotorSpec) -> dict[str, str]:
+    """Version of an installed reader; nothing for a built-in one."""
+    version = reader_version(reader_entry(spec.file.logs.format))
+    return {"reader": version} if version else {}
 
 
 def _roller(spec: MotorSpec) -> dict[str, str]:
@@ -154,6 +162,7 @@ def reading_hash(spec: MotorSpec) -> str:
                 for name, channel in spec.file.channels.items()
             },
             "nights": spec.settings.nights.model_dump(mode="json"),
+            **_reader(spec),
         }
     )
 

@@ -15,6 +15,7 @@ from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.faults import Place, refuse
 from pipeline.config.field_paths import field_path
 from pipeline.config.oil_samples import OilSample, order_faults
+from pipeline.config.readers import reader_entry
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.config.time_formats import require_time_format
 from pipeline.units import QUANTITIES, UNITS
@@ -33,7 +34,7 @@ ChannelName = Literal[
     "kinematic_viscosity",
     "dynamic_viscosity",
 ]
-LogFormat = Literal["csv", "parquet", "mcap"]
+
 LogLayout = Literal["wide", "long", "file_per_channel"]
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
@@ -249,7 +250,13 @@ def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
 class Logs(Section):
     """The motor's log files and their dialect."""
 
-    format: LogFormat = Field(description="Format of the files")
+    format: str = Field(
+        description="`csv`, `parquet`, `mcap`, or a format that an installed package reads "
+        "([readers](readers.md))"
+    )
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="Options of an installed package's reader"
+    )
     files: tuple[str, ...] = Field(
         min_length=1,
         description="Paths or globs below the log root; a path named and absent is an error",
@@ -316,6 +323,12 @@ class Logs(Section):
             ),
         )
         return files
+
+    @field_validator("format")
+    @classmethod
+    def _readable(cls, name: str) -> str:
+        reader_entry(name)
+        return name
 
     @field_validator("time_zone")
     @classmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,10 @@ _NAME_COLUMNS = {
 VALUE_WORDS = {"value", "val", "values", "reading", "wert", "messwert", "data", "värde"}
 _QUALITY_WORDS = {"quality", "status", "qualität", "kvalitet", "calidad", "qualité"}
 _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
+
+
+_LABEL = re.compile(r'([A-Za-z_]\w*)="([^"]*)"')
+_SERIES = re.compile(r'[\w:]*\{[A-Za-z_]\w*="[^"]*"(?:, ?[A-Za-z_]\w*="[^"]*")*\}')
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,10 +187,34 @@ def find_layout(
         if found is not None:
             return found
     readable = [one for one in rest if one.kind in ("number", "nothing")]
-    candidates = tuple((one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable)
+    plain = without_labels([one.name for one in readable])
+    candidates = tuple(
+        (name, one.name, one.unit, one.filled[:SAMPLES])
+        for name, one in zip(plain, readable, strict=True)
+    )
     sources, unused = assigned(candidates)
     unused |= {one.name: one.filled[:SAMPLES] for one in texts}
     return TableLayout("wide", sources, unused, candidates=candidates)
+
+
+def without_labels(names: Sequence[str]) -> list[str]:
+    """Names of series, ``metric{label="value"}``, as paths of the labels that differ.
+
+    Examples
+    --------
+    >>> without_labels(['{__name__="p", at="x", m="1"}', '{__name__="p", at="x", m="2"}', "t"])
+    ['1/p', '2/p', 't']
+    """
+    labels = [dict(_LABEL.findall(name)) for name in names]
+    labelled = [one for one in labels if one]
+    plain = []
+    for name, own in zip(names, labels, strict=True):
+        metric = own.pop("__name__", "") or name.partition("{")[0]
+        apart = [
+            value for key, value in own.items() if any(one.get(key) != value for one in labelled)
+        ]
+        plain.append("/".join((*apart, metric)) if _SERIES.fullmatch(name) else name)
+    return plain
 
 
 def _value_column(numbers: Sequence[GuessedColumn]) -> GuessedColumn | None:
