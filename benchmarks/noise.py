@@ -21,7 +21,6 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
-from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records
 
 from benchmarks.night_kinds import CYCLES_S, ERRORS, Kind, SimulatedNights
 from benchmarks.results_file import Part, write_parts
@@ -36,6 +35,7 @@ from leakage.oil import FilmPressure, Oil
 from leakage.robust import MAD_TO_SD
 from leakage.slow_errors import short_blocks
 from leakage.temperature_correction import temperature_correction
+from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
