@@ -31,6 +31,7 @@ BENCHMARKS = (
     "residual_tests",
     "scale",
     "speed",
+    "wide_plant",
     "within_day",
 )
 
