@@ -34,6 +34,8 @@ _READERS: Mapping[str, _Reader] = MappingProxyType(
         "csv": _Reader(read_csv_log, csv_time_span),
         "parquet": _Reader(read_parquet_log, parquet_time_span),
         "mcap": _Reader(read_mcap_log, mcap_time_span),
+        # Nights of a database are written as Parquet.
+        "sql": _Reader(read_parquet_log, parquet_time_span),
     }
 )
 

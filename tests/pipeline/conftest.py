@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.pipeline.dask_processes import Processes, scheduler_with
+from tests.pipeline.postgres_server import PostgresServer, postgres_server
 
 VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
 DEFAULT = Path(__file__).parents[3] / "shared" / "data"
@@ -34,3 +35,10 @@ def two_workers(_cluster: Processes) -> Processes:
     """Two workers; their nannies start them again where a test before has killed one."""
     _cluster.wait_for(2)
     return _cluster
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[PostgresServer]:
+    """A database server; each test makes tables of its own."""
+    with postgres_server() as server:
+        yield server
