@@ -67,13 +67,19 @@ class _Landed:
         return cls(source)
 
     def due(self, database: Database, last: dt.date) -> list[dt.date]:
-        """Nights to ask for, up to the last one."""
+        """Nights to ask for, up to the last one: those without an answer so far come first."""
         first = database.begin
         if self.until:
             known = dt.date.fromisoformat(self.until)
             first = max(first, min(known + DAY, last - database.look_back_days * DAY))
         left = {label for label in map(dt.date.fromisoformat, self.left) if label < first}
-        return sorted(left.union(nights_between(first, last)))
+        labels = left.union(nights_between(first, last))
+        return sorted(labels, key=lambda label: (self.knows(label), label))
+
+    def knows(self, label: dt.date) -> bool:
+        """True for a night that had an answer."""
+        day = label.isoformat()
+        return day <= self.until and day not in self.left
 
     def asked(self, label: dt.date, *, has_answer: bool) -> _Landed:
         """The record after a night was asked for."""
@@ -104,7 +110,7 @@ def land_nights(
     Returns
     -------
     dict
-        Errors by name of the file, of nights that had no answer and have no file.
+        Errors of nights that had no answer yet, by name of the file that is missing.
 
     Raises
     ------
@@ -116,19 +122,23 @@ def land_nights(
     labels = record.due(database, _last_over(spec, latest))
     if not labels:
         return {}
-    faults: dict[dt.date, LogError] = {}
+    faults: dict[str, LogError] = {}
     with Connection(database, spec.file.logs.time_zone) as connection:
         for label in labels:
             fault = _fault_of(connection, spec, label, silent)
+            if fault is not None and record.knows(label):
+                words = "%s: %s; what was read of this night before stays"
+                log.warning(words, spec.motor_id, fault.message)
+                break
             if fault is not None:
-                faults[label] = fault
+                faults[file_name(label)] = fault
                 if fault.code not in OF_A_NIGHT:
                     break
             after = record.asked(label, has_answer=fault is None)
             if after != record:
                 after.keep(spec.log_root)
             record = after
-    return dict(_without_file(spec, faults))
+    return faults
 
 
 def _fault_of(
@@ -144,19 +154,6 @@ def _fault_of(
     except DatabaseError as error:
         return LogError(error.code, Path(name), error.message)
     return None
-
-
-def _without_file(
-    spec: MotorSpec, faults: Mapping[dt.date, LogError]
-) -> Iterator[tuple[str, LogError]]:
-    """Faults of nights that have no file; the others keep what they have, and are told of."""
-    for label, fault in faults.items():
-        name = file_name(label)
-        if (spec.log_root / name).exists():
-            words = "%s: %s; what was read of this night before stays"
-            log.warning(words, spec.motor_id, fault.message)
-        else:
-            yield name, fault
 
 
 def land_newest(spec: MotorSpec, folder: Path, most: int) -> MotorSpec:

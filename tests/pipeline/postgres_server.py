@@ -34,7 +34,7 @@ SETTINGS = (
 
 @dataclass(frozen=True, slots=True)
 class PostgresServer:
-    """A server with one database, and its owner, who has a password."""
+    """A server with one database: its owner, and `reader`, who may do nothing by itself."""
 
     port: int
 
@@ -61,9 +61,11 @@ class PostgresServer:
 
     @contextmanager
     def _cursor(self) -> Iterator[Any]:
-        with dbapi.connect(self.address(), autocommit=True) as connection:
-            with connection.cursor() as cursor:
-                yield cursor
+        with (
+            dbapi.connect(self.address(), autocommit=True) as connection,
+            connection.cursor() as cursor,
+        ):
+            yield cursor
 
 
 @contextmanager
@@ -82,10 +84,11 @@ def postgres_server() -> Iterator[PostgresServer]:
 
     def run(program: str, *arguments: str) -> None:
         command = [str(programs / program), "-D", str(data), *arguments]
-        done = subprocess.run(
-            command, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, check=False, **user
-        )
-        assert done.returncode == 0, done.stderr.decode()
+        with (folder / "said").open("wb") as said:
+            done = subprocess.run(
+                command, cwd=folder, stdout=said, stderr=said, check=False, **user
+            )
+        assert done.returncode == 0, (folder / "said").read_text("utf-8")
 
     try:
         made = ("-U", OWNER, "--pwfile", str(word), "-A", "scram-sha-256", "-E", "UTF8")
@@ -94,7 +97,9 @@ def postgres_server() -> Iterator[PostgresServer]:
         options = " ".join(f"-c {one}" for one in (f"port={port}", *SETTINGS))
         run("pg_ctl", "start", "-w", "-l", str(folder / "log"), "-o", options)
         try:
-            yield PostgresServer(port)
+            server = PostgresServer(port)
+            server.run(f"CREATE ROLE reader LOGIN PASSWORD '{SECRET}'")
+            yield server
         finally:
             run("pg_ctl", "stop", "-m", "immediate")
     finally:
