@@ -10,6 +10,7 @@ import datetime as dt
 import filecmp
 import json
 import logging
+from bisect import bisect_left
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -156,36 +157,36 @@ def _fault_of(
     return None
 
 
-def land_newest(spec: MotorSpec, folder: Path, most: int) -> MotorSpec:
-    """The newest nights with rows, the present one too, as files of another folder.
+def land_newest(spec: MotorSpec, most: int) -> bool:
+    """Write the newest nights with rows, the present one too; False where there are none.
 
     Raises
     ------
-    DatabaseError, StoreError
-        As `Connection.ask`, and where a file cannot be written.
+    StoreError
+        If a file cannot be written; a `DatabaseError` without an answer.
     """
-    here = replace(spec, log_root=folder)
     database, nights = _database(spec), spec.settings.nights
     with Connection(database, spec.file.logs.time_zone) as connection:
         labels = nights_between(database.begin, night_of(latest_us(), nights))
-        newest = newest_night(
-            connection, nightly_query(spec), [night(one, nights) for one in labels]
-        )
-        for label in labels[max(newest - most + 1, 0) : newest + 1]:
-            _land(connection, here, label)
-    return here
+        windows = [night(label, nights) for label in labels]
+        there = nights_with_rows(connection, nightly_query(spec), windows)
+        for place in there[-most:]:
+            _land(connection, spec, labels[place])
+    return bool(there)
 
 
-def newest_night(connection: Connection, sql: str, nights: Sequence[Night]) -> int:
-    """Place of the newest night that has rows; -1: there are none in any."""
-    low, high = -1, len(nights) - 1
-    while low < high:
-        middle = (low + high + 1) // 2
-        if has_rows(connection, sql, nights[middle].start_us, nights[-1].end_us):
-            low = middle
-        else:
-            high = middle - 1
-    return low
+def nights_with_rows(connection: Connection, sql: str, nights: Sequence[Night]) -> range:
+    """Places of the first night of a query that has rows, to the last; an empty range: none has."""
+
+    def later(place: int) -> bool:
+        return has_rows(connection, sql, nights[place].start_us, nights[-1].end_us)
+
+    def until(place: int) -> bool:
+        return has_rows(connection, sql, nights[0].start_us, nights[place].end_us)
+
+    places = range(len(nights))
+    end = bisect_left(places, True, key=lambda place: not later(place))
+    return range(bisect_left(places[:end], True, key=until), end)
 
 
 def has_rows(connection: Connection, sql: str, start_us: int, end_us: int) -> bool:
@@ -286,28 +287,31 @@ def _land(connection: Connection, spec: MotorSpec, label: dt.date) -> None:
 def write_parquet(batches: Iterator[pa.RecordBatch], schema: pa.Schema, stream: BinaryIO) -> int:
     """Write rows of a database as Parquet, a row group a batch; returns how many there are."""
     rows = 0
-    fields = [pa.field(field.name, _stored_type(field)) for field in schema]
+    fields = [pa.field(field.name, _required_type(field)) for field in schema]
     with pq.ParquetWriter(stream, pa.schema(fields), compression="zstd") as file:
         for batch in batches:
-            columns = [
-                _stored(column, field.type)
-                for column, field in zip(batch.columns, fields, strict=True)
-            ]
-            file.write_batch(pa.record_batch(columns, file.schema))
+            columns = map(_stored, batch.columns, file.schema.types)
+            file.write_batch(pa.record_batch(list(columns), file.schema))
             rows += batch.num_rows
     return rows
 
 
-def _stored_type(field: pa.Field) -> pa.DataType:
-    """Type of a column in the file: PostgreSQL's `numeric` comes as text, and is a number."""
-    kind = field.type
+def _required_type(field: pa.Field) -> pa.DataType:
+    kind = stored_type(field.type)
+    if kind is None:
+        message = f"column {field.name!r} is of type {field.type}: convert it in the query"
+        raise DatabaseError("database_rows", message)
+    return kind
+
+
+def stored_type(kind: pa.DataType) -> pa.DataType | None:
+    """Type of a column in the file; None for one that no log has.
+
+    PostgreSQL's `numeric` comes as text, and is a number.
+    """
     if isinstance(kind, pa.OpaqueType):
-        if kind.type_name == "numeric":
-            return pa.float64()
-    elif not (pa.types.is_interval(kind) or pa.types.is_nested(kind)):
-        return kind
-    message = f"column {field.name!r} is of type {kind}, which no log has: convert it in the query"
-    raise DatabaseError("database_rows", message)
+        return pa.float64() if kind.type_name == "numeric" else None
+    return None if pa.types.is_interval(kind) or pa.types.is_nested(kind) else kind
 
 
 def _stored(column: pa.Array, kind: pa.DataType) -> pa.Array:
