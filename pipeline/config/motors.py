@@ -365,7 +365,9 @@ def _source_faults(logs: Logs) -> Iterator[tuple[Place, str, object]]:
     if is_sql != (logs.database is not None):
         yield ("database",), 'expected together with format = "sql", and only then', None
     if is_sql == bool(logs.files):
-        message = 'expected no files with format = "sql"' if is_sql else "is missing"
+        message = "expected at least one path or glob"
+        if is_sql:
+            message = 'expected no files with format = "sql"'
         yield ("files",), message, logs.files
     if is_sql and logs.layout == "file_per_channel":
         yield ("layout",), 'expected "wide" or "long" with format = "sql"', logs.layout
