@@ -28,16 +28,8 @@ WAITS_S = (1.0, 4.0, 15.0)
 BATCH_BYTES = 4 << 20
 # A server whose machine vanished is noticed within a minute.
 KEEPALIVE = {"keepalives_idle": 30, "keepalives_interval": 10, "keepalives_count": 3}
-# By the begin of the server's SQLSTATE; any other is a fault of the query.
-CODES = {
-    "08": UNREACHABLE,  # the connection was lost
-    "57014": SLOW,
-    "57P": UNREACHABLE,  # the server goes down, or comes up
-    "53300": UNREACHABLE,  # it is full
-    "42501": "database_denied",
-    "42703": "log_column_missing",
-    "22": "database_rows",  # a value that cannot be converted
-}
+# SQLSTATE of a lost connection, a server that goes down or comes up, and one that is full.
+OF_CONNECTION = re.compile(r"08|57P|53300")
 # Said by a server that refuses now and may not later.
 REFUSED_NOW = re.compile(r"too many|starting up|shutting down|recovery mode|not yet accepting")
 REFUSED = re.compile(r"FATAL|password|pg_hba")
@@ -136,8 +128,7 @@ class Connection:
                 state = "08006"
             elif seconds >= self._database.statement_timeout_s:
                 state = "57014"
-        of_class = (code for start, code in CODES.items() if (state or "").startswith(start))
-        code = next(of_class, "database_query")
+        code = _code_of(state or "")
         words = _words(str(error))
         if code == SLOW:
             words += (
@@ -186,7 +177,7 @@ class Connection:
         if REFUSED.search(words) and not REFUSED_NOW.search(words):
             code = "database_refused"
         else:
-            code = UNREACHABLE if NO_SERVER.search(words) else "database_address"
+            code = "database_unreachable" if NO_SERVER.search(words) else "database_address"
         if any(word in words for word in secrets_of(self._address())):
             words = (
                 "no connection; the reason is not shown, as it quotes a part of the password: "
@@ -259,6 +250,22 @@ def secrets_of(address: str) -> set[str]:
     found.append(user.partition(":")[2])
     forms = (form for one in found for form in (one, unquote(one)))
     return {word for form in forms for word in re.split(r"[\s/:?#&'\\@%]+", form)} - {""}
+
+
+def _code_of(state: str) -> str:
+    """Code of an error by the server's SQLSTATE."""
+    code = "database_query"
+    if OF_CONNECTION.match(state):
+        code = "database_unreachable"
+    elif state == "57014":
+        code = "database_slow"
+    elif state == "42501":
+        code = "database_denied"
+    elif state == "42703":
+        code = "log_column_missing"
+    elif state.startswith("22"):  # a value that cannot be converted
+        code = "database_rows"
+    return code
 
 
 def _words(text: str) -> str:
