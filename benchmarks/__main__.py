@@ -24,11 +24,14 @@ BENCHMARKS = (
     "month_files",
     "multi_start",
     "night_cost",
+    "notebook",
+    "notebook_rivals",
     "report",
     "residual_tests",
     "scale",
     "speed",
     "table_reading",
+    "wide_plant",
     "within_day",
 )
 

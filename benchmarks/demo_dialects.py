@@ -22,6 +22,7 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
+from benchmarks.day_fleets import search_every_night
 from benchmarks.results_file import write_results
 from pipeline.demo import write_demo
 from tests.dialects.catalogue import DIALECTS, OVER_A_CLOCK_CHANGE
@@ -82,6 +83,7 @@ def _demo(
     chosen = {} if first is None else {"first_night": first}
     write_demo(folder, nights=nights, minutes=minutes, rate_hz=rate_hz, **chosen)
     output = folder / "out"
+    search_every_night(folder / "configs" / "fleet.toml")
     _fit(folder / "configs" / "fleet.toml", output, jobs=2)
     return Demo(folder, first_nights(folder), output)
 

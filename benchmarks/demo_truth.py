@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 
+from benchmarks.day_fleets import search_every_night
 from benchmarks.demo_run import COMMAND
 from benchmarks.results_file import write_results
 
@@ -27,6 +28,7 @@ def main() -> None:
         demo, output = Path(folder) / "demo", Path(folder) / "out"
         subprocess.run([COMMAND, "demo", demo], check=True, capture_output=True)
         config = demo / "configs" / "fleet.toml"
+        search_every_night(config)
         subprocess.run(
             [COMMAND, "fit-fleet", config, "--output", output], check=True, capture_output=True
         )

@@ -21,7 +21,7 @@ import polars as pl
 from benchmarks.results_file import write_results
 from pipeline.config import Execution, load_fleet
 from pipeline.demo import write_demo
-from pipeline.report import ReportRequest, build_report
+from pipeline.report.build import ReportRequest, build_report
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import NIGHT_TABLES, PREDICTIONS, TREND_TABLES, Table
 from pipeline.store.tables import night_file, write_table

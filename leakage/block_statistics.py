@@ -19,7 +19,6 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,45 +30,6 @@ Array = NDArray[np.float64]
 
 # Numbers that are decomposed at a time: more would leave the cache.
 BATCH_NUMBERS = 1 << 17
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BlockStatistics:
-    """A block's factor with what it takes to merge it rightly.
-
-    Attributes
-    ----------
-    factor
-        Shape (c, c).
-    columns
-        Names of the columns, in order.
-    model_hash
-        Hash of all that shaped the columns: paths, constants, oil, cleaning, time base.
-    """
-
-    factor: Array
-    columns: tuple[str, ...]
-    model_hash: str
-
-
-def merge_blocks(blocks_in_time_order: Sequence[BlockStatistics]) -> BlockStatistics:
-    """Statistics of the union of blocks of one motor, or of machines that share their loss factors.
-
-    Raises
-    ------
-    StatisticsError
-        Without a block (``no_blocks``), or if their columns or hashes differ (``hash``): they are
-        then statistics of different quantities.
-    """
-    if not blocks_in_time_order:
-        raise StatisticsError("no_blocks", "there is no block to merge")
-    first = blocks_in_time_order[0]
-    kinds = {(block.columns, block.model_hash) for block in blocks_in_time_order}
-    if len(kinds) > 1:
-        hashes = ", ".join(sorted({block.model_hash for block in blocks_in_time_order}))
-        raise StatisticsError("hash", f"blocks of different models never merge: {hashes}")
-    merged = merge(np.stack([block.factor for block in blocks_in_time_order]))
-    return BlockStatistics(merged, first.columns, first.model_hash)
 
 
 @dataclass(frozen=True, slots=True)
@@ -309,9 +269,3 @@ def gradient(r: Array, coefficients: Array) -> Array:
     residual = r @ np.concatenate([coefficients, (1.0, -1.0)])
     slope: Array = 2.0 * (r[:, :-2].T @ residual) / max(sample_count(r), 1)
     return slope
-
-
-def normal_matrix(r: Array) -> Array:
-    """Z'Z = R'R, shape (c, c)."""
-    product: Array = r.T @ r
-    return product

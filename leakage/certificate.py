@@ -85,6 +85,11 @@ class Certificate:
         return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
 
     @property
+    def is_short_of_rank(self) -> bool:
+        """Free columns depend on each other, so that the minimum is a set."""
+        return self.rank < len(self.singular_values)
+
+    @property
     def off_bounds(self) -> NDArray[np.bool_]:
         """Coefficients that are estimated and off their bounds; shape (p + 1,)."""
         off: NDArray[np.bool_] = ~(self.fixed | self.at_lower | self.at_upper)

@@ -1,4 +1,4 @@
-"""Fit a motor to the statistics of its samples: certificate first, then the thesis's search."""
+"""Fit a motor to the statistics of its samples: certificate, and the thesis's search if asked."""
 
 from __future__ import annotations
 
@@ -85,4 +85,6 @@ def fit(r: Array, motor: Motor, settings: SearchSettings, generator: np.random.G
     """
     bounds = Parametrisation.of(motor).coefficient_bounds()
     certificate = certify(r, *bounds)
+    if settings.only_at_short_rank and not certificate.is_short_of_rank:
+        return Fit(motor, certificate, ())
     return Fit(motor, certificate, search(r, motor, settings, generator))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
@@ -20,7 +21,7 @@ from leakage.sample_blocks import SECOND_US, TRAINING, VALIDATION
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from leakage.frame_fit import FrameFit, Part
+    from leakage.frame_result import FrameFit, Part
 
 Array = NDArray[np.float64]
 # Points of a curve over time: more are not seen.
@@ -34,13 +35,12 @@ def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
     """Measured and predicted flow over time, with the parts."""
     axes = ax or plt.subplots(figsize=(9, 3.5), layout="constrained")[1]
     samples = found.samples
-    assert samples.flow_l_per_min is not None
     step = -(-len(samples.time_us) // MOST_POINTS)
     few = slice(None, None, step)
     time: NDArray[Any] = samples.time_us[few] / SECOND_US
     if samples.on_clock:
         time = samples.time_us[few].astype("datetime64[us]")
-    axes.plot(time, samples.flow_l_per_min[few], ".", ms=2, color="0.6", label="measured")
+    axes.plot(time, samples.measured_l_per_min[few], ".", ms=2, color="0.6", label="measured")
     axes.plot(time, found.predict()[few], lw=1, label="predicted")
     for part, colour in ((TRAINING, "tab:green"), (VALIDATION, "tab:orange")):
         inside = found.parts[few] == part
@@ -61,21 +61,21 @@ def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
     return axes
 
 
-def plot_residuals(found: FrameFit, part: Part, axes: Any = None) -> Any:
+def plot_residuals(found: FrameFit, part: Part, axes: Sequence[Axes] | None = None) -> list[Axes]:
     """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
     tests = found.residual_tests(part)
     panels = {"errors": tests.whiteness, **tests.independence}
-    axes = _panels(axes, len(panels))
-    for ax, (name, test) in zip(axes, panels.items(), strict=True):
+    found_axes = _panels(axes, len(panels))
+    for ax, (name, test) in zip(found_axes, panels.items(), strict=True):
         ax.axhline(0.0, color="0.7", lw=0.8)
         ax.set(title=f"{name.replace('_', ' ')}: {test.verdict.replace('_', ' ')}")
         ax.set_xlabel("lag [samples]")
         if not len(test.lags):
-            ax.text(0.5, 0.5, test.reason, ha="center", va="center", transform=ax.transAxes)
+            ax.text(0.5, 0.5, test.reason or "", ha="center", va="center", transform=ax.transAxes)
             continue
         ax.fill_between(test.lags, -test.bounds, test.bounds, color="tab:blue", alpha=0.15, lw=0)
         ax.vlines(test.lags, 0.0, test.values, lw=1.5)
-    return axes
+    return found_axes
 
 
 def plot_leakage(
@@ -114,7 +114,7 @@ def _half_width(found: FrameFit, row: Array) -> float:
     return np.nan if interval is None else interval.half_width
 
 
-def plot_profile(found: FrameFit, axes: Any = None) -> Any:
+def plot_profile(found: FrameFit, axes: Sequence[Axes] | None = None) -> list[Axes]:
     """Profile of the criterion over each coefficient, in units of its interval.
 
     The others are fitted anew at each value, within their bounds. The scale is that of the
@@ -123,13 +123,12 @@ def plot_profile(found: FrameFit, axes: Any = None) -> Any:
     places = found.free_places
     if not places:
         raise LeakageError("motor_paths", "nothing of this motor is estimated")
-    axes = _panels(axes, len(places))
+    panels = _panels(axes, len(places))
     whole = merge(found.estimate.whitened)
     lower, upper = Parametrisation.of(found.motor).coefficient_bounds()
     best = found.estimate.fit.certificate
-    for ax, place in zip(axes, places, strict=True):
+    for ax, place in zip(panels, places, strict=True):
         path, judged = found.paths[place], found.identification.coefficients[place]
-        assert path is not None
         value = float(best.coefficients[place])
         told = judged.information
         ax.set(title=f"{path.coefficient_name}: {judged.verdict.replace('_', ' ')}")
@@ -147,8 +146,8 @@ def plot_profile(found: FrameFit, axes: Any = None) -> Any:
             ax.axvspan(value - told.half_width, value + told.half_width, alpha=0.15, lw=0)
         unit = {"m3": "m³", "1": "-", "l_per_min": "l/min"}[path.coefficient_unit]
         ax.set(xlabel=f"{path.coefficient_name} [{unit}]")
-    axes[0].set_ylabel("rise of the criterion")
-    return axes
+    panels[0].set_ylabel("rise of the criterion")
+    return panels
 
 
 def _cost(whole: Array, lower: Array, upper: Array, place: int, value: float) -> float:
@@ -171,10 +170,10 @@ def _rise_at(whole: Array, found: FrameFit, free: Array, half_width: float) -> f
     return float(beside @ beside) * half_width**2 / n or 1.0
 
 
-def _panels(axes: Any, n: int) -> Any:
+def _panels(axes: Sequence[Axes] | None, n: int) -> list[Axes]:
     if axes is None:
-        axes = plt.subplots(1, n, figsize=(3.2 * n, 3.0), squeeze=False, layout="constrained")[1][0]
-    axes = np.atleast_1d(np.asarray(axes, dtype=object))
+        size = (3.2 * n, 3.0)
+        return list(plt.subplots(1, n, squeeze=False, figsize=size, layout="constrained")[1][0])
     if len(axes) != n:
         raise LeakageError("axes", f"{n} axes are needed, not {len(axes)}")
-    return axes
+    return list(axes)

@@ -23,6 +23,8 @@ TIME = "time"
 INPUTS = ("pressure_bar", "oil_temperature_c", "speed_rpm")
 FLOW = "leakage_l_per_min"
 CHARGE = "charge_over_case_bar"
+# Errors below this share of the flow are rounding.
+ROUNDING = 1e-9
 # Unit of each column, in words; what stands before the unit tells a column of another one.
 UNITS = {"pressure_bar": "bar", "oil_temperature_c": "°C", "speed_rpm": "rpm", FLOW: "l/min"}
 QUANTITIES = {
@@ -77,6 +79,17 @@ class FrameSamples:
             "oil_temperature": self.oil_temperature_c,
             "speed": self.speed_rpm,
         }
+
+    @property
+    def measured_l_per_min(self) -> Array:
+        """Measured drain flow, shape (n,), of samples that were read with it."""
+        assert self.flow_l_per_min is not None
+        return self.flow_l_per_min
+
+    @property
+    def rounding_l_per_min(self) -> float:
+        """Errors below this are rounding."""
+        return ROUNDING * float(np.abs(self.measured_l_per_min).max())
 
     @property
     def period_us(self) -> int:

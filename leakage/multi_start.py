@@ -69,6 +69,8 @@ class SearchSettings:
         Relative; 1e-10 (MATLAB's own 1e-6 and 1e-5 leave half of the starts short).
     maximum_iterations
         Evaluations of the criterion that a start may take.
+    only_at_short_rank
+        Make the starts only where the certificate finds the rank of the regressors short.
     """
 
     starting_points: int = 10
@@ -76,6 +78,7 @@ class SearchSettings:
     step_tolerance: float = 1e-10
     function_tolerance: float = 1e-10
     maximum_iterations: int = 200
+    only_at_short_rank: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ __all__ = [
     "Oil",
     "density_kg_per_m3",
     "dynamic_viscosity_pa_s",
-    "equivalent_film_pressure_share",
     "flow_drive_per_s",
     "kinematic_viscosity_mm2_per_s",
     "walther_coefficients",
@@ -290,7 +289,7 @@ def flow_drive_per_s(
     -----
     The slot's drive is the integral of dp/η(p) over the pressure drop. The thesis's share 1 is
     below it, by 19 % at 200 bar and α = 2e-8 1/Pa; a share of 0.47 to 0.49 equals it from 100 to
-    350 bar (`equivalent_film_pressure_share`).
+    350 bar.
 
     Examples
     --------
@@ -310,35 +309,6 @@ def flow_drive_per_s(
         driving_pressure = _slot_pressure_pa(pressure, oil.pressure_viscosity_per_pa)
         return driving_pressure / dynamic_viscosity_pa_s(temperature_c, 0.0, oil)
     return pressure / dynamic_viscosity_pa_s(temperature_c, film_pressure.share * pressure, oil)
-
-
-def equivalent_film_pressure_share(
-    pressure_difference_pa: ArrayLike, pressure_viscosity_per_pa: float
-) -> NDArray[np.float64]:
-    r"""Share at which the thesis's film pressure gives the flow of the slot.
-
-    .. math:: s = \frac{1}{x} \ln\frac{x}{1 - e^{-x}}, \quad x = \alpha |\Delta P|
-
-    Parameters
-    ----------
-    pressure_difference_pa
-        Pressure difference, shape (n,) or scalar, [Pa]; not 0.
-    pressure_viscosity_per_pa
-        Barus coefficient α, [1/Pa]; above 0.
-
-    Returns
-    -------
-    ndarray
-        s, shape of `pressure_difference_pa`, [-]; tends to 1/2 as ΔP tends to 0.
-
-    Examples
-    --------
-    >>> equivalent_film_pressure_share([100e5, 200e5, 350e5], 2.0e-8).round(3).tolist()
-    [0.492, 0.483, 0.471]
-    """
-    exponent = pressure_viscosity_per_pa * np.abs(np.asarray(pressure_difference_pa, np.float64))
-    share: NDArray[np.float64] = np.log(exponent / -np.expm1(-exponent)) / exponent
-    return share
 
 
 def _slot_pressure_pa(

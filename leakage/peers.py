@@ -2,88 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage.autoregression import Array
-from leakage.errors import ShapeError
 
 # Good nights that say how far something has moved.
 NIGHTS_OF_NOW = 5
-
-
-@dataclass(frozen=True, slots=True)
-class PeerDeviations:
-    """Each motor of an oil circuit against the others.
-
-    Attributes
-    ----------
-    others
-        Median of the logarithms of the other motors, shape (n, m); nan where none is known.
-    deviation
-        Logarithm of each motor less that, shape (n, m).
-    n_others
-        How many others were known, shape (n, m). With one, the deviation says that two motors
-        diverge, and not which of them is the odd one.
-    """
-
-    others: Array
-    deviation: Array
-    n_others: NDArray[np.int64]
-
-    def words(self, night: int, motor: int) -> str:
-        """Meaning of a motor's deviation in a night, in words.
-
-        Examples
-        --------
-        >>> peer_deviations(np.array([[0.1, 0.0]])).words(0, 0)
-        'the two motors of the circuit diverge'
-        """
-        number = int(self.n_others[night, motor])
-        if number == 0:
-            return "no other motor of the circuit is known"
-        if number == 1:
-            return "the two motors of the circuit diverge"
-        return f"against the median of {number} other motors of the circuit"
-
-
-def peer_deviations(log_ratios: Array) -> PeerDeviations:
-    r"""Deviation of each motor from the others of its circuit.
-
-    .. math::
-        d_i = \ln\frac{y_i}{\hat y_i} - \operatorname{median}_{j \ne i} \ln\frac{y_j}{\hat y_j}
-
-    Parameters
-    ----------
-    log_ratios
-        Logarithm of each motor's indicator over what its own baseline lets expect, shape (n nights,
-        m motors); nan where it is not known.
-
-    Returns
-    -------
-    PeerDeviations
-        Oil, temperature and charge pressure cancel as far as they move all motors alike.
-
-    Raises
-    ------
-    ShapeError
-        ``shape``.
-
-    Examples
-    --------
-    >>> found = peer_deviations(np.log([[1.2, 1.2, 1.2], [1.2, 1.2, 1.5]]))
-    >>> np.exp(found.deviation).round(4).tolist()
-    [[1.0, 1.0, 1.0], [0.8944, 0.8944, 1.25]]
-    """
-    if log_ratios.ndim != 2:
-        raise ShapeError(
-            "shape",
-            f"log ratios of a circuit have {log_ratios.ndim} dimensions; expected nights by motors",
-        )
-    others, n_others = medians_of_others(log_ratios)
-    return PeerDeviations(others, log_ratios - others, n_others)
 
 
 def medians_of_others(values: Array) -> tuple[Array, NDArray[np.int64]]:

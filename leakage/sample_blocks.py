@@ -197,36 +197,67 @@ def _merged_by(blocks: tuple[Block, ...], group: int) -> tuple[Block, ...]:
     return tuple(merged)
 
 
-def means_inside(z: Array, short: Sequence[Block]) -> tuple[Array, Array]:
-    """Samples of each short block, shape (k,), and the means of its columns, shape (k, c)."""
+ShortMeans: TypeAlias = tuple[list[float] | None, ...]
+
+
+def short_means(z: Array, short: Sequence[Block], stored: Sequence[Block]) -> ShortMeans:
+    """Place, samples and means of the short blocks within each stored one, in a row each.
+
+    In single precision, as the tables hold them. The mean of the ones is left out; None for a
+    stored block that is a short one.
+    """
+    if len(short) == len(stored):
+        return (None,) * len(stored)
     first = np.array([block.first_row for block in short])
     ones = z[:, -3]
     n = np.add.reduceat(ones * ones, first)
-    return n, np.add.reduceat(z * ones[:, None], first) / n[:, None]
-
-
-def owners(short: Sequence[Block], stored: Sequence[Block]) -> NDArray[np.int64]:
-    """Stored block that each short one was merged into, shape (k,)."""
-    begins = [block.first_row for block in stored]
-    found: NDArray[np.int64] = (
-        np.searchsorted(begins, [block.first_row for block in short], side="right") - 1
-    )
-    return found
-
-
-def short_blocks_of(
-    z: Array, factors: Array, short: Sequence[Block], stored: Sequence[Block]
-) -> ShortBlocks:
-    """The short blocks of samples whose stored blocks have these factors."""
+    means = np.add.reduceat(z * ones[:, None], first) / n[:, None]
+    owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
+    start_us = np.array([block.start_us for block in short])
     length_us = short[0].end_us - short[0].start_us
-    start_us = np.array([block.start_us for block in stored])
-    whole = short_blocks(factors, (start_us - start_us[0]) // length_us)
-    if len(short) == len(stored):
+    place = (start_us - np.array([block.start_us for block in stored])[owner]) // length_us
+    table = np.column_stack([place, n, np.delete(means, -3, axis=1)]).astype(np.float32)
+    parts = (table[owner == place] for place in range(len(stored)))
+    return tuple(part.ravel().tolist() if len(part) > 1 else None for part in parts)
+
+
+def short_blocks_within(
+    factors: Array,
+    number: NDArray[np.int64],
+    inside: Sequence[list[float] | None],
+    scale: Array | None = None,
+) -> ShortBlocks:
+    """The short blocks that stored ones were merged from; themselves where they were not.
+
+    Parameters
+    ----------
+    factors, number
+        Factors of the stored blocks, shape (b, c, c), and the place of each on the clock, in short
+        blocks, shape (b,).
+    inside
+        From :func:`short_means`, one a stored block.
+    scale
+        Factor on the columns since then, shape (b, c).
+    """
+    whole = short_blocks(factors, number)
+    if not any(inside):
         return whole
-    owner = owners(short, stored)
-    alone = (np.bincount(owner) == 1)[owner]
-    n, means = means_inside(z, short)
-    means = np.where(alone[:, None], whole.means[owner], means)
-    means[:, -3] = 1.0
-    place = (np.array([block.start_us for block in short]) - start_us[0]) // length_us
-    return ShortBlocks(np.where(alone, whole.n[owner], n), means, place, owner)
+    size = factors.shape[2] + 1
+    parts = []
+    for place, values in enumerate(inside):
+        if values:
+            part = np.reshape(values, (-1, size)).astype(np.float64)
+            part[:, 0] += number[place]
+            if scale is not None:
+                part[:, 2:] *= np.delete(scale[place], -3)
+        else:
+            means = np.delete(whole.means[place], -3)
+            part = np.array([[number[place], whole.n[place], *means]])
+        parts.append(part)
+    table = np.concatenate(parts)
+    return ShortBlocks(
+        table[:, 1],
+        np.insert(table[:, 2:], -2, 1.0, axis=1),
+        table[:, 0].astype(np.int64),
+        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+    )

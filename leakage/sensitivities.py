@@ -10,6 +10,7 @@ sources add by their squares:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -154,8 +155,7 @@ class ErrorBudget:
 def _by_squares(effects: Sequence[Array]) -> Array | None:
     if not effects:
         return None
-    total: Array = np.sqrt(np.sum(np.square(effects), axis=0))
-    return total
+    return np.array([math.hypot(*of_one) for of_one in np.transpose(effects)])
 
 
 def error_budget(

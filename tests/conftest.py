@@ -6,6 +6,7 @@ import fcntl
 import os
 import shutil
 import signal
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,14 @@ from hypothesis import settings
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
 settings.register_profile("patient", deadline=None)
 settings.load_profile("patient")
+
+# No test cuts the power, so nothing waits for a disk: folders of tests lie in memory where there is
+# enough of it.
+os.fsync = lambda _: None  # type: ignore[assignment]
+os.sync = lambda: None  # type: ignore[assignment]
+MEMORY, ENOUGH_BYTES = Path("/dev/shm"), 4 << 30  # noqa: S108
+if "TMPDIR" not in os.environ and MEMORY.is_dir() and shutil.disk_usage(MEMORY).free > ENOUGH_BYTES:
+    os.environ["TMPDIR"] = tempfile.tempdir = str(MEMORY)
 
 # In the background of a shell a process is born deaf to SIGINT, and so are its children.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
@@ -58,10 +67,12 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
         from pipeline.run.fleet import RunRequest, run_fleet
+        from tests.pipeline.simulated import with_search
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})
-        run_fleet(RunRequest(replace(fleet, execution=execution, output=folder)))
+        fleet = replace(with_search(fleet), execution=execution, output=folder)
+        run_fleet(RunRequest(fleet))
 
     return made_once(shared_folder / "fitted", make)
 

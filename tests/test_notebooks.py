@@ -10,7 +10,7 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import pytest
 
-from leakage.frame_fit import FrameFit
+from leakage.frame_result import FrameFit
 
 NOTEBOOKS = Path(__file__).parent.parent / "docs" / "notebooks"
 

@@ -23,7 +23,7 @@ from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import Fleet
-    from pipeline.report import ReportRequest
+    from pipeline.report.build import ReportRequest
 
 
 def explain(
@@ -88,7 +88,7 @@ def report(
     """
     from pipeline.clock import now
     from pipeline.config import Execution
-    from pipeline.report import ReportRequest, build_report
+    from pipeline.report.build import ReportRequest, build_report
 
     fleet = None if config is None else loaded(config)
     if motors and to is None:
@@ -191,7 +191,7 @@ def _of_a_fleet(request: ReportRequest, fleet: Fleet) -> ReportRequest:
     """The request with what only a fleet's config knows."""
     from dataclasses import replace
 
-    from pipeline.report import KnownMotor
+    from pipeline.report.build import KnownMotor
     from pipeline.telling.receivers import receivers_of
 
     known = {

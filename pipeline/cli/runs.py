@@ -33,7 +33,7 @@ from pipeline.cli.reporter import Reporter, print_plan
 from pipeline.errors import MotorLeakageError, UsageError
 
 if TYPE_CHECKING:
-    from pipeline.config import Fleet
+    from pipeline.config import Fleet, MotorSpec
     from pipeline.run.fleet import RunRequest
     from pipeline.run.tasks import MotorOutcome
 
@@ -162,7 +162,7 @@ def fit(
     label = night_label(night, "NIGHT")
     assert label is not None
     with TemporaryDirectory() as folder:
-        fleet = replace(load(config, Path(folder), None), object_store="")
+        fleet = _with_search(load(config, Path(folder), None))
         request = RunRequest(fleet, known_motors([motor], fleet), since=label, until=label)
         result = run_fleet(request)
         growing = [one for outcome in result.outcomes for one in outcome.growing]
@@ -174,6 +174,16 @@ def fit(
         for line in explained(fleet.output, motor, label):
             typer.echo(line)
     raise typer.Exit(EXIT_MOTORS_FAILED if result.failed else EXIT_OK)
+
+
+def _with_search(fleet: Fleet) -> Fleet:
+    """A fleet of this machine alone, whose every night is searched from all starts."""
+
+    def searched(spec: MotorSpec) -> MotorSpec:
+        every = spec.settings.estimation.model_copy(update={"search_every_nights": 1})
+        return replace(spec, settings=spec.settings.model_copy(update={"estimation": every}))
+
+    return replace(fleet, object_store="", motors=tuple(map(searched, fleet.motors)))
 
 
 def _fit_periods(config: Path, motor: str, train: str, validate: str | None) -> None:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable, Sequence
 
 import typer
-from rich import box
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from pipeline.errors import one_line
 
@@ -23,15 +20,19 @@ def print_table(
 
     Piped, the title is left out, and a cell that would break a line or a column is escaped.
     """
-    console = Console()
-    if not console.is_terminal:
+    if not sys.stdout.isatty():
         for cells in (columns, *rows):
             typer.echo("\t".join(map(one_line, cells)))
         return
+    from rich import box
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(title=escape(one_line(title)) or None, title_justify="left", box=box.SIMPLE_HEAD)
     for name in columns:
         table.add_column(name, overflow="fold")
     for place, cells in enumerate(rows):
         style = styles[place] if place < len(styles) else None
         table.add_row(*(escape(one_line(cell)) for cell in cells), style=style)
-    console.print(table)
+    Console().print(table)

@@ -18,6 +18,7 @@ from leakage import Motor
 from pipeline.config.loading import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.periods import ChosenPeriods
+from pipeline.config.readers import reader_entry, reader_version
 
 # Raise it when the code makes other statistics of the same samples: old blocks then never merge
 # with new ones.
@@ -34,7 +35,7 @@ WORDS_AND_TOLERANCES = {
 # Keys of logs that say nothing of what is read: another query shows in the nights' content.
 NOT_OF_CONTENT = {"settle_s", "database"}
 # Where a channel stands in its log, which says nothing of its values.
-WHERE_IT_STANDS = {"field"}
+WHERE_IT_STANDS = {"field", "value_column"}
 # Raise it when the code makes other figures of the same statistics: every night is then refitted.
 FIGURES_VERSION = 3
 # Raise it when a reader makes other samples of the same file.
@@ -137,7 +138,14 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
         ],
         "settings": spec.settings.model_dump(mode="json", exclude=dict(UNSHAPING)),
         **_roller(spec),
+        **_reader(spec),
     }
+
+
+def _reader(spec: MotorSpec) -> dict[str, str]:
+    """Version of an installed reader; nothing for a built-in one."""
+    version = reader_version(reader_entry(spec.file.logs.format))
+    return {"reader": version} if version else {}
 
 
 def _roller(spec: MotorSpec) -> dict[str, str]:
@@ -156,6 +164,7 @@ def reading_hash(spec: MotorSpec) -> str:
                 for name, channel in spec.file.channels.items()
             },
             "nights": spec.settings.nights.model_dump(mode="json"),
+            **_reader(spec),
         }
     )
 

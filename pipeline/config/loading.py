@@ -10,12 +10,11 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
-from leakage.model_verdict import LowSide
 from leakage.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.defaults import at_their_place, completed
 from pipeline.config.faults import ConfigError, Fault, Place, fault_at, faults_of
@@ -23,6 +22,9 @@ from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import LANDED, MotorFile, channel_faults
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile, OilSample, Walther, measured_curve
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
+
+if TYPE_CHECKING:
+    from leakage.model_verdict import LowSide
 
 Model = TypeVar("Model", bound=BaseModel)
 # Object stores that logs and tables may lie in.

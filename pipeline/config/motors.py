@@ -16,6 +16,7 @@ from pipeline.config.databases import Database
 from pipeline.config.faults import Place, refuse
 from pipeline.config.field_paths import field_path
 from pipeline.config.oil_samples import OilSample, order_faults
+from pipeline.config.readers import reader_entry
 from pipeline.config.settings import NonNegative, Positive, Section, known_zone
 from pipeline.config.time_formats import require_time_format
 from pipeline.units import QUANTITIES, UNITS
@@ -34,7 +35,7 @@ ChannelName = Literal[
     "kinematic_viscosity",
     "dynamic_viscosity",
 ]
-LogFormat = Literal["csv", "parquet", "mcap", "sql"]
+
 LogLayout = Literal["wide", "long", "file_per_channel"]
 # Cells of a CSV that mean "no sample". `NaN` does not: it is a reading that is not finite.
 MISSING_TOKENS = ("", "-", "--", "---", "null", "NULL", "NA", "N/A", "n/a", "#N/A", "Bad", "BAD")
@@ -94,6 +95,11 @@ class Channel(Section):
         min_length=1,
         description="Field in the message of an MCAP topic: a key, or a path such as "
         "`hydraulics.pressure.a`, `pressures[0].value` or, in a map, `temperatures.oil`",
+    )
+    value_column: str = Field(
+        "",
+        description="Layout `file_per_channel`: column of this channel's values, where it is "
+        "another than `logs.value_column`; several channels may be columns of one file",
     )
     unit: str = Field(description="Unit in the log")
     quality_source: str = Field(
@@ -252,7 +258,13 @@ def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
 class Logs(Section):
     """The motor's log files and their dialect, or the database that has its samples."""
 
-    format: LogFormat = Field(description="Format of the files; `sql`: a database")
+    format: str = Field(
+        description="`csv`, `parquet`, `mcap`, `sql` (a database), or a format that an installed package reads "
+        "([readers](readers.md))"
+    )
+    options: dict[str, Any] = Field(
+        default_factory=dict, description="Options of an installed package's reader"
+    )
     files: tuple[str, ...] = Field(
         (),
         description="Paths or globs below the log root; a path named and absent is an error. "
@@ -321,6 +333,12 @@ class Logs(Section):
             ),
         )
         return files
+
+    @field_validator("format")
+    @classmethod
+    def _readable(cls, name: str) -> str:
+        reader_entry(name)
+        return name
 
     @field_validator("time_zone")
     @classmethod

@@ -7,6 +7,7 @@ from these models. A motor's file may override any key of any section here.
 from __future__ import annotations
 
 import datetime as dt
+from functools import cache
 from typing import Annotated, Any, Literal
 from zoneinfo import ZoneInfo, available_timezones
 
@@ -28,6 +29,7 @@ URL_OR_NOTHING = r"^$|^(s3|az|gs)://[^/\s]+(/\S*)?$"
 RelativeFolder = Annotated[str, Field(min_length=1)]
 
 
+@cache  # to list all zones takes longer than to read a motor's file
 def known_zone(name: str) -> str:
     """The name itself, if it is one of an IANA time zone."""
     if name not in available_timezones():
@@ -301,6 +303,13 @@ class Estimation(Section):
 
     starting_points: int = Field(
         10, ge=0, le=1000, description="Starting points a fit, the configured one first"
+    )
+    search_every_nights: int = Field(
+        30,
+        ge=0,
+        description="The starts are made on every n-th night of the calendar, as an audit of the "
+        "certificate, and where that finds the rank short; 1: on every night; 0: by `fit` and "
+        "`--with-starts` alone",
     )
     gradient_type: Literal["analytic", "2-point", "3-point"] = Field(
         "analytic", description="Method for the Jacobian"

@@ -1,43 +1,34 @@
-"""Files of logs to raw channels: one contract, three readers.
+"""Files of logs to raw channels: one contract, a reader a format.
 
 Imports config, units and errors, nothing else of the pipeline.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 
 from pipeline.config.motors import COUNTED, Channel, Channels, Logs
-from pipeline.ingest.contract import Place, RawChannel, RawLog, readable
-from pipeline.ingest.csv.log import csv_time_span, read_csv_log, read_csv_piece
-from pipeline.ingest.csv.text import is_packed, is_utf8
-from pipeline.ingest.mcap.log import mcap_time_span, read_mcap_log
-from pipeline.ingest.parquet.log import parquet_time_span, read_parquet_log
+from pipeline.ingest.assembly import Samples, log_of_samples, span_of_log
+from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable
+from pipeline.ingest.readers import called, checked, checked_span, reader_of, with_options
 from pipeline.units import CHANNELS, to_canonical
 
-__all__ = ["Place", "RawChannel", "RawLog", "can_grow", "read_log", "read_piece", "time_span"]
-
-
-class _Reader(NamedTuple):
-    read: Callable[[Path, Logs, Channels, int | None], RawLog]
-    span: Callable[[Path, Logs, Channels, int | None], tuple[int, int]]
-
-
-_READERS: Mapping[str, _Reader] = MappingProxyType(
-    {
-        "csv": _Reader(read_csv_log, csv_time_span),
-        "parquet": _Reader(read_parquet_log, parquet_time_span),
-        "mcap": _Reader(read_mcap_log, mcap_time_span),
-        # Nights of a database are written as Parquet.
-        "sql": _Reader(read_parquet_log, parquet_time_span),
-    }
-)
+__all__ = [
+    "LogFile",
+    "Place",
+    "RawChannel",
+    "RawLog",
+    "Reader",
+    "Samples",
+    "can_grow",
+    "log_of_samples",
+    "read_log",
+    "read_piece",
+    "time_span",
+]
 
 
 def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None = None) -> RawLog:
@@ -65,12 +56,12 @@ def read_log(path: Path, logs: Logs, channels: Channels, latest_us: int | None =
         The file cannot be read, or not be trusted; codes in `pipeline.ingest.contract`.
     """
     with readable(path):
-        log = _READERS[logs.format].read(path, logs, _logged(channels), latest_us)
-    return _with_constants(log, channels)
+        reader, file = _opened(path, logs, channels, latest_us)
+        return _read(reader, file, channels)
 
 
 def can_grow(path: Path, logs: Logs) -> bool:
-    """True for a log that is read from a place on: plain text, to which rows are appended.
+    """True for a log that is read from a place on, as rows are appended to it.
 
     Raises
     ------
@@ -78,7 +69,8 @@ def can_grow(path: Path, logs: Logs) -> bool:
         As `read_log`.
     """
     with readable(path):
-        return logs.format == "csv" and is_utf8(logs.encoding) and not is_packed(path)
+        reader, file = _opened(path, logs, {}, None)
+        return bool(called(file, reader.can_grow))
 
 
 def read_piece(
@@ -113,8 +105,9 @@ def read_piece(
         As `read_log`.
     """
     with readable(path):
-        log, end = read_csv_piece(path, logs, _logged(channels), latest_us, place, most_bytes)
-    return None if log is None else _with_constants(log, channels), end
+        reader, file = _opened(path, logs, channels, latest_us)
+        log, end = called(file, reader.piece, place, most_bytes)
+        return None if log is None else _with_constants(checked(file, log), channels), end
 
 
 def time_span(
@@ -141,13 +134,25 @@ def time_span(
         As `read_log`; ``log_empty`` where the log holds no samples.
     """
     with readable(path):
-        return _READERS[logs.format].span(path, logs, _logged(channels), latest_us)
+        reader, file = _opened(path, logs, channels, latest_us)
+        if reader.span is None:
+            return span_of_log(path, checked(file, called(file, reader.read)))
+        return checked_span(file, called(file, reader.span))
 
 
-def _logged(channels: Channels) -> Channels:
-    """The channels that a log holds, in their order."""
+def _opened(
+    path: Path, logs: Logs, channels: Channels, latest_us: int | None
+) -> tuple[Reader, LogFile]:
+    """A log's reader, and what it is given: the channels that a log holds, in their order."""
     logged = (item for item in channels.items() if item[1].constant is None)
-    return dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
+    in_order = dict(sorted(logged, key=lambda item: CHANNELS.index(item[0])))
+    file = LogFile(path, logs, in_order, latest_us)
+    reader = reader_of(file)
+    return reader, with_options(file, reader)
+
+
+def _read(reader: Reader, file: LogFile, channels: Channels) -> RawLog:
+    return _with_constants(checked(file, called(file, reader.read)), channels)
 
 
 def _with_constants(log: RawLog, channels: Channels) -> RawLog:

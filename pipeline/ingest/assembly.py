@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.motors import Channel, Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import RawChannel, RawLog, different_stamps
-from pipeline.ingest.quality import is_bad
-from pipeline.ingest.time_stamps import example_of
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps
+from pipeline.ingest.quality import is_bad, quality_states
+from pipeline.ingest.time_stamps import example_of, from_epoch
 from pipeline.ingest.wall_clock import TimeStamps
 from pipeline.units import convert_to_canonical
 
@@ -226,6 +226,77 @@ def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     if not times:
         raise LogError("log_empty", path, "the log holds no samples, so it has no time span")
     return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
+
+
+def span_of_log(path: Path, log: RawLog) -> tuple[int, int]:
+    """Smallest and largest time stamp of a log as read; none is an error ``log_empty``."""
+    ends = [] if log.first_us is None else [log.first_us, log.last_us]
+    return span(path, [np.array(ends, np.int64)])
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """Samples of a channel as an installed reader finds them.
+
+    Attributes
+    ----------
+    time_us : (n,) int64
+        UTC, microseconds since 1970, in the order of the file.
+    value : (n,) float64
+        As logged, before scale, offset and unit.
+    missing : (n,) bool or None
+        Samples that hold no number; None: all hold one.
+    quality : (n,) or None
+        Codes of quality, text or numbers; None: the log has none.
+    """
+
+    time_us: NDArray[np.int64]
+    value: NDArray[np.float64]
+    missing: NDArray[np.bool_] | None = None
+    quality: NDArray[Any] | None = None
+
+
+def log_of_samples(file: LogFile, samples: Mapping[str, Samples]) -> RawLog:
+    """Log of what an installed reader found: converted, judged and counted as every other log.
+
+    Parameters
+    ----------
+    file
+        The log.
+    samples
+        By channel, all that are asked for.
+
+    Raises
+    ------
+    LogError
+        ``log_time``: more than half of the time stamps lie in the future, before 1990 or after
+        2200; ``log_reader``: a channel's quality is asked for, and there is none.
+    """
+    placed = [from_epoch(samples[name].time_us, "epoch_us") for name in file.channels]
+    stamps, refused = judged(file.path, placed, "microseconds since 1970", file.latest_us)
+    channels: dict[str, RawChannel] = {}
+    for (name, channel), stamp in zip(file.channels.items(), stamps, strict=True):
+        own, kept = samples[name], stamp.readable
+        none = np.zeros(own.value.size, np.bool_)
+        missing = none if own.missing is None else own.missing
+        raw = np.where(missing, np.nan, own.value)
+        readings = converted(name, channel, Readings(raw, missing, none).rows(kept))
+        states = None
+        if channel.quality_source:
+            states = _states_of(file, channel, own)[kept]
+        channels[name] = raw_channel(
+            file.path, name, channel, stamp.time_us[kept], readings, states
+        )
+    rows = sum(one.time_us.size for one in channels.values())
+    return raw_log(channels, rows, refused)
+
+
+def _states_of(file: LogFile, channel: Channel, own: Samples) -> NDArray[np.uint8]:
+    if own.quality is None:
+        how = f"this format has no quality {channel.quality_source!r}: remove quality_source"
+        raise LogError("log_reader", file.path, how, channel.quality_source)
+    cells = pa.array(own.quality)
+    return quality_states(file.path, channel.quality_source, cells, channel.quality_good)
 
 
 def _frozen(channel: RawChannel) -> RawChannel:

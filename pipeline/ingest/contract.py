@@ -1,9 +1,9 @@
 """The contract of all readers of logs, whatever the format of the file.
 
-A reader is given a motor's `Logs` and `Channel` as configured, and returns a `RawLog`: each channel
-on its own time stamps, in the order of the file, in canonical units, with what is missing marked. A
-reader sorts nothing, fills nothing and judges nothing but the file itself; whether a sample is
-plausible is for the cleaning stage.
+A `Reader` is given a `LogFile`, with the motor's `Logs` and `Channel`s as configured, and returns a
+`RawLog`: each channel on its own time stamps, in the order of the file, in canonical units, with
+what is missing marked. A reader sorts nothing, fills nothing and judges nothing but the file
+itself; whether a sample is plausible is for the cleaning stage.
 
 Codes of the `LogError` that readers raise:
 
@@ -20,19 +20,23 @@ Codes of the `LogError` that readers raise:
 - ``log_column_twice``: two columns have the name that is asked for;
 - ``log_type``: a channel holds something else than numbers;
 - ``log_time``: time stamps cannot be read as the source says, or lie in the future;
-- ``log_too_large``: more than a reader takes into memory.
+- ``log_too_large``: more than a reader takes into memory;
+- ``log_reader``: an installed reader cannot be loaded, fails, breaks this contract, or has no such
+  option as is set.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
 
 
@@ -138,6 +142,62 @@ class Place:
 
     position: int = 0
     columns: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LogFile:
+    """A log to read, and what is wanted of it.
+
+    Attributes
+    ----------
+    path
+        The file.
+    logs
+        Its dialect.
+    channels
+        The channels to read; at least one, and no constants.
+    latest_us
+        Samples after this time lie in the future [µs since 1970]; None: a day from now.
+    """
+
+    path: Path
+    logs: Logs
+    channels: Channels
+    latest_us: int | None = None
+
+
+def _never(_file: LogFile) -> bool:
+    return False
+
+
+def _no_piece(_file: LogFile, place: Place, _most_bytes: int) -> tuple[RawLog | None, Place]:
+    return None, place
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """A reader of one format.
+
+    Attributes
+    ----------
+    read
+        The log, with all its channels.
+    span
+        Its smallest and largest time stamp [µs since 1970, UTC], without reading everything; None:
+        the log is read for them.
+    options
+        Keys that ``[logs.options]`` may have, with their defaults; `LogFile.logs` has them all.
+    can_grow
+        True for a log to which rows are appended, and which is then read by `piece`.
+    piece
+        What follows a place, at most so many bytes, and the place behind; None without a whole row.
+    """
+
+    read: Callable[[LogFile], RawLog]
+    span: Callable[[LogFile], tuple[int, int]] | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+    can_grow: Callable[[LogFile], bool] = _never
+    piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] = _no_piece
 
 
 def different_stamps(channels: Iterable[RawChannel]) -> list[NDArray[np.int64]]:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.config.motors import Channel, Channels, Logs, QualityValue
+from pipeline.config.motors import Channel, Logs, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
@@ -26,7 +26,7 @@ from pipeline.ingest.assembly import (
     time_name,
     without_rows_of_others,
 )
-from pipeline.ingest.contract import RawChannel, RawLog
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.quality import quality_states
 from pipeline.ingest.time_stamps import WrittenStamps, placed
@@ -69,7 +69,7 @@ class Columns:
         return pc.if_else(pc.equal(motors, logs.motor_name), names, pa.scalar(None, pa.string()))
 
 
-def wanted_columns(path: Path, logs: Logs, channels: Channels) -> Columns:
+def wanted_columns(file: LogFile) -> Columns:
     """Columns that hold time and channels in the layout of a log.
 
     Raises
@@ -77,21 +77,23 @@ def wanted_columns(path: Path, logs: Logs, channels: Channels) -> Columns:
     LogError
         ``log_column_missing``: the file's name is that of no channel.
     """
+    logs, channels = file.logs, file.channels
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
     if logs.layout == "long":
         qualities = _qualities(channels.values())
         motor = logs.motor_column or None
         return Columns(times, logs.channel_column, (logs.value_column,), qualities, motor)
     if logs.layout == "file_per_channel":
-        here = [channel for channel in channels.values() if is_of_file(channel, path)]
+        here = [channel for channel in channels.values() if is_of_file(channel, file.path)]
         if not here:
             patterns = ", ".join(repr(channel.source) for channel in channels.values())
             raise LogError(
                 "log_column_missing",
-                path,
+                file.path,
                 f"the file's name is that of no channel: their sources are {patterns}",
             )
-        return Columns(times, None, (logs.value_column,), _qualities(here))
+        values = dict.fromkeys(channel.value_column or logs.value_column for channel in here)
+        return Columns(times, None, tuple(values), _qualities(here))
     numbers = tuple(dict.fromkeys(channel.source for channel in channels.values()))
     return Columns(times, None, numbers, _qualities(channels.values()))
 
@@ -117,11 +119,11 @@ def _of_rows(states: NDArray[np.uint8] | None, rows: NDArray[np.bool_]) -> NDArr
 class RawTable:
     """Rows of a log, gathered in the order of the file; each piece is given up once joined."""
 
-    def __init__(self, path: Path, logs: Logs, channels: Channels, latest_us: int | None) -> None:
-        self.path = path
-        self.logs = logs
-        self.latest_us = latest_us
-        self.channels = channels
+    def __init__(self, file: LogFile) -> None:
+        self.path = file.path
+        self.logs = file.logs
+        self.latest_us = file.latest_us
+        self.channels = file.channels
         self._expected = 0
         self._written = GatheredStamps()
         # In canonical units, by channel; in a long table as they stand, all together.
@@ -227,7 +229,8 @@ class RawTable:
         """Column of a channel; None where it is in another file."""
         if self.logs.layout == "wide":
             return channel.source
-        return self.logs.value_column if is_of_file(channel, self.path) else None
+        own = channel.value_column or self.logs.value_column
+        return own if is_of_file(channel, self.path) else None
 
     def _joined(self, name: str) -> Readings:
         return self._parts.pop(name, GatheredReadings()).taken()

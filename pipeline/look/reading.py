@@ -14,6 +14,7 @@ from pipeline.config import MotorSpec
 from pipeline.errors import LogError
 from pipeline.ingest import Place, RawChannel, RawLog, can_grow, read_log, read_piece
 from pipeline.logs.files import find_logs
+from pipeline.look.state import End, FileSeen
 
 # Bytes of a growing file read at once, and in one go before its blocks are made.
 PIECE_BYTES, PASS_BYTES = 2**20, 2**23
@@ -23,46 +24,6 @@ OLD_US = 86_400 * SECOND_US
 LATEST = 5
 # Bytes at a file's begin and before a place that show that it is still the same file.
 HEAD_BYTES, TAIL_BYTES = 4096, 256
-
-
-@dataclass(frozen=True, slots=True)
-class End:
-    """End of a piece of a growing file, and the newest sample up to there [µs since 1970]."""
-
-    place: Place
-    newest_us: int
-
-
-@dataclass(frozen=True, slots=True)
-class FileSeen:
-    """A log file as it was read last.
-
-    Attributes
-    ----------
-    size, modified_ns, inode
-        While they stay, it has nothing new.
-    newest_us
-        Newest sample [µs since 1970]; 0 without one.
-    ends
-        Of a growing file: reading goes on behind the last one before all samples still needed.
-    digest
-        Of what stands at the file's begin and before the first of them.
-    is_read
-        False where a growing file was left before its end.
-    """
-
-    size: int
-    modified_ns: int
-    inode: int
-    newest_us: int = 0
-    ends: tuple[End, ...] = ()
-    digest: str = ""
-    is_read: bool = True
-
-    def is_same(self, other: FileSeen) -> bool:
-        """True if a file was not written to in between."""
-        known = (self.size, self.modified_ns, self.inode)
-        return known == (other.size, other.modified_ns, other.inode)
 
 
 @dataclass(frozen=True, slots=True)

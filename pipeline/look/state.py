@@ -5,20 +5,61 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from leakage.step_detection import StepWatch
 from pipeline.arrays import utc
-from pipeline.ingest import Place
-from pipeline.look.reading import End, FileSeen
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.motor_states import LookStanding
+
+if TYPE_CHECKING:
+    from pipeline.ingest import Place
 
 BLIND, NOT_READY = "blind", "not_ready"
 # Judged blocks that are remembered.
 MOST_RECENT = 60
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """End of a piece of a growing file, and the newest sample up to there [µs since 1970]."""
+
+    place: Place
+    newest_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class FileSeen:
+    """A log file as it was read last.
+
+    Attributes
+    ----------
+    size, modified_ns, inode
+        While they stay, it has nothing new.
+    newest_us
+        Newest sample [µs since 1970]; 0 without one.
+    ends
+        Of a growing file: reading goes on behind the last one before all samples still needed.
+    digest
+        Of what stands at the file's begin and before the first of them.
+    is_read
+        False where a growing file was left before its end.
+    """
+
+    size: int
+    modified_ns: int
+    inode: int
+    newest_us: int = 0
+    ends: tuple[End, ...] = ()
+    digest: str = ""
+    is_read: bool = True
+
+    def is_same(self, other: FileSeen) -> bool:
+        """True if a file was not written to in between."""
+        known = (self.size, self.modified_ns, self.inode)
+        return known == (other.size, other.modified_ns, other.inode)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,6 +181,8 @@ def _decoded(document: Mapping[str, Any]) -> LookState:
 
 
 def _file(ends: Sequence[Mapping[str, Any]], **rest: Any) -> FileSeen:
+    from pipeline.ingest import Place
+
     places = (
         (Place(one["place"]["position"], tuple(one["place"]["columns"])), one["newest_us"])
         for one in ends

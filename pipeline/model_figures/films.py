@@ -10,14 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from leakage import AnnularGap
-from leakage.film import REGIME_TABLES, RegimeTable, film_thickness_ratio
+from leakage.film import REGIMES, film_thickness_ratio
 from pipeline.config.motor_types import BAR, MICROMETRE
 from pipeline.model_figures.canvas import QUIET, Array, label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.gaps import PRESSURE
 from pipeline.model_figures.subject import ModelSubject, stated
 
 RATIO = "Film thickness ratio Λ"
-TABLE: RegimeTable = "[12]"
 
 _STEPS = 351
 _LEAST_AXIS = (0.1, 200.0)
@@ -37,7 +36,7 @@ def films_figure(subject: ModelSubject, gaps: Sequence[AnnularGap]) -> Figure:
         f"{subject.motor.motor_type}: lubrication regime by film thickness ratio",
         2,
         note="Λ = h exp(−ΔP/X) (1 − e) / √(R_a1² + R_a2²), the root "
-        f"{sigma_um:.3g} µm. Regimes by the thesis's table after its reference {TABLE} "
+        f"{sigma_um:.3g} µm. Regimes by the thesis's table after its reference [12] "
         f"(2.2.4), in which they overlap.\n{named}; as configured, not fitted.",
         mark=subject.marks(*gaps),
     )
@@ -47,7 +46,7 @@ def films_figure(subject: ModelSubject, gaps: Sequence[AnnularGap]) -> Figure:
     _stribeck(stribeck, subject, gaps, limits)
     for path, ratio in zip(gaps, ratios, strict=True):
         line(pressure, bars, ratio, subject.places[path.name], path.name)
-    for limit in sorted({end for ends in REGIME_TABLES[TABLE].values() for end in ends}):
+    for limit in sorted({end for ends in REGIMES.values() for end in ends}):
         if limits[0] < limit < limits[1]:
             pressure.axhline(limit, color=QUIET, linewidth=0.8, linestyle=":")
             pressure.text(bars[-1], limit, f" {limit:g}", va="center", color=QUIET, fontsize=8)
@@ -83,13 +82,12 @@ def _stribeck(
     limits: tuple[float, float],
 ) -> None:
     """Rows: the regimes below, the gaps above, each from 0 bar to the reference pressure."""
-    regimes = REGIME_TABLES[TABLE]
-    for row, (low, high) in enumerate(regimes.values()):
+    for row, (low, high) in enumerate(REGIMES.values()):
         left, right = max(low, limits[0]), min(high, limits[1])
         axes.barh(row, right - left, left=left, color=_REGIME_COLOURS[row], height=0.7)
     names = [path.name for path in gaps]
     for place, path in enumerate(gaps):
-        row = len(regimes) + place
+        row = len(REGIMES) + place
         ends_bar = np.array([0.0, subject.pressure_bar])
         ends = _ratios(subject, path, ends_bar)
         colour = pen(subject.places[path.name]).colour
@@ -102,7 +100,7 @@ def _stribeck(
     axes.set_xscale("log")
     axes.set_xlim(*limits)
     plain_ticks(axes, "x")
-    axes.set_yticks(range(len(regimes) + len(names)), [*regimes, *names])
-    axes.axhline(len(regimes) - 0.5, color=QUIET, linewidth=0.8)
-    label(axes, f"(a) regimes after {TABLE} and the films", RATIO, "")
+    axes.set_yticks(range(len(REGIMES) + len(names)), [*REGIMES, *names])
+    axes.axhline(len(REGIMES) - 0.5, color=QUIET, linewidth=0.8)
+    label(axes, "(a) regimes after [12] and the films", RATIO, "")
     axes.legend(loc="upper left")

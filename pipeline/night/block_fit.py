@@ -6,7 +6,7 @@ import datetime as dt
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -129,7 +129,7 @@ def fit_stored_blocks(
     sensitivities: Sequence[Mapping[str, Any]] = (),
     *,
     misfit_as_stated: Misfit | None = None,
-    search: bool = True,
+    search: bool | None = None,
     bootstrap: bool = True,
 ) -> BlockFit:
     """Fit a motor to blocks of samples, with verdicts and intervals.
@@ -149,7 +149,8 @@ def fit_stored_blocks(
     misfit_as_stated
         Misfit of the model as it is stated, where the rollers' scale is free; else its own counts.
     search
-        Make the starts of the search, too; the estimate does not depend on them.
+        Make the starts of the search, too; None: on every n-th night, and where the rank is
+        short. No estimate depends on them.
     bootstrap
         Make the block bootstrap, on which nothing but its own columns depends.
 
@@ -159,14 +160,16 @@ def fit_stored_blocks(
         If there are fewer training samples than free coefficients.
     """
     estimation = spec.settings.estimation
+    nights = estimation.search_every_nights
+    is_due = nights > 0 and night.toordinal() % nights == 0
     settings = SearchSettings(
-        starting_points=estimation.starting_points,
+        starting_points=0 if search is False else estimation.starting_points,
         gradient_type=estimation.gradient_type,
         step_tolerance=estimation.step_tolerance,
         function_tolerance=estimation.function_tolerance,
         maximum_iterations=estimation.maximum_iterations,
+        only_at_short_rank=search is None and not is_due,
     )
-    settings = settings if search else replace(settings, starting_points=0)
 
     def generator(purpose: str) -> np.random.Generator:
         return np.random.default_rng(night_seed(estimation.seed, spec.motor_id, night, purpose))

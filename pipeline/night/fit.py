@@ -76,7 +76,7 @@ def _memory_s(statistics: NightStatistics, coefficients: Array) -> float:
     """Time over which the prediction errors of the training samples forget [s]."""
     samples = statistics.samples
     return memory_s(
-        statistics.training_error(coefficients),
+        statistics.error_of(TRAINING, coefficients),
         samples.index[statistics.rows_of(TRAINING)],
         samples.period_us / 1e6,
         ROUNDING * float(np.abs(samples.leakage_l_per_min).max()),

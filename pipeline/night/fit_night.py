@@ -40,10 +40,8 @@ from pipeline.night.time_base import Quality, Samples, bring_together
 from pipeline.night.time_order import Stamps
 from pipeline.night.viscosity import SensorRatio, sensor_ratio
 from pipeline.night.windows import left_out, too_uniform
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.units import RUNNING_HOURS
-
-OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
-INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
 
 # Tables that have rows of a night without a fit, too.
 WITHOUT_A_FIT = ("quality", "operation", "block_statistics")

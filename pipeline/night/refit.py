@@ -21,7 +21,7 @@ from leakage.multi_start import Parametrisation
 from leakage.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import REFERENCE, BlockFit, conditions, fit_stored_blocks
-from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
+from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.rows import (
     Row,
@@ -39,6 +39,7 @@ from pipeline.night.rows import (
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, CHANNELS, StoredBlocks
 from pipeline.night.tolerances import tolerances
 from pipeline.schema import BLOCK_STATISTICS
+from pipeline.schema.fits import OK
 
 Array = NDArray[np.float64]
 

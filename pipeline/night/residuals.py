@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.sample_blocks import TRAINING, VALIDATION
+from leakage.smoothing import smooth
 from leakage.validation import lag_one_autocorrelation
 from pipeline.config import Smoothing
-from pipeline.night.smoothing import smooth
 from pipeline.night.statistics import NightStatistics
 
 Array = NDArray[np.float64]
@@ -82,4 +82,6 @@ def _smoothed(inputs: Array, statistics: NightStatistics, smoothing: Smoothing) 
     if smoothing.apply_to == "leakage":
         return inputs
     samples = statistics.samples
-    return smooth(inputs.T, samples.index, statistics.short_block, samples.period_us, smoothing).T
+    return smooth(
+        inputs.T, samples.index, statistics.short_block, samples.period_us, smoothing.window_s
+    ).T

@@ -225,7 +225,7 @@ def _mode_columns(
     """Figures of one fit."""
     chosen = statistics.rows_of(TRAINING)
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    error = statistics.training_error(mode.training.coefficients)
+    error = statistics.error_of(TRAINING, mode.training.coefficients)
     phi = lag_one_autocorrelation(error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {

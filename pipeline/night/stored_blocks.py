@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from leakage.block_fit import SampleBlocks
 from leakage.block_statistics import merge, with_free_known
 from leakage.identifiability import Excitation
-from leakage.sample_blocks import TRAINING
-from leakage.slow_errors import ShortBlocks, short_blocks
+from leakage.sample_blocks import TRAINING, short_blocks_within
+from leakage.slow_errors import ShortBlocks
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
 from pipeline.schema import BLOCK_STATISTICS
@@ -128,28 +128,8 @@ class StoredBlocks:
         """
         start_us = self.rows["block_start"].to_physical().to_numpy()
         number = np.round((start_us - start_us[:1]) / (1e6 * block_s)).astype(np.int64)
-        whole = short_blocks(self.factors, number)
         inside = self.rows["short_means"].to_list()
-        if not any(inside):
-            return whole
-        size = self.factors.shape[2] + 1
-        parts = []
-        for place, values in enumerate(inside):
-            if values:
-                part = np.reshape(values, (-1, size)).astype(np.float64)
-                part[:, 0] += number[place]
-                part[:, 2:] *= np.delete(self.scale[place], -3)
-            else:
-                means = np.delete(whole.means[place], -3)
-                part = np.array([[number[place], whole.n[place], *means]])
-            parts.append(part)
-        table = np.concatenate(parts)
-        return ShortBlocks(
-            table[:, 1],
-            np.insert(table[:, 2:], -2, 1.0, axis=1),
-            table[:, 0].astype(np.int64),
-            np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
-        )
+        return short_blocks_within(self.factors, number, inside, self.scale)
 
     def sample_blocks(self, block_s: float) -> SampleBlocks:
         """All that a fit needs of them; `block_s` is the length of a short block [s]."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from pathlib import Path
 
-import polars as pl
-
-from leakage.frame_fit import FrameFit, fit_frame
+from leakage.frame_result import FrameFit
 from pipeline.config import Fleet, Nights
 from pipeline.config.nights import night, night_of, nights_between
 from pipeline.errors import UsageError
@@ -51,18 +49,7 @@ def fit_periods(
     periods = [_period(text, nights) for text in (train, validate) if text]
     labels = {label for period in periods for label in _labels(period, nights)}
     prepared = prepare_nights(spec, labels)
-    if not prepared.frame.height:
-        told = "; ".join(prepared.refused.filter(pl.col("reason") == "unusable")["meaning"])
-        raise UsageError("no_samples", f"no sample of these nights can be used: {told}")
-    assert prepared.motor is not None
-    found = fit_frame(
-        prepared.frame,
-        prepared.motor,
-        train=periods[0],
-        validate=periods[1] if validate else None,
-        tolerances=prepared.tolerances,
-        windows=spec.settings.windows,
-    )
+    found = prepared.fit(train=periods[0], validate=periods[1] if validate else None)
     return found, prepared
 
 

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import polars as pl
 
-from leakage.frame_samples import CHARGE, FLOW, FrameTable
+from leakage.frame_fit import fit_frame
+from leakage.frame_result import FrameFit
+from leakage.frame_samples import CHARGE, FLOW, FrameTable, Period
 from leakage.motor import Motor
 from leakage.sensitivities import Tolerances
 from pipeline.clock import latest_us
@@ -60,12 +62,61 @@ class Prepared:
         The motor with its oil and its primary flushing, as its files state it; None without files.
     tolerances
         Of its sensors, stated or assumed by their kind; None without files.
+    settings
+        What they were prepared with.
     """
 
     frame: pl.DataFrame
     refused: pl.DataFrame
+    settings: Settings
     motor: Motor | None = None
     tolerances: Tolerances | None = None
+
+    def fit(
+        self,
+        motor: Motor | None = None,
+        *,
+        flushing: float | Literal["none", "estimated"] | None = None,
+        train: Period | Sequence[Period] | None = None,
+        validate: Period | Sequence[Period] | None = None,
+        starting_points: int = 0,
+    ) -> FrameFit:
+        """Fit a motor to the samples, with blocks, smoothing and loss as the settings state them.
+
+        Parameters
+        ----------
+        motor
+            None: the motor of the files.
+        flushing, train, validate, starting_points
+            As of :func:`leakage.fit_frame`.
+
+        Raises
+        ------
+        UsageError
+            ``no_motor``: there is none of files, and none is given; ``no_samples``: all were
+            refused.
+        LeakageError
+            As of :func:`leakage.fit_frame`.
+        """
+        motor = motor or self.motor
+        if motor is None:
+            raise UsageError("no_motor", "these samples come without a motor: say fit(motor)")
+        if not self.frame.height:
+            told = "; ".join(self.refused.filter(pl.col("reason") == "unusable")["meaning"])
+            raise UsageError("no_samples", f"no sample of these nights can be used: {told}")
+        return fit_frame(
+            self.frame,
+            motor,
+            flushing=flushing,
+            train=train,
+            validate=validate,
+            tolerances=self.tolerances,
+            windows=self.settings.windows,
+            smoothing_s=self.settings.smoothing.window_s,
+            smoothing_of=self.settings.smoothing.apply_to,
+            loss=self.settings.estimation.loss,
+            starting_points=starting_points,
+        )
 
     def __repr__(self) -> str:
         refused = self.refused.filter(pl.col("reason") == "any")["n_refused"].sum()
@@ -129,11 +180,14 @@ def prepare(
         inside = (time_us >= here.start_us) & (time_us < here.end_us)
         of_night = {name: channel.rows(inside) for name, channel in channels.items()}
         parts.append(_cleaned(file, settings, label, of_night))
-    return Prepared(*_joined(parts))
+    return Prepared(*_joined(parts), settings)
 
 
 def prepare_log(
-    config: Fleet | Path | str, motor_id: str, since: dt.date, until: dt.date | None = None
+    config: Fleet | Path | str,
+    motor_id: str,
+    since: dt.date | str,
+    until: dt.date | str | None = None,
 ) -> Prepared:
     """Read the logs of a motor of a fleet, and clean them as the nightly run does.
 
@@ -144,7 +198,7 @@ def prepare_log(
     motor_id
         The motor.
     since, until
-        First and last night; one night without the last.
+        First and last night, as dates or such as "2026-01-02"; one night without the last.
 
     Returns
     -------
@@ -156,10 +210,11 @@ def prepare_log(
     ConfigError
         If the config has a fault.
     UsageError
-        ``unknown_motor``; ``unknown_night``: no log covers a night; ``oil_changed`` between them.
+        ``unknown_motor``; ``unknown_night``: no log covers a night; ``oil_changed`` between them;
+        ``period``: a night is no date.
     """
     spec = motor_of(config, motor_id)
-    return prepare_nights(spec, nights_between(since, until or since))
+    return prepare_nights(spec, nights_between(_date(since), _date(until or since)))
 
 
 def motor_of(config: Fleet | Path | str, motor_id: str) -> MotorSpec:
@@ -190,26 +245,43 @@ def prepare_nights(spec: MotorSpec, nights: Collection[dt.date]) -> Prepared:
         )
     prepared = _joined([_of_logs(spec, logs, label) for label in labels])
     motor = spec.motor(labels[-1], spec.file.flushing.mode)
-    return Prepared(*prepared, motor, tolerances(spec, labels[-1]))
+    return Prepared(*prepared, spec.settings, motor, tolerances(spec, labels[-1]))
+
+
+def _date(night: dt.date | str) -> dt.date:
+    try:
+        return night if isinstance(night, dt.date) else dt.date.fromisoformat(night)
+    except ValueError as error:
+        raise UsageError("period", f"{night!r} is no night: write 2026-01-02") from error
 
 
 Part = tuple[pl.DataFrame, pl.DataFrame]
 
 
 def _of_logs(spec: MotorSpec, logs: LogShelf, label: dt.date) -> Part:
+    channels = raw_channels(spec, logs, label)
+    if isinstance(channels, str):
+        return _empty(), _refused(label, [], "log", channels)
+    return _cleaned(spec.file, spec.settings, label, channels)
+
+
+def raw_channels(
+    spec: MotorSpec, logs: LogShelf, label: dt.date
+) -> MutableMapping[str, RawChannel] | str:
+    """Channels of a night as logged, or the fault of a log that cannot be read."""
     here = night(label, spec.settings.nights)
     names = logs.of_night(label)
     read = [logs.content(name) for name in (*logs.before_night(here), *names)]
     broken = [one for name in names if (one := logs.files[name]).status != "ok"]
     if broken:
-        return _empty(), _refused(label, [], "log", broken[0].message or "")
+        return broken[0].message or ""
     channels = slice_night([one for one in read if one is not None], here, reaches_us(spec))
     logs.let_go_until(label)
-    return _cleaned(spec.file, spec.settings, label, channels)
+    return channels
 
 
 def _cleaned(
-    file: MotorFile, settings: Settings, label: dt.date, channels: dict[str, RawChannel]
+    file: MotorFile, settings: Settings, label: dt.date, channels: MutableMapping[str, RawChannel]
 ) -> Part:
     """Kept samples of a night, and what was refused."""
     here = night(label, settings.nights)

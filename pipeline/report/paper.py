@@ -66,15 +66,9 @@ def write_paper(request: ReportRequest, motor_id: str, folder: Path) -> Path:
     known = request.known.get(motor_id, KnownMotor(""))
     screen = first_screen(motor, state, known.paths)
     path = folder / f"{file_names([motor_id])[motor_id]}.pdf"
+    title = " · ".join(part for part in (request.fleet or history.fleet, known.motor_type) if part)
     with mpl.rc_context(STYLE):
-        page = Figure(figsize=PAGE)
-        FigureCanvasPdf(page)
-        title = " · ".join(
-            part for part in (request.fleet or history.fleet, known.motor_type) if part
-        )
-        _head(page, motor, state, title)
-        _charts(page, motor, screen)
-        _finding(page, [*known.paths] or [line.name for line in screen.changes])
+        page = page_of(motor, state, screen, known.paths, title)
         # By default the file holds the date and the version of matplotlib.
         metadata = {"CreationDate": None, "Producer": None, "Creator": "motor-leakage"}
         put(path, lambda stream: page.savefig(stream, format="pdf", metadata=metadata))

@@ -11,8 +11,8 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
-from pipeline.night.fit_night import FAILED
 from pipeline.run.tasks import MotorOutcome, MotorTask, lost, set_aside, without_lost_part
+from pipeline.schema.fits import FAILED
 from pipeline.workers.engine import RunTasks, results_of
 
 RunMotor = Callable[[MotorTask], MotorOutcome]

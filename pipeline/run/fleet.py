@@ -27,7 +27,6 @@ from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.files import legible
 from pipeline.logs.ledger import as_published, read_settings
 from pipeline.logs.motor_logs import FATES
-from pipeline.night.fit_night import FAILED
 from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
@@ -45,6 +44,7 @@ from pipeline.schema import (
     RUNS,
     SCHEMA_VERSION,
 )
+from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import (
     make_private_folder,
     remove_all,

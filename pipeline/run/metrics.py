@@ -10,8 +10,8 @@ from pipeline.config import Fleet
 from pipeline.config.nights import night
 from pipeline.errors import StoreError
 from pipeline.look.state import BLIND, NOT_READY
-from pipeline.night.fit_night import FAILED
 from pipeline.run.tasks import MotorOutcome
+from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import put, read, remove_leftovers
 from pipeline.telling.outbox import Backlog
 from pipeline.trends.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState

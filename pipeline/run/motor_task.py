@@ -39,16 +39,7 @@ from pipeline.logs.ledger import (
 )
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.messages import speak_as_told
-from pipeline.night.fit_night import (
-    FAILED,
-    INSUFFICIENT_DATA,
-    NO_NEW_DATA,
-    OK,
-    NightOutcome,
-    PreviousModel,
-    fit_night,
-    unfitted,
-)
+from pipeline.night.fit_night import NightOutcome, PreviousModel, fit_night, unfitted
 from pipeline.night.refit import is_refit, judged
 from pipeline.night.roller import is_roller_free
 from pipeline.night.rows import Row
@@ -62,6 +53,7 @@ from pipeline.run.tasks import (
     lost,
 )
 from pipeline.schema import FITS, INPUT_FILES, NIGHT_TABLES
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
 from pipeline.store.atomic_files import scratch
 from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.workers.process import Loss, loss_of, sign_of_life

@@ -11,7 +11,7 @@ import polars as pl
 
 from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.night.fit_night import OK, NightOutcome, PreviousModel
+from pipeline.night.fit_night import NightOutcome, PreviousModel
 from pipeline.night.refit import PublishedNight, judge_again, refit, with_free_roller
 from pipeline.night.stored_blocks import BLOCK_COLUMNS
 from pipeline.schema import (
@@ -22,6 +22,7 @@ from pipeline.schema import (
     SENSITIVITIES,
     Table,
 )
+from pipeline.schema.fits import OK
 from pipeline.store.tables import read_rows
 
 # Columns that a fit without a log takes; all of the other tables.

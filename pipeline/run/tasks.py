@@ -12,7 +12,7 @@ from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
 from pipeline.logs.files import legible
 from pipeline.logs.ledger import FileRecord, Ledger
-from pipeline.night.fit_night import FAILED
+from pipeline.schema.fits import FAILED
 from pipeline.workers.process import Loss
 
 # A motor of which more nights than this take their worker with them, or more logs than this do not

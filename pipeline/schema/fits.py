@@ -18,6 +18,10 @@ from pipeline.schema.columns import (
     Table,
 )
 
+# Outcomes of a motor's night.
+OK, STOOD_STILL, NO_NEW_DATA = "ok", "stood_still", "no_new_data"
+INSUFFICIENT_DATA, FAILED = "insufficient_data", "failed"
+
 
 def _interval(name: str, unit: str, what: str) -> tuple[Column, Column]:
     stem = name.removesuffix("_l_per_min")
@@ -129,7 +133,8 @@ FITS = Table(
             "certificate_gap",
             pl.Float64,
             "",
-            "(V of the best start − V of the certificate) / V of the certificate",
+            "(V of the best start − V of the certificate) / V of the certificate; null without "
+            "starts",
         ),
         Column(
             "dual_residual",
@@ -137,7 +142,7 @@ FITS = Table(
             "",
             "Proof of the minimum: largest relative violation of the optimality conditions",
         ),
-        Column("n_starts", pl.Int64, "", "Starting points of the search"),
+        Column("n_starts", pl.Int64, "", "Starting points of the search; 0 without one"),
         Column("n_starts_at_minimum", pl.Int64, "", "Starts within 1e-4 of the minimum"),
         Column("rank", pl.Int64, "", "Rank of the free regressors, columns scaled"),
         Column("condition_number", pl.Float64, "", "Of the free regressors, columns scaled"),
@@ -446,7 +451,7 @@ PARAMETERS = Table(
             "spread_over_starts",
             pl.Float64,
             "see unit",
-            "Largest minus smallest value over the starts at the minimum",
+            "Largest minus smallest value over the starts at the minimum; null without a search",
         ),
         RUN_ID,
         Column(

@@ -7,126 +7,29 @@ letter does, and a unit only where no word does.
 from __future__ import annotations
 
 import re
-import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
 
+from pipeline.setup.vocabulary import (
+    ALL_WORDS,
+    BESIDE_A_PORT,
+    DIFFERENCE,
+    ENDINGS,
+    LETTERS,
+    LONGEST_WITH_A_LETTER,
+    NO_MEASUREMENT,
+    PORT_PRESSURES,
+    PORTS,
+    PREFERRED,
+    PRESSURES,
+    STRANGERS,
+    WORDS,
+)
 from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 _T = TypeVar("_T")
 
-
-def _spelled(*words: str) -> set[str]:
-    """Words as they are spelled with and without their marks: ö as oe and as o."""
-    two = {"ö": "oe", "ä": "ae", "ü": "ue"}
-    found = set(words)
-    for word in words:
-        found.add("".join(two.get(letter, letter) for letter in word))
-        parts = unicodedata.normalize("NFD", word)
-        found.add("".join(one for one in parts if not unicodedata.combining(one)))
-    return found
-
-
-# English, German, Swedish, Spanish and French, as loggers are labelled, and letters of ISA 5.1; by
-# quantity, the first that fits counts.
-_WORDS: Mapping[str, set[str]] = {
-    "temperature": _spelled(
-        *("temp", "temperature", "temperatur", "oiltemp", "öltemperatur", "oljetemp", "toil"),
-        *("temperatura", "température", "töl", "tt", "tit"),
-    ),
-    "pressure": _spelled(
-        *("press", "pressure", "druck", "tryck", "dp", "deltap", "port", "anschluss", "pdiff"),
-        *("differenzdruck", "hochdruck", "niederdruck", "speisedruck", "gehäusedruck"),
-        *("tryckskillnad", "differenstryck", "högtryck", "lågtryck", "hustryck", "matningstryck"),
-        *("presión", "pression", "pt", "pit", "pdt", "pdit", "dpt"),
-    ),
-    "speed": _spelled(
-        *("speed", "rpm", "drehzahl", "varvtal", "revs", "rotation", "omega", "nmot"),
-        *("velocidad", "vitesse", "régime", "st", "sit"),
-    ),
-    "flow": _spelled(
-        *("flow", "flowrate", "leak", "leakage", "drain", "durchfluss", "volumenstrom", "flöde"),
-        *("leck", "leckage", "lecköl", "leckstrom", "leckölstrom", "läckage", "läckflöde"),
-        *("leckölmenge", "qleak", "qleck", "caudal", "fuga", "débit", "fuite", "ft", "fit"),
-    ),
-}
-_ALL_WORDS = {word for known in _WORDS.values() for word in known}
-# Ends of words that German and Swedish put together.
-_ENDINGS: Mapping[str, str] = {
-    "temperatur": "temperature",
-    "druck": "pressure",
-    "tryck": "pressure",
-    "drehzahl": "speed",
-    "varvtal": "speed",
-    "durchfluss": "flow",
-    "volumenstrom": "flow",
-}
-_LETTERS = {"p": "pressure", "t": "temperature", "n": "speed", "q": "flow"}
-_LONGEST_WITH_A_LETTER = 4
-# Of another machine or place, or no measurement.
-_STRANGERS: Mapping[str, set[str]] = {
-    "temperature": _spelled(
-        *("ambient", "room", "air", "water", "winding", "umgebung", "luft", "wasser", "tank"),
-        *("ambiente", "ambiante", "omgivning", "vatten", "agua", "eau", "bearing", "lager"),
-    ),
-    "pressure": {"water", "air", "luft"},
-    "speed": _spelled(
-        "pump", "fan", "engine", "diesel", "wind", "pumpe", "lüfter", "bomba", "pompe"
-    ),
-    "flow": _spelled(
-        *("pump", "pumpe", "flush", "flushing", "spülung", "charge", "feed", "boost", "speise"),
-        *("bomba", "pompe", "gavage", "matning", "water", "wasser"),
-    ),
-}
-_NO_MEASUREMENT = {"setpoint", "sp", "target", "limit", "soll", "max", "demand", "reference"}
-_DIFFERENCE = _spelled(
-    *("dp", "deltap", "delta", "diff", "difference", "differential", "differenzdruck", "pdiff"),
-    *("tryckskillnad", "differenstryck", "diferencial", "différentielle", "pdt", "pdit", "dpt"),
-)
-_PRESSURES = (
-    ("pressure_difference", _DIFFERENCE),
-    (
-        "charge_pressure",
-        _spelled(
-            *("charge", "feed", "boost", "speise", "speisedruck", "matning", "matningstryck"),
-            *("carga", "gavage"),
-        ),
-    ),
-    (
-        "case_pressure",
-        _spelled(
-            *("case", "housing", "gehäuse", "gehäusedruck", "drain", "hus", "hustryck"),
-            *("carcasa", "carter"),
-        ),
-    ),
-    (
-        "low_port_pressure",
-        _spelled(
-            *("low", "lp", "niederdruck", "nd", "låg", "return", "lågtryck", "bp", "baja", "basse"),
-            *("b", "2"),
-        ),
-    ),
-    (
-        "high_port_pressure",
-        _spelled(
-            *("high", "hp", "hochdruck", "hd", "hög", "supply", "högtryck", "alta", "haute"),
-            *("a", "1"),
-        ),
-    ),
-)
-_PORT_PRESSURES = ("high_port_pressure", "low_port_pressure")
-_PORTS = {"a", "b", "1", "2"}
-_BESIDE_A_PORT = {"p", "pressure", "press", "port", "druck", "tryck", "anschluss"}
-_PREFERRED: Mapping[str, set[str]] = {
-    "leakage_flow": _WORDS["flow"]
-    - _spelled("flow", "flowrate", "durchfluss", "volumenstrom", "flöde", "caudal", "débit", "ft"),
-    "oil_temperature": _spelled(
-        *("oil", "öl", "olja", "drain", "case", "leck", "oiltemp", "öltemperatur", "aceite"),
-        *("huile", "toil", "oljetemperatur", "lecköltemperatur"),
-    ),
-    "speed": {"motor", "shaft", "actual", "ist"},
-}
 
 _BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
 _UNIT_NAMES = {
@@ -176,7 +79,7 @@ def words_of(name: str) -> tuple[str, ...]:
     plain = plain.replace("Δ", "d").replace("∆", "d")
     parted = re.sub(r"(?<=[a-zäöå])(?=[A-Z])", " ", plain)
     found = re.findall(r"[^\W\d_]+|\d+", parted.lower())
-    singular = [word[:-1] if word[:-1] in _ALL_WORDS else word for word in found]
+    singular = [word[:-1] if word[:-1] in ALL_WORDS else word for word in found]
     return tuple(re.sub(r"\bd p\b", "dp", " ".join(singular)).split())
 
 
@@ -197,11 +100,11 @@ def channel_of(name: str, unit: str = "") -> str | None:
     if quantity != "pressure":
         return _channel_of_quantity(quantity)
     # A letter or number is that of a port only behind a word for port or pressure.
-    ports = {second for first, second in pairwise(words) if first in _BESIDE_A_PORT} & _PORTS
-    if not _BESIDE_A_PORT & set(words):
+    ports = {second for first, second in pairwise(words) if first in BESIDE_A_PORT} & PORTS
+    if not BESIDE_A_PORT & set(words):
         ports |= {word[1] for word in words if word in ("pa", "pb")}
-    marks = (set(words) - _PORTS) | ports
-    found = (channel for channel, known in _PRESSURES if known & marks)
+    marks = (set(words) - PORTS) | ports
+    found = (channel for channel, known in PRESSURES if known & marks)
     return next(found, "pressure_difference")
 
 
@@ -213,12 +116,12 @@ def is_bare_pressure(name: str) -> bool:
     >>> is_bare_pressure("PT101"), is_bare_pressure("delta p")
     (True, False)
     """
-    return channel_of(name) == "pressure_difference" and not _DIFFERENCE & set(words_of(name))
+    return channel_of(name) == "pressure_difference" and not DIFFERENCE & set(words_of(name))
 
 
 def _is_strange(quantity: str, words: Sequence[str]) -> bool:
     """True if words name another machine or place, also at the begin of a word put together."""
-    known = _STRANGERS[quantity] | _NO_MEASUREMENT
+    known = STRANGERS[quantity] | NO_MEASUREMENT
     ended = [word for word in words if _ending(word)]
     return bool(known & set(words)) or any(
         word.startswith(other) for word in ended for other in known if len(other) > 3
@@ -226,7 +129,7 @@ def _is_strange(quantity: str, words: Sequence[str]) -> bool:
 
 
 def _ending(word: str) -> str | None:
-    return next((q for end, q in _ENDINGS.items() if word.endswith(end)), None)
+    return next((q for end, q in ENDINGS.items() if word.endswith(end)), None)
 
 
 def _channel_of_quantity(quantity: str) -> str:
@@ -234,16 +137,16 @@ def _channel_of_quantity(quantity: str) -> str:
 
 
 def _quantity_of(words: Sequence[str], name: str, unit: str) -> str | None:
-    for quantity, known in _WORDS.items():
+    for quantity, known in WORDS.items():
         if known & set(words) or quantity in map(_ending, words):
             return quantity
     if {"pa", "pb"} & set(words):
         return "pressure"
-    letters = [_LETTERS[word] for word in words if word in _LETTERS]
-    if letters and len(words) <= _LONGEST_WITH_A_LETTER:
+    letters = [LETTERS[word] for word in words if word in LETTERS]
+    if letters and len(words) <= LONGEST_WITH_A_LETTER:
         return letters[0]
     texts = [unit, *_BRACKETED.findall(name)]
-    for quantity in _WORDS:
+    for quantity in WORDS:
         channel = _channel_of_quantity(quantity)
         if any(_unit_named(channel, text) for text in texts):
             return quantity
@@ -252,7 +155,7 @@ def _quantity_of(words: Sequence[str], name: str, unit: str) -> str | None:
 
 def preference(channel: str, name: str) -> int:
     """Degree to which a name fits a channel that it seems to mean."""
-    return len(_PREFERRED.get(channel, set()) & set(words_of(name)))
+    return len(PREFERRED.get(channel, set()) & set(words_of(name)))
 
 
 def best_by_channel(
@@ -264,7 +167,7 @@ def best_by_channel(
         if channel is not None and (channel not in best or merit > best[channel][0]):
             best[channel] = merit, candidate
     # A motor's file has the difference or both ports.
-    without = _PORT_PRESSURES if "pressure_difference" in best else ()
+    without = PORT_PRESSURES if "pressure_difference" in best else ()
     return {
         channel: best[channel][1]
         for channel in CHANNELS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -46,6 +47,11 @@ _QUALITY_WORDS = {"quality", "status", "qualität", "kvalitet", "calidad", "qual
 _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
 
+_BRACKETED = re.compile(r"[\[(<{][^\])>}]*[\])>}]")
+_LABEL = re.compile(r'([A-Za-z_]\w*)="([^"]*)"')
+_SERIES = re.compile(r'[\w:]*\{[A-Za-z_]\w*="[^"]*"(?:, ?[A-Za-z_]\w*="[^"]*")*\}')
+
+
 @dataclass(frozen=True, slots=True)
 class GuessedColumn:
     """A column of a table."""
@@ -80,6 +86,7 @@ class GuessedSource:
     unit: str | None  # None where the log does not say it
     samples: tuple[str, ...]
     field: str = ""
+    value_column: str = ""  # of a file a channel, where the files' differ
 
 
 Candidate = tuple[str, str, str, tuple[str, ...]]
@@ -100,6 +107,8 @@ class TableLayout:
     # Motors by column, of a long table whose rows have the same names for several.
     motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quality: str = ""  # column of the rows' quality, in a long table
+    # Topics and fields of each of several motors of an MCAP, by what their names begin with.
+    fields: Mapping[str, tuple[GuessedSource, ...]] = field(default_factory=dict)
 
 
 def kind_of(cells: Sequence[str]) -> Kind:
@@ -177,15 +186,39 @@ def find_layout(
         found = _long(value, texts, scan)
         if found is not None:
             return found
-    if len(numbers) == 1 and channel_of(numbers[0].name) is None:
-        found = _file_per_channel(numbers[0].name, path, read)
+    if len(numbers) == 1 and channel_of(_BRACKETED.sub("", numbers[0].name)) is None:
+        found = _file_per_channel(numbers[0].name, times, path, read)
         if found is not None:
             return found
     readable = [one for one in rest if one.kind in ("number", "nothing")]
-    candidates = tuple((one.name, one.name, one.unit, one.filled[:SAMPLES]) for one in readable)
+    plain = without_labels([one.name for one in readable])
+    candidates = tuple(
+        (name, one.name, one.unit, one.filled[:SAMPLES])
+        for name, one in zip(plain, readable, strict=True)
+    )
     sources, unused = assigned(candidates)
     unused |= {one.name: one.filled[:SAMPLES] for one in texts}
     return TableLayout("wide", sources, unused, candidates=candidates)
+
+
+def without_labels(names: Sequence[str]) -> list[str]:
+    """Names of series, ``metric{label="value"}``, as paths of the labels that differ.
+
+    Examples
+    --------
+    >>> without_labels(['{__name__="p", at="x", m="1"}', '{__name__="p", at="x", m="2"}', "t"])
+    ['1/p', '2/p', 't']
+    """
+    labels = [dict(_LABEL.findall(name)) for name in names]
+    labelled = [one for one in labels if one]
+    plain = []
+    for name, own in zip(names, labels, strict=True):
+        metric = own.pop("__name__", "") or name.partition("{")[0]
+        apart = [
+            value for key, value in own.items() if any(one.get(key) != value for one in labelled)
+        ]
+        plain.append("/".join((*apart, metric)) if _SERIES.fullmatch(name) else name)
+    return plain
 
 
 def _value_column(numbers: Sequence[GuessedColumn]) -> GuessedColumn | None:
@@ -259,17 +292,22 @@ def is_quality_name(name: str) -> bool:
 
 
 def _file_per_channel(
-    value: str, path: Path, read: Callable[[Path], Sequence[GuessedColumn]]
+    value: str, times: Times, path: Path, read: Callable[[Path], Sequence[GuessedColumn]]
 ) -> TableLayout | None:
-    """The layout of a file a channel; None where the files are not all alike."""
+    """The layout of a file a channel; None where a file has not one column of values."""
     sources, files = [], []
     for channel, (pattern, example) in files_by_channel(path).items():
-        column = next((one for one in read(example) if one.name == value), None)
+        numbers = [one for one in read(example) if one.kind == "number" and one.name != times.time]
+        column = next((one for one in numbers if one.name == value), None)
+        if column is None and len(numbers) == 1:
+            column = numbers[0]
         if column is None:
             return None
-        told = (unit_of(channel, text) for text in (column.unit, value, example.name) if text)
+        told = (unit_of(channel, text) for text in (column.unit, column.name, example.name) if text)
         unit = next((one for one in told if one), None)
-        sources.append(GuessedSource(channel, pattern, unit, column.filled[:SAMPLES]))
+        own = column.name if column.name != value else ""
+        samples = column.filled[:SAMPLES]
+        sources.append(GuessedSource(channel, pattern, unit, samples, value_column=own))
         files.append(pattern)
     if not sources:
         return None

@@ -20,7 +20,7 @@ from pipeline.ingest.time_stamps import (
 from pipeline.ingest.wall_clock import TimeStamps
 
 _TIME_NAME = re.compile(
-    r"(?i)^\W*(date.?time|time.?stamp|time|zeit(stempel)?|uhrzeit|datum|date|tid(sstämpel)?|"
+    r"(?i)^[\W_]*(date.?time|time.?stamp|time|zeit(stempel)?|uhrzeit|datum|date|tid(sstämpel)?|"
     r"clock|epoch|ts|t)(?![a-zäöå])"
 )
 _DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
@@ -30,7 +30,7 @@ _DATE = (
     r"(?P<ymd>\d{4}(?P<s1>[-/. ])\d{1,2}(?P=s1)\d{1,2})"
     r"|(?P<dmy>\d{1,2}(?P<s2>[-/. ])\d{1,2}(?P=s2)\d{4})"
     r"|(?P<short>\d{1,2}(?P<s3>[-/.])\d{1,2}(?P=s3)\d{2})"
-    r"|(?P<named>\d{1,2}(?P<s4>[-/. ])(?P<month>[A-Za-z]{3,9})(?P=s4)\d{4})"
+    r"|(?P<named>\d{1,2}(?P<s4>[-/. ])(?P<month>[A-Za-z]{3,9})(?P=s4)(?:\d{4}|\d{2}))"
     r"|(?P<packed>\d{8})"
 )
 _CLOCK = (
@@ -176,7 +176,8 @@ def _date_formats(match: re.Match[str]) -> list[str]:
         return [order.format(match["s3"]) for order in orders[: 1 if match["s3"] == "." else 3]]
     if match["named"]:
         month = "%b" if len(match["month"]) == 3 else "%B"
-        return ["%d{0}{1}{0}%Y".format(match["s4"], month)]
+        year = "%Y" if re.search(r"\d{4}$", match["named"]) else "%y"
+        return ["%d{0}{1}{0}{2}".format(match["s4"], month, year)]
     return ["%Y%m%d"]
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.config import MotorSpec
 from pipeline.config.nights import nights_between
-from pipeline.night.fit_night import NO_NEW_DATA
+from pipeline.schema.fits import NO_NEW_DATA
 from pipeline.trends.night_records import (
     GATED,
     Layout,

@@ -22,8 +22,8 @@ from leakage.identifiability import TOLD
 from leakage.model_verdict import MISFIT_NUMBERS
 from leakage.multi_start import Parametrisation
 from pipeline.config import MotorSpec
-from pipeline.night.fit_night import OK
 from pipeline.night.stored_blocks import StoredBlocks
+from pipeline.schema.fits import OK
 
 Array = NDArray[np.float64]
 # A structured array, one record a night.

@@ -111,18 +111,6 @@ def _at_one_temperature(history: History, at: Sequence[OwnConditions], effect: E
     return figures
 
 
-def known_at_reference(history: History) -> Array:
-    """Known flow at the fleet's reference conditions in each night [l/min], shape (n,).
-
-    0 where the model does not hold there.
-    """
-    rows = (
-        regressor_row(history, place, reference_conditions(history, place))
-        for place in range(len(history))
-    )
-    return np.array([0.0 if isinstance(row, str) else float(row[-1]) for row in rows])
-
-
 def reference_conditions(history: History, place: int) -> OwnConditions:
     """The fleet's reference conditions, with a night's charge pressure."""
     if reference_conditions not in history.kept:

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import polars as pl
 
-from pipeline.night.fit_night import INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.schema import FITS, OPERATION
+from pipeline.schema.fits import INSUFFICIENT_DATA, OK, STOOD_STILL
 from pipeline.store.tables import nights_back, read_rows
 
 # Outcomes of nights of which a log could be read.

@@ -5,16 +5,16 @@ from __future__ import annotations
 import datetime as dt
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from leakage.monitoring import ChangeSize
-from leakage.temperature_correction import TemperatureCorrection
-from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
+if TYPE_CHECKING:
+    from leakage.monitoring import ChangeSize
+    from leakage.temperature_correction import TemperatureCorrection
 
 NAMES = {
-    REFERENCE: "reference leakage",
-    OWN_REFERENCE: "leakage at the motor's own conditions",
-    DEVIATION: "drain flow against the baseline's model",
+    "reference_leakage": "reference leakage",
+    "own_reference_leakage": "leakage at the motor's own conditions",
+    "baseline_deviation": "drain flow against the baseline's model",
     "peer_deviation": "drain flow against the other motors of the circuit",
     "drain_flow": "drain flow",
     "temperature_effect": "effect of temperature on the loss factors",
@@ -118,6 +118,7 @@ def temperature_words(frozen: TemperatureCorrection) -> str:
 
     Examples
     --------
+    >>> from leakage.temperature_correction import TemperatureCorrection
     >>> temperature_words(TemperatureCorrection(-0.0097, 0.002, 50.0))
     "K falls by 0.97 % a kelvin: the sensor is not where the gap is, or the oil's curve is off"
     """
@@ -134,6 +135,7 @@ def size_words(indicator: str, size: ChangeSize, since: object) -> str:
 
     Examples
     --------
+    >>> from leakage.monitoring import ChangeSize
     >>> size_words("K_balance_sleeve", ChangeSize(9, 0.38, 0.29, 0.47, 10), "2026-10-03")
     'balance sleeve gap +11 % [9, 14] since 3 October 2026'
     >>> size_words("reference_leakage", ChangeSize(9, -0.057, -0.1, -0.014, 10), "2026-10-03")

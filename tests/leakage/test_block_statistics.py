@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from leakage.block_statistics import (
     Array,
-    BlockStatistics,
     column_means,
     criterion,
     factor,
@@ -19,8 +18,6 @@ from leakage.block_statistics import (
     flow_summary,
     gradient,
     merge,
-    merge_blocks,
-    normal_matrix,
     sample_count,
     squared_error,
 )
@@ -95,7 +92,7 @@ def test_factor_keeps_what_the_criterion_needs_and_no_more() -> None:
     r = factor(z)
     scale = np.linalg.norm(z, axis=0)
     np.testing.assert_allclose(
-        normal_matrix(r) / np.outer(scale, scale), (z / scale).T @ (z / scale), atol=1e-14
+        r.T @ r / np.outer(scale, scale), (z / scale).T @ (z / scale), atol=1e-14
     )
     assert r.shape == (6, 6)
 
@@ -125,7 +122,7 @@ def test_each_of_many_factors_is_that_of_its_block(sizes: list[int], seed: int) 
     for r, first, end in zip(factors(z, borders), borders[:-1], borders[1:], strict=True):
         part = z[first:end]
         np.testing.assert_allclose(
-            normal_matrix(r / scale), (part / scale).T @ (part / scale), atol=1e-14
+            (r / scale).T @ (r / scale), (part / scale).T @ (part / scale), atol=1e-14
         )
 
 
@@ -260,7 +257,7 @@ def test_a_huge_mean_costs_the_spread_no_more_than_its_own_digits() -> None:
     found = flow_summary(r)
     assert found.centred_norm_l_per_min == pytest.approx(expected, rel=1e-5)
     assert found.mean_l_per_min == pytest.approx(float(y.mean()), rel=1e-15, abs=0.0)
-    squares = normal_matrix(r)
+    squares = r.T @ r
     lost = squares[-1, -1] - squares[-3, -1] ** 2 / squares[-3, -3]
     assert abs(lost - expected**2) > 0.1 * expected**2
 
@@ -305,19 +302,3 @@ def test_the_gradient_is_that_of_the_criterion() -> None:
         step[place] = 1e-4 * (theta[place] or 1.0)
         rise = criterion(r, theta + step) - criterion(r, theta - step)
         assert slope == pytest.approx(rise / (2 * step[place]), rel=1e-6)
-
-
-def test_blocks_of_one_model_merge_and_of_two_do_not() -> None:
-    motor = placeholder_motor("CB560")
-    z = made_samples(motor, 300)
-    parts = [BlockStatistics(factor(part), motor.columns, "a") for part in (z[:100], z[100:])]
-    assert merge_blocks(parts).factor == pytest.approx(factor(z), rel=1e-9, abs=1e-9)
-    other = BlockStatistics(parts[1].factor, motor.columns, "b")
-    with pytest.raises(StatisticsError, match="a, b") as refused:
-        merge_blocks([parts[0], other])
-    assert refused.value.code == "hash"
-    reordered = BlockStatistics(parts[1].factor, motor.columns[::-1], "a")
-    with pytest.raises(StatisticsError):
-        merge_blocks([parts[0], reordered])
-    with pytest.raises(StatisticsError):
-        merge_blocks([])

@@ -1,4 +1,4 @@
-"""Film thickness ratio, regimes and plausibility, against the thesis's tables."""
+"""Film thickness ratio, and regimes against the thesis's table."""
 
 from __future__ import annotations
 
@@ -9,13 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from leakage.errors import ParameterError
-from leakage.film import (
-    REGIME_TABLES,
-    RegimeTable,
-    film_thickness_ratio,
-    gap_plausibility,
-    lubrication_regimes,
-)
+from leakage.film import REGIMES, film_thickness_ratio
 
 LENGTHS_M = st.floats(1e-8, 1e-4)
 
@@ -38,48 +32,12 @@ def test_ratio_falls_with_eccentricity_to_0_at_touch(gap_m: float, e: float, ste
     assert at_e > further >= touching == 0.0
 
 
-@pytest.mark.parametrize(
-    ("ratio", "table", "expected"),
-    [
-        (0.5, "[12]", ("boundary",)),
-        (2.0, "[12]", ("mixed",)),
-        (4.0, "[12]", ("mixed", "elastohydrodynamic")),
-        (7.0, "[12]", ("elastohydrodynamic", "hydrodynamic")),
-        (50.0, "[12]", ("hydrodynamic",)),
-        (500.0, "[12]", ("hydrodynamic",)),
-        (0.5, "[13]", ("boundary",)),
-        (2.0, "[13]", ("mixed",)),
-        (4.0, "[13]", ("elastohydrodynamic",)),
-        (7.0, "[13]", ("elastohydrodynamic", "hydrodynamic")),
-        (50.0, "[13]", ("hydrodynamic",)),
-    ],
-)
-def test_regimes_of_the_two_tables(
-    ratio: float, table: RegimeTable, expected: tuple[str, ...]
-) -> None:
-    assert lubrication_regimes(ratio, table) == expected
-
-
-@pytest.mark.parametrize("table", sorted(REGIME_TABLES))
-@given(ratio=st.floats(0.0, math.inf))
-def test_every_ratio_has_a_regime(table: RegimeTable, ratio: float) -> None:
-    assert 1 <= len(lubrication_regimes(ratio, table)) <= 2
-
-
-@pytest.mark.parametrize(
-    ("gap_um", "expected"),
-    [
-        (0.0, "below_usual_films"),
-        (0.4, "below_usual_films"),
-        (0.6, "elastohydrodynamic_film"),
-        (4.9, "elastohydrodynamic_film"),
-        (5.1, "hydrodynamic_film"),
-        (499.0, "hydrodynamic_film"),
-        (501.0, "above_usual_films"),
-    ],
-)
-def test_plausibility_by_usual_film_heights(gap_um: float, expected: str) -> None:
-    assert gap_plausibility(gap_um * 1e-6) == expected
+def test_regimes_leave_no_ratio_out() -> None:
+    """Section 2.2.4, after reference [12]."""
+    lowest, highest = zip(*REGIMES.values(), strict=True)
+    assert lowest == (0.0, 1.0, 3.0, 5.0)
+    assert highest == (1.0, 5.0, 10.0, math.inf)
+    assert all(low <= end for low, end in zip(lowest[1:], highest, strict=False))
 
 
 def test_nonsense_is_refused() -> None:
@@ -94,10 +52,3 @@ def test_nonsense_is_refused() -> None:
             film_thickness_ratio(gap_m, e, roughness_m, 0.0)
     with pytest.raises(ParameterError):
         film_thickness_ratio(1e-6, 0.0, 2e-7, -2e-7)
-    for ratio in (-1.0, math.nan):
-        with pytest.raises(ParameterError):
-            lubrication_regimes(ratio)
-        with pytest.raises(ParameterError):
-            gap_plausibility(ratio)
-    with pytest.raises(ParameterError, match="unknown"):
-        lubrication_regimes(1.0, "[11]")  # type: ignore[arg-type]

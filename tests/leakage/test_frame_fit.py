@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from leakage.conditions import OperatingConditions
 from leakage.errors import EstimationError, LeakageError, ShapeError, StatisticsError
-from leakage.frame_fit import FrameFit, fit_frame
+from leakage.frame_fit import fit_frame
+from leakage.frame_result import FrameFit
 from leakage.motor import total_flow_l_per_min
 from leakage.sensitivities import ChannelTolerance, Tolerances
 from tests.leakage.placeholders import placeholder_motor

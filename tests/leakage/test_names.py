@@ -1,10 +1,6 @@
-"""Names on top of the package, and those that were."""
+"""Names on top of the package."""
 
 from __future__ import annotations
-
-import importlib
-
-import pytest
 
 import leakage
 
@@ -12,21 +8,3 @@ import leakage
 def test_names_on_top_are_few_and_there() -> None:
     assert len(leakage.__all__) < 20
     assert all(hasattr(leakage, name) for name in leakage.__all__)
-
-
-@pytest.mark.parametrize(("module", "names"), leakage._MOVED.items())
-def test_a_moved_name_still_works_and_says_where_it_is(module: str, names: str) -> None:
-    for name in names.split():
-        with pytest.warns(DeprecationWarning, match=rf"leakage\.{name} .* from leakage\.{module}$"):
-            found = getattr(leakage, name)
-        assert found is getattr(importlib.import_module(f"leakage.{module}"), name)
-
-
-def test_names_of_functions_that_are_modules_too_are_the_functions() -> None:
-    assert callable(leakage.slow_errors)
-    assert callable(leakage.time_to_limit)
-
-
-def test_an_unknown_name_is_none() -> None:
-    with pytest.raises(AttributeError, match="no attribute 'slip'"):
-        _ = leakage.slip

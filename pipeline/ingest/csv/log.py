@@ -10,15 +10,14 @@ import codecs
 import re
 from collections.abc import Sequence
 from itertools import islice
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.motors import Logs
 from pipeline.errors import LogError
-from pipeline.ingest.contract import Place, RawLog
+from pipeline.ingest.contract import LogFile, Place, RawLog
 from pipeline.ingest.csv import cells as csv_cells
 from pipeline.ingest.csv.header import HeadedRows, Header, headed_rows, rows_begin
 from pipeline.ingest.csv.text import Lines, is_packed, is_utf8, read_lines, repaired
@@ -31,38 +30,28 @@ _SLACK = 1.1
 _MANY_RAGGED = 2**19
 
 
-def read_csv_log(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
-) -> RawLog:
+def read_csv_log(file: LogFile) -> RawLog:
     """Read the wanted columns of a CSV, plain or packed with gzip or Zstandard."""
-    reader = _Reader(
-        RawTable(path, logs, channels, latest_us), wanted_columns(path, logs, channels)
-    )
-    for lines in read_lines(path, logs.encoding):
+    reader = _Reader(RawTable(file), wanted_columns(file))
+    for lines in read_lines(file.path, file.logs.encoding):
         reader.read(lines)
     return reader.log()
 
 
-def read_csv_piece(
-    path: Path,
-    logs: Logs,
-    channels: Channels,
-    latest_us: int | None,
-    place: Place,
-    most_bytes: int,
-) -> tuple[RawLog | None, Place]:
+def csv_can_grow(file: LogFile) -> bool:
+    """True for plain text, to which rows are appended."""
+    return is_utf8(file.logs.encoding) and not is_packed(file.path)
+
+
+def read_csv_piece(file: LogFile, place: Place, most_bytes: int) -> tuple[RawLog | None, Place]:
     """Rows of a growing CSV from a place on, as far as its last line end, and the place behind."""
-    with path.open("rb") as file:
-        file.seek(place.position)
-        data = file.read(most_bytes)
+    with file.path.open("rb") as text_file:
+        text_file.seek(place.position)
+        data = text_file.read(most_bytes)
     end = max(data.rfind(b"\n"), data.rfind(b"\r")) + 1
     if not end:
         return None, place
-    reader = _Reader(
-        RawTable(path, logs, channels, latest_us),
-        wanted_columns(path, logs, channels),
-        is_whole=False,
-    )
+    reader = _Reader(RawTable(file), wanted_columns(file), is_whole=False)
     reader.header.resume(place.columns)
     text = data[:end] if place.position else data[:end].removeprefix(codecs.BOM_UTF8)
     reader.read(Lines(repaired(text)))
@@ -71,34 +60,30 @@ def read_csv_piece(
     return reader.log(), Place(place.position + end, reader.header.names)
 
 
-def csv_time_span(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
-) -> tuple[int, int]:
+def csv_time_span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp of a CSV, from its first and last rows where these can be read."""
-    times = Columns(wanted_columns(path, logs, channels).time, None, ())
-    if is_utf8(logs.encoding) and path.stat().st_size > 4 * _SPAN_PIECE and not is_packed(path):
+    times = Columns(wanted_columns(file).time, None, ())
+    if csv_can_grow(file) and file.path.stat().st_size > 4 * _SPAN_PIECE:
         try:
-            return _span_of_ends(path, logs, channels, latest_us, times)
+            return _span_of_ends(file, times)
         except LogError:
             pass  # The whole file says what is wrong, or has the span.
-    reader = _Reader(RawTable(path, logs, channels, latest_us), times)
-    for lines in read_lines(path, logs.encoding):
+    reader = _Reader(RawTable(file), times)
+    for lines in read_lines(file.path, file.logs.encoding):
         reader.read(lines)
     reader.require_rows_of_one_width()
     return reader.table.span()
 
 
-def _span_of_ends(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None, times: Columns
-) -> tuple[int, int]:
-    with path.open("rb") as file:
-        file.seek(-_SPAN_PIECE, 2)
-        tail = file.read()
+def _span_of_ends(file: LogFile, times: Columns) -> tuple[int, int]:
+    with file.path.open("rb") as text_file:
+        text_file.seek(-_SPAN_PIECE, 2)
+        tail = text_file.read()
     begin, end = tail.find(b"\n") + 1, max(tail.rfind(b"\n"), tail.rfind(b"\r")) + 1
-    reader = _Reader(RawTable(path, logs, channels, latest_us), times)
-    reader.read(next(read_lines(path, logs.encoding, _SPAN_PIECE)))
+    reader = _Reader(RawTable(file), times)
+    reader.read(next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)))
     first = reader.table.span()
-    reader.table = RawTable(path, logs, channels, latest_us)
+    reader.table = RawTable(file)
     reader.read(Lines(repaired(tail[begin:end])))
     last = reader.table.span()
     return min(first[0], last[0]), max(first[1], last[1])

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span
-from pipeline.ingest.contract import RawChannel, RawLog
+from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span, span_of_log
+from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
 from pipeline.ingest.mcap.json import json_decoder, require_json_field
@@ -90,15 +90,14 @@ class _Content:
     loss: str = ""
 
 
-def read_mcap_log(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
-) -> RawLog:
+def read_mcap_log(file: LogFile) -> RawLog:
     """Read the wanted topics of an MCAP file, chunked or not."""
+    path, logs, channels = file.path, file.logs, file.channels
     wanted = _wanted(channels)
     content = _content(path, logs, wanted)
     _require_topics(path, wanted, content)
     placed_stamps = [_placed(parts, logs.time_zone) for parts in content.parts.values()]
-    stamps, refused = judged(path, placed_stamps, _time_name(logs), latest_us)
+    stamps, refused = judged(path, placed_stamps, _time_name(logs), file.latest_us)
     del placed_stamps
     found: dict[str, RawChannel] = {}
     for (topic, fields), judged_stamps in zip(wanted.items(), stamps, strict=True):
@@ -128,18 +127,15 @@ def read_mcap_log(
     return raw_log(in_order, rows, refused, [content.loss] if content.loss else [])
 
 
-def mcap_time_span(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
-) -> tuple[int, int]:
+def mcap_time_span(file: LogFile) -> tuple[int, int]:
     """First and last time stamp of all messages, from the summary or else from the messages.
 
     Where the stamps stand within the messages, only those of the wanted topics are looked at, and
     the file is read.
     """
+    path, logs, latest_us = file.path, file.logs, file.latest_us
     if logs.stamp:
-        log = read_mcap_log(path, logs, channels, latest_us)
-        ends = [log.first_us, log.last_us] if log.first_us is not None else []
-        return span(path, [np.array(ends, dtype=np.int64)])
+        return span_of_log(path, read_mcap_log(file))
     summary_span = None if logs.time == "publish_time" else _summary_span(path, logs, latest_us)
     if summary_span is not None:
         return summary_span

@@ -2,3 +2,10 @@
 
 Imports `ingest`'s contract, `config` and what lies below.
 """
+
+from pipeline.ingest.contract import Reader
+from pipeline.ingest.parquet.log import parquet_time_span, read_parquet_log
+
+__all__ = ["READER"]
+
+READER = Reader(read_parquet_log, parquet_time_span)

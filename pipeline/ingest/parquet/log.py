@@ -13,12 +13,12 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.motors import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
 from pipeline.ingest.assembly import readings_of
-from pipeline.ingest.contract import RawLog
+from pipeline.ingest.contract import LogFile, RawLog
 from pipeline.ingest.parquet.file import Place, opened, place_of, text_paths, within
 from pipeline.ingest.table import Columns, RawTable, wanted_columns
 from pipeline.ingest.time_stamps import WrittenStamps, written
@@ -34,24 +34,20 @@ _BATCH_ROWS = 2**18
 _ROWS_OF_A_DAY = 24 * 3600 * 100
 
 
-def read_parquet_log(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
-) -> RawLog:
+def read_parquet_log(log: LogFile) -> RawLog:
     """Read the wanted columns of a Parquet file."""
-    table = RawTable(path, logs, channels, latest_us)
-    _gather(path, wanted_columns(path, logs, channels), table)
+    table = RawTable(log)
+    _gather(log.path, wanted_columns(log), table)
     return table.log({})
 
 
-def parquet_time_span(
-    path: Path, logs: Logs, channels: Channels, latest_us: int | None = None
-) -> tuple[int, int]:
+def parquet_time_span(log: LogFile) -> tuple[int, int]:
     """First and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata
     # are damaged ends the process, where reading the column raises.
-    table = RawTable(path, logs, channels, latest_us)
-    times = wanted_columns(path, logs, channels).time
-    _gather(path, Columns(times, None, ()), table)
+    table = RawTable(log)
+    times = wanted_columns(log).time
+    _gather(log.path, Columns(times, None, ()), table)
     return table.span()
 
 

@@ -14,7 +14,7 @@
       return {
         absent:
           night.fit.status === "ok"
-            ? "No search was run: nothing is free, or it was not asked for."
+            ? "No search was run: nothing is free, or none was due (estimation.search_every_nights)."
             : unfitted(night),
       };
     const reached = starts.cost.map((cost, at) => at).filter((at) => starts.cost[at] !== null);

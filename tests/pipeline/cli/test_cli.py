@@ -10,7 +10,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -534,25 +534,35 @@ def test_version(call: Call) -> None:
     assert (code, out, err) == (0, f"motor-leakage {version('motor-leakage')}\n", "")
 
 
+NO_COMMAND_NEEDS = ("pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset")
+NOT_FOR_STATUS = (*NO_COMMAND_NEEDS, "scipy", "joblib", "pyarrow.compute", "rich")
+
+
+def loaded_by(code: str, names: Sequence[str]) -> list[str]:
+    """Those of some modules that a fresh process has loaded after some code."""
+    code += f"\nimport sys; print(*(name for name in {names} if name in sys.modules))"
+    command = [sys.executable, "-c", code]
+    said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    return said.splitlines()[-1].split()
+
+
 def test_help_imports_nothing_heavy() -> None:
     heavy = "polars", "scipy", "pyarrow", "numpy", "pipeline.run.fleet"
-    code = f"import sys, pipeline.cli; print([name for name in {heavy} if name in sys.modules])"
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"
+    assert loaded_by("import pipeline.cli", heavy) == []
 
 
 def test_a_run_begins_without_what_it_does_not_need() -> None:
     """Each of these takes as long to import as a third of the program."""
-    late = "pandas", "matplotlib", "plotly", "jinja2", "ruptures", "pyarrow.dataset", "duckdb"
+    assert loaded_by("import pipeline.run.fleet", (*NO_COMMAND_NEEDS, "duckdb")) == []
+
+
+def test_status_neither_fits_nor_draws(fleet: Path) -> None:
     code = (
-        f"import sys, pipeline.run.fleet; print([name for name in {late} if name in sys.modules])"
+        "import contextlib, pipeline.cli.state as s; from pathlib import Path; from typer import "
+        f"Exit\nwith contextlib.suppress(Exit): s.status(Path({str(fleet)!r}))"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    )
-    assert result.stdout.strip() == "[]"
+    unused = (*NOT_FOR_STATUS, "pipeline.night.fit_night", "leakage.monitoring")
+    assert loaded_by(code, unused) == []
 
 
 # As people start it

@@ -14,8 +14,9 @@ from leakage import AnnularGap, Constant, Laminar, Motor, Parameter, SpeedCurve,
 from leakage.conditions import OperatingConditions
 from leakage.film import film_thickness_ratio
 from pipeline.config import MotorSpec, load_fleet
-from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     Operation,
@@ -24,6 +25,7 @@ from tests.pipeline.simulated import (
     night_of,
     operate,
     raw,
+    with_settings,
     write_configs,
     write_log,
 )
@@ -217,7 +219,8 @@ def test_the_laminar_path_is_searched_as_well(axial: MotorSpec) -> None:
     flow = operation.flow(axial_by_hand(axial))
     noisy = flow + np.random.default_rng(3).normal(0.0, 0.005, len(flow))
     values = operation.channels(noisy)
-    outcome = fit_night(axial, night_of(), raw(operation.time_us, values), {})
+    searched = with_settings(axial, "estimation", search_every_nights=1)
+    outcome = fit_night(searched, night_of(), raw(operation.time_us, values), {})
     (row,) = outcome.rows["fits"]
     assert row["n_starts"] == 10
     assert row["n_starts_at_minimum"] >= 9

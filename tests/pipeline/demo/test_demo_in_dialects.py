@@ -17,6 +17,7 @@ from tests.dialects.catalogue import DIALECTS, OVER_A_CLOCK_CHANGE
 from tests.dialects.comparison import compare
 from tests.dialects.dialect import Dialect
 from tests.dialects.fleet import Nights, first_nights, write_fleet
+from tests.pipeline.simulated import with_search
 
 END_OF_SUMMER_TIME = dt.date(2025, 10, 26)
 SEARCH = 1e-6
@@ -34,10 +35,10 @@ class Fitted:
     output: Path
 
 
-def fit(config: Path, output: Path) -> RunResult:
-    fleet = load_fleet(config)
+def fit(config: Path, output: Path, *motors: str) -> RunResult:
+    fleet = with_search(load_fleet(config))
     execution = fleet.execution.model_copy(update={"backend": "sequential"})
-    return run_fleet(RunRequest(replace(fleet, execution=execution, output=output)))
+    return run_fleet(RunRequest(replace(fleet, execution=execution, output=output), motors))
 
 
 @pytest.fixture(scope="session")
@@ -102,8 +103,7 @@ def test_a_night_in_which_an_hour_comes_twice(dialect: Dialect, tmp_path: Path) 
     write_demo(demo, nights=1, minutes=300, rate_hz=1.0, workers=1, first_night=END_OF_SUMMER_TIME)
     fleet = load_fleet(demo / "configs" / "fleet.toml")
     motor = fleet.motors[OVER_A_CLOCK_CHANGE.index(dialect)].motor_id
-    execution = fleet.execution.model_copy(update={"backend": "sequential"})
-    run_fleet(RunRequest(replace(fleet, execution=execution, output=tmp_path / "out"), (motor,)))
+    fit(demo / "configs" / "fleet.toml", tmp_path / "out", motor)
     nights = first_nights(demo)
     (log,) = nights[motor].values()
     clock = dialect.wall_clock(int(log.time_us[0])), dialect.wall_clock(int(log.time_us[-1]))

@@ -14,14 +14,19 @@ class Source(NamedTuple):
     channels: Channels
 
     @staticmethod
-    def of(log_format: Any, channels: Channels, **keys: Any) -> Source:
+    def of(log_format: str, channels: Channels, **keys: Any) -> Source:
         """Logs of a format, with any key of `Logs`."""
-        return Source(Logs(format=log_format, files=("*",), **keys), channels)
+        return Source(logs_of(log_format, **keys), channels)
 
     def but(self, channels: Channels | None = None, **keys: Any) -> Source:
         """With other channels, or other keys of `Logs`."""
         logs = Logs(**self.logs.model_dump() | keys)
         return Source(logs, self.channels if channels is None else channels)
+
+
+def logs_of(log_format: str, **keys: Any) -> Logs:
+    """Logs of a format, with any key of `Logs`."""
+    return Logs(format=log_format, files=("*",), **keys)
 
 
 def column(name: str, unit: str, **keys: Any) -> Channel:

@@ -19,12 +19,13 @@ from pipeline.config import load_fleet
 from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
+from pipeline.ingest.conformance import CHANNELS, T0_US, Format, Row
 from pipeline.logs.files import covered
 from pipeline.logs.ledger import FileRecord
 from tests.pipeline.simulated import motor_toml, write_configs
 
 from .sources import Source, column
-from .writers import CHANNELS, FORMATS, T0_US, Format, Row
+from .writers import FORMATS
 
 NAMES = ("dp", "T", "q")
 GOOD = {"dp": 200.0, "T": 50.0, "q": 1.0}
@@ -59,17 +60,17 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
 ) -> None:
     """A reader judges nothing but the file itself; the record of the file has the code."""
     (spec,) = load_fleet(write_configs(tmp_path, {"M1": motor_toml("M1")})).motors
-    path = tmp_path / f"CB560-01.{form.source.logs.format}"
+    path = tmp_path / f"CB560-01.{form.log_format}"
     record = FileRecord(path.name, 1, 1, "x")
     form.write(path, rows_of(5, dp=None, T=None, q=None), NAMES)
-    log = read_log(path, *form.source)
+    log = read_log(path, form.logs, CHANNELS)
     assert all(channel.missing.all() for channel in log.channels.values())
     with pytest.raises(LogError, match=path.name) as raised:
         covered(record, log, spec)
     assert (raised.value.code, raised.value.place) == ("log_empty", "pressure_difference")
     assert "all 5 cells of leakage_flow are blank" in raised.value.message
     form.write(path, rows_of(5, T=None), NAMES)
-    found = covered(record, read_log(path, *form.source), spec)
+    found = covered(record, read_log(path, form.logs, CHANNELS), spec)
     assert (found.status, found.message) == ("ok", "all 5 cells of oil_temperature are blank")
 
 
@@ -77,7 +78,7 @@ def test_all_null_is_read_as_what_it_is_and_told_by_the_file_s_record(
 def test_what_may_not_be_opened(
     form: Format, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path = tmp_path / f"CB560-01.{form.source.logs.format}"
+    path = tmp_path / f"CB560-01.{form.log_format}"
     form.write(path, rows_of(5), NAMES)
     if os.geteuid():
         path.chmod(0)
@@ -89,7 +90,7 @@ def test_what_may_not_be_opened(
         monkeypatch.setattr(Path, "open", refuse)
         monkeypatch.setattr(pq, "ParquetFile", refuse)
     for read in (read_log, time_span):
-        check(path, form.source, "log_not_readable", "Permission denied", read)
+        check(path, Source(form.logs, CHANNELS), "log_not_readable", "Permission denied", read)
 
 
 def csv_of(folder: Path, data: bytes | str) -> Path:

@@ -11,7 +11,7 @@ import pytest
 
 from pipeline.config.motors import Channels
 from pipeline.ingest import RawLog, read_log
-from tests.pipeline.ingest.writers import T0_US
+from pipeline.ingest.conformance import T0_US
 
 from .sources import Source, column
 

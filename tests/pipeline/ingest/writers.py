@@ -7,9 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-import random
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -18,69 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from mcap.writer import CompressionType, IndexType, Writer
 
-from pipeline.config.motors import Channels
-
-from .sources import Source, column
-
-T0_US = 1_740_808_800_000_000
-"""2025-03-01T06:00:00 UTC (``date -u -d @1740808800``)."""
-
-CHANNELS: Channels = {
-    "pressure_difference": column("dp", "bar"),
-    "oil_temperature": column("T", "degC"),
-    "leakage_flow": column("q", "l/min"),
-}
-
-STEP_US = 100_000
-"""Between rows."""
-
-Cell = float | str | None
-"""A number, text that is none, or nothing; a channel not logged at a time has no cell then."""
-
-
-@dataclass(frozen=True)
-class Row:
-    """Cells logged at one time."""
-
-    time_us: int
-    cells: Mapping[str, Cell]
-
-
-@dataclass(frozen=True)
-class Format:
-    """A way to write a log, and the source that says so.
-
-    Attributes
-    ----------
-    wide
-        All channels share the rows.
-    holds_text
-        A reading may be written that is no number.
-    is_checked
-        Checksums cover all samples.
-    names_channels
-        A log without samples says which channels it has.
-    """
-
-    name: str
-    source: Source
-    write: Callable[[Path, Sequence[Row], Sequence[str]], None]
-    wide: bool = True
-    holds_text: bool = True
-    is_checked: bool = False
-    names_channels: bool = True
-
-
-def many_rows(count: int = 200) -> list[Row]:
-    """Pressure and flow at 10 Hz, temperature every second."""
-    rng = random.Random(7)  # noqa: S311
-    rows = []
-    for i in range(count):
-        cells = {"dp": rng.gauss(200.0, 30.0), "q": rng.gauss(1.3, 0.1)}
-        if i % 10 == 0:
-            cells["T"] = round(rng.gauss(50.0, 1.0), 1)
-        rows.append(Row(T0_US + i * STEP_US, cells))
-    return rows
+from pipeline.ingest.conformance import Cell, Format, Row
 
 
 def iso(time_us: int, digits: int = 6) -> str:
@@ -159,7 +95,7 @@ def _mcap(
 ) -> Format:
     return Format(
         name,
-        Source.of("mcap", CHANNELS),
+        "mcap",
         write_mcap(**options),
         wide=False,
         is_checked=is_checked,
@@ -168,27 +104,28 @@ def _mcap(
 
 
 FORMATS = (
-    Format("csv", Source.of("csv", CHANNELS), write_csv),
+    Format("csv", "csv", write_csv, has_whole_rows=True),
     Format(
         "csv-european",
-        Source.of(
-            "csv",
-            CHANNELS,
-            time="Zeit",
-            time_format="%d.%m.%Y %H:%M:%S,%f",
-            time_zone="Europe/Berlin",
-            separator=";",
-            decimal=",",
-            encoding="utf-16",
-            skip_rows=2,
-        ),
+        "csv",
         write_european_csv,
+        keys={
+            "time": "Zeit",
+            "time_format": "%d.%m.%Y %H:%M:%S,%f",
+            "time_zone": "Europe/Berlin",
+            "separator": ";",
+            "decimal": ",",
+            "encoding": "utf-16",
+            "skip_rows": 2,
+        },
+        has_whole_rows=True,
     ),
-    Format("parquet", Source.of("parquet", CHANNELS), write_parquet, holds_text=False),
+    Format("parquet", "parquet", write_parquet, holds_text=False),
     Format(
         "parquet-other",
-        Source.of("parquet", CHANNELS, time_zone="Europe/Berlin"),
+        "parquet",
         write_other_parquet,
+        keys={"time_zone": "Europe/Berlin"},
         holds_text=False,
     ),
     _mcap("mcap-zstd", compression=CompressionType.ZSTD),

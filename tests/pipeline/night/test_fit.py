@@ -16,8 +16,9 @@ from scipy.signal import lfilter
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
 from pipeline.demo import shipped_configs
-from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.tolerances import tolerances
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     Operation,

@@ -16,17 +16,10 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.ingest import RawChannel, read_log
 from pipeline.night.block_fit import night_seed
-from pipeline.night.fit_night import (
-    FAILED,
-    INSUFFICIENT_DATA,
-    OK,
-    STOOD_STILL,
-    NightOutcome,
-    fit_night,
-    unfitted,
-)
+from pipeline.night.fit_night import NightOutcome, fit_night, unfitted
 from pipeline.night.rows import Rows
 from pipeline.schema import NIGHT_TABLES, frame
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, OK, STOOD_STILL
 from tests.pipeline.simulated import (
     CANONICAL,
     NIGHT,
@@ -244,7 +237,7 @@ def test_rows_fit_their_tables_and_no_key_stands_twice(tmp_path: Path) -> None:
     values = simulate(spec, operation)
     # Without any error there are no residuals to test.
     values["leakage_flow"] += 0.01 * np.random.default_rng(1).standard_normal(2400)
-    outcome = fit(spec, operation, values)
+    outcome = fit(with_settings(spec, "estimation", search_every_nights=1), operation, values)
     for table in NIGHT_TABLES:
         rows = frame(table, outcome.rows.get(table.name, []), without="run_id")
         key = [name for name in table.key if name in rows.columns]
@@ -437,6 +430,7 @@ def test_a_seed_for_each_run_motor_night_and_mode() -> None:
 def test_the_seed_moves_the_starts_and_not_the_estimate(spec: MotorSpec) -> None:
     operation = operate()
     values = noisy(simulate(spec, operation))
+    spec = with_settings(spec, "estimation", search_every_nights=1)
     other = with_settings(spec, "estimation", seed=2)
     one, same, two = (fit(which, operation, values).rows for which in (spec, spec, other))
     assert one == same
@@ -450,10 +444,17 @@ def test_the_seed_moves_the_starts_and_not_the_estimate(spec: MotorSpec) -> None
 
 def test_starts_end_at_the_certificate_and_never_below(spec: MotorSpec) -> None:
     operation = operate()
-    rows = fit(spec, operation, noisy(simulate(spec, operation))).rows
+    values = noisy(simulate(spec, operation))
+    every = with_settings(spec, "estimation", search_every_nights=1)
+    rows = fit(every, operation, values).rows
     row = fit_of(rows)
     assert (row["n_starts"], row["n_starts_at_minimum"]) == (10, 10)
     assert all(start["cost"] >= row["cost"] * (1.0 - 1e-10) for start in rows["starts"])
+    # The audit of another night leaves nothing but what the search itself tells.
+    other = fit(with_settings(spec, "estimation", search_every_nights=7), operation, values).rows
+    assert NIGHT.toordinal() % 7
+    assert (fit_of(other)["n_starts"], fit_of(other)["certificate_gap"]) == (0, None)
+    assert (other["starts"], values_of(other, "none")) == ([], values_of(rows, "none"))
     # h and e of one gap spread over the starts, K does not (model.md, section 4.1).
     spread = {one["parameter"]: one.get("spread_over_starts") or 0.0 for one in rows["parameters"]}
     assert spread["h_balance_piston"] > 0.5

@@ -19,6 +19,7 @@ from pipeline.schema import NIGHT_TABLES
 from tests.pipeline.simulated import NIGHT
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
+EVERY_NIGHT = "search_every_nights = 1\nstarting_points = "
 OTHER_REFERENCE = QUICK + "[reference]\npressure_bar = 150.0\ntemperature_c = 45.0\n"
 OTHER_CLEANING = QUICK + "[cleaning]\nhampel_threshold = 6.0\n"
 
@@ -65,10 +66,10 @@ def figures(workshop: Workshop, table: str) -> pl.DataFrame:
 def test_starts_are_made_without_a_log_where_asked_for(tmp_path: Path) -> None:
     workshop = Workshop.at(tmp_path)
     workshop.log(NIGHT)
-    workshop.configure(fleet=QUICK.replace("starting_points = 0", "starting_points = 4"))
+    workshop.configure(fleet=QUICK.replace("starting_points = 0", EVERY_NIGHT + "4"))
     workshop.run()
     first = workshop.rows("starts")
-    workshop.configure(fleet=OTHER_REFERENCE.replace("starting_points = 0", "starting_points = 6"))
+    workshop.configure(fleet=OTHER_REFERENCE.replace("starting_points = 0", EVERY_NIGHT + "6"))
     assert workshop.run().n_refitted == 1
     assert_frame_equal(workshop.rows("starts"), first, check_exact=True)
     assert workshop.run(with_starts=True).n_refitted == 1

@@ -16,8 +16,9 @@ from scipy.signal import lfilter
 
 from leakage import OperatingConditions, regressors
 from pipeline.config import MotorSpec
-from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.report.explain_residuals import explain_residuals
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     Operation,

@@ -15,10 +15,11 @@ from pipeline.config import Channel, Cleaning, TimeBase
 from pipeline.config.faults import ConfigError
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
-from pipeline.night.fit_night import FAILED, OK, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.masks import spike
 from pipeline.night.sampling import Sampling, flow_from_counts, means_too_long, step_of_readings
 from pipeline.night.time_base import grid_period_us, on_grid
+from pipeline.schema.fits import FAILED, OK
 from tests.pipeline.night.channels import SECOND, Times, as_read, refused_by
 from tests.pipeline.simulated import (
     CANONICAL,

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 
 from pipeline.config import TransportDelay
 from pipeline.config.faults import ConfigError
-from pipeline.night.fit_night import OK, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.transport_delay import (
     delay_inputs,
     delay_on_grid_s,
     drain_line_delay_s,
     shifted,
 )
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     load_motor,

@@ -27,8 +27,9 @@ from pipeline.config.hashes import model_hash
 from pipeline.config.motors import Periods
 from pipeline.config.nights import night
 from pipeline.config.periods import ChosenPeriods
-from pipeline.night.fit_night import INSUFFICIENT_DATA, NightOutcome, fit_night
+from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.windows import left_out, too_uniform
+from pipeline.schema.fits import INSUFFICIENT_DATA
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 SECOND = 1_000_000

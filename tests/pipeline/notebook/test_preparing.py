@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +10,16 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from leakage.frame_fit import fit_frame
+from benchmarks.notebook import figures_of, published_figures
+from leakage.frame_result import FrameFit
 from leakage.sample_blocks import DefaultWindows
 from pipeline.config import MotorSpec, Windows
 from pipeline.errors import UsageError
-from pipeline.night.fit_night import OK, fit_night
+from pipeline.night.fit_night import fit_night
 from pipeline.night.rows import Row
 from pipeline.night.tolerances import tolerances
-from pipeline.notebook import Prepared, prepare, prepare_log
+from pipeline.notebook import open_tables, prepare, prepare_log
+from pipeline.schema.fits import OK
 from tests.pipeline.simulated import (
     NIGHT,
     Array,
@@ -63,36 +65,33 @@ def as_frame(time_us: NDArray[np.int64], values: dict[str, Array]) -> pl.DataFra
     return pl.DataFrame({"time": time} | columns)
 
 
-def compare_with_the_night(prepared: Prepared, spec: MotorSpec, rows: dict[str, list[Row]]) -> None:
-    motor, sensors = spec.motor(NIGHT, spec.file.flushing.mode), tolerances(spec, NIGHT)
-    found = fit_frame(prepared.frame, motor, tolerances=sensors)
+def differences(found: FrameFit, rows: dict[str, list[Row]]) -> dict[str, object]:
+    """Figures of a fit to a frame that are not those of the night's rows."""
     (fit,) = rows["fits"]
-    names = [path.coefficient_name for path in found.motor.column_paths]
-    assert list(found.params.values())[: len(names)] == fit["coefficients"][: len(names)]
-    assert (found.training.n, found.validation.n) == (fit["n_training"], fit["n_validation"])
-    assert found.training.fit_percent == fit["training_fit_percent"]
-    assert found.validation.fit_percent == fit["validation_fit_percent"]
-    assert found.structured is not None
-    assert 100.0 * found.structured.share == fit["model_misfit_percent"]
-    intervals = found.conf_int()
-    for row in rows["parameters"]:
-        if row["parameter"] in names:
-            judged = found.judgements[row["parameter"]]
-            assert intervals[row["parameter"]] == (row["lower"], row["upper"])
-            assert judged.verdict == row["verdict"]
-    reference = found.leakage(200.0, 50.0, 30.0)
-    assert reference.leakage_l_per_min == fit["reference_leakage_l_per_min"]
-    assert reference.interval is not None
-    assert reference.verdict == fit["reference_verdict"]
-    assert reference.interval.half_width == fit["reference_leakage_statistical_half_width"]
+    wanted = published_figures(fit, rows["parameters"])
+    figures = figures_of(found, fit)
+    return {name: one for name, one in figures.items() if one != wanted[name]}
 
 
-def test_the_same_figures_as_the_nightly_run_to_the_last_bit(spec: MotorSpec) -> None:
+@pytest.mark.parametrize(
+    "more",
+    [
+        "",
+        "[override.smoothing]\nwindow_s = 5.0\n",
+        '[override.smoothing]\nwindow_s = 5.0\napply_to = "leakage"\n',
+        '[override.estimation]\nloss = "huber"\n',
+    ],
+)
+def test_the_same_figures_as_the_nightly_run_to_the_last_bit(tmp_path: Path, more: str) -> None:
+    spec = load_motor(tmp_path, motor_toml("M1", more=more))
     time_us, values = night_like_the_demo_s(spec)
-    prepared = prepare(as_frame(time_us, values))
+    prepared = prepare(as_frame(time_us, values), settings=spec.settings)
+    prepared = replace(prepared, tolerances=tolerances(spec, NIGHT))
     outcome = fit_night(spec, night_of(), raw(time_us, values), {})
     assert outcome.status == OK
-    compare_with_the_night(prepared, spec, outcome.rows)
+    found = prepared.fit(spec.motor(NIGHT, "none"))
+    assert differences(found, outcome.rows) == {}
+
     told = {(row["channel"], row["reason"]): row["n_refused"] for row in outcome.rows["quality"]}
     for row in prepared.refused.iter_rows(named=True):
         assert told[row["channel"], row["reason"]] == row["n_refused"]
@@ -105,11 +104,25 @@ def test_a_long_night_of_merged_blocks_is_fitted_as_the_nightly_run_does(spec: M
     values["leakage_flow"] += 0.05 * np.sin(np.arange(len(time_us)) / 400.0)
     outcome = fit_night(spec, night_of(), raw(time_us, values), {})
     assert any(row["short_means"] for row in outcome.rows["block_statistics"])
-    found = fit_frame(prepare(as_frame(time_us, values)).frame, spec.motor(NIGHT, "none"))
+    prepared = prepare(as_frame(time_us, values))
+    found = replace(prepared, tolerances=tolerances(spec, NIGHT)).fit(spec.motor(NIGHT, "none"))
     assert found.identification.slow.are_slow
-    (fit,) = outcome.rows["fits"]
-    assert found.identification.slow.memory == fit["slow_error_memory"]
-    assert list(found.params.values()) == pytest.approx(fit["coefficients"], rel=1e-5)
+    assert differences(found, outcome.rows) == {}
+
+
+def test_the_demo_s_nights_have_the_figures_of_the_nightly_run(
+    demo_folder: Path, fitted_output: Path
+) -> None:
+    tables = open_tables(fitted_output)
+    of_night = pl.col("night") == pl.col("night").min()
+    fits = tables.fits().filter(of_night).collect()
+    for fit in fits.iter_rows(named=True):
+        motor_id, label = fit["motor_id"], fit["night"]
+        found = prepare_log(demo_folder / "configs" / "fleet.toml", motor_id, label).fit()
+        own = {"motor_id": motor_id, "night": label, "flushing_mode": fit["flushing_mode"]}
+        parameters = tables.table("parameters").filter(**own).collect().to_dicts()
+        assert differences(found, {"fits": [fit], "parameters": parameters}) == {}
+    assert fits.height == 6
 
 
 def test_logs_are_prepared_as_a_frame_of_them_is(tmp_path: Path, spec: MotorSpec) -> None:

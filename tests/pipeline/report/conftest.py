@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipeline.report import ReportRequest, build_report
+from pipeline.report.build import ReportRequest, build_report
 from pipeline.schema import TABLES
 from pipeline.store.tables import read_table, write_table
 from tests.conftest import made_once

@@ -19,7 +19,7 @@ import pytest
 import pipeline.report.build as build_module
 from pipeline.config import Execution
 from pipeline.errors import StoreError, UsageError
-from pipeline.report import KnownMotor, ReportRequest, ReportResult, build_report
+from pipeline.report.build import KnownMotor, ReportRequest, ReportResult, build_report
 from pipeline.schema import FITS, PARAMETERS, PREDICTIONS, TRENDS
 from pipeline.store.sealed import put_sealed, read_sealed, seal, unseal
 from pipeline.store.tables import VERSION_KEY, night_file, read_table, write_table

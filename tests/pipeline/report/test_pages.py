@@ -19,7 +19,7 @@ from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.ui import Select, WebDriverWait
 
-from pipeline.report import KnownMotor, ReportRequest, build_report
+from pipeline.report.build import KnownMotor, ReportRequest, build_report
 from pipeline.schema import (
     ALARMS,
     BASELINES,

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from pipeline.errors import UsageError
-from pipeline.report import ReportRequest
+from pipeline.report.build import ReportRequest
 from pipeline.report.first_screen import first_screen
 from pipeline.report.history import motor_histories
 from pipeline.report.paper import STYLE, page_of, write_paper

@@ -20,7 +20,7 @@ from pipeline.config.time_formats import require_time_format
 from pipeline.export.csv import Selection, export_csv
 from pipeline.ingest.table import is_of_file
 from pipeline.logs.files import find_logs
-from pipeline.report import ReportRequest, build_report
+from pipeline.report.build import ReportRequest, build_report
 from pipeline.report.status import FleetStatus
 from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.setup.check import check_fleet

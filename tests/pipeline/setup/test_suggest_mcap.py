@@ -19,8 +19,8 @@ from mcap.writer import CompressionType, Writer
 from mcap_ros2._dynamic import serialize_dynamic
 
 from pipeline.ingest import read_log
+from pipeline.ingest.conformance import T0_US
 from pipeline.setup.suggest import suggest
-from tests.pipeline.ingest.writers import T0_US
 from tests.pipeline.simulated import load_motor
 
 HEAD = 'motor_id = "M1"\nmotor_type = "CB560"\noil = "vg68"\n'

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-import os
 import shutil
 import threading
 from collections.abc import Callable, Iterator
@@ -68,8 +67,6 @@ def publish(output: Path, *nights: dt.date, refused: int = 1) -> Publisher:
 
 @pytest.fixture
 def output(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(os, "fsync", lambda _: None)
-    monkeypatch.setattr(os, "sync", lambda: None)
     output = tmp_path / "out"
     (output / "staging" / "run").mkdir(parents=True)
     publisher = publish(output, *NIGHTS, OPEN)

@@ -23,7 +23,7 @@ from tests.pipeline.workshop import DAY, QUICK, Workshop
 # The nights lie on both sides of a month's end.
 FIRST = dt.date(2026, 2, 26)
 NIGHTS = tuple(FIRST + number * DAY for number in range(6))
-SEARCHED = QUICK.replace("starting_points = 0", "starting_points = 2")
+SEARCHED = QUICK.replace("starting_points = 0", "search_every_nights = 1\nstarting_points = 2")
 HEAVY = ("predictions", "starts")
 KEPT = dict.fromkeys(HEAVY, 2)
 Command = Callable[..., tuple[object, str, str]]

@@ -13,9 +13,9 @@ import zstandard
 
 import pipeline.ingest.csv.text
 from pipeline.ingest import RawLog, time_span
+from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
 from tests.pipeline.ingest.sources import column
-from tests.pipeline.ingest.writers import T0_US
 
 ROWS = "".join(f"{DAY}{i}Z,{i},{10 * i}\n" for i in range(5))
 

@@ -14,10 +14,10 @@ import pipeline.ingest.csv.log
 import pipeline.ingest.csv.text
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
+from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.csv.text import read_lines
 from tests.pipeline.ingest.csv_files import DAY, SOURCE, error, read
 from tests.pipeline.ingest.sources import column
-from tests.pipeline.ingest.writers import T0_US
 
 
 def pressure(log: RawLog) -> RawChannel:

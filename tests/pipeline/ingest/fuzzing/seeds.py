@@ -21,18 +21,10 @@ import zstandard
 from google.protobuf import descriptor_pb2
 from mcap.writer import CompressionType, IndexType, Writer
 
+from pipeline.ingest.conformance import CHANNELS, Row, many_rows
 from tests.pipeline.ingest.fuzzing.checksums import parquet_ranges
 from tests.pipeline.ingest.sources import Source, changed
-from tests.pipeline.ingest.writers import (
-    CHANNELS,
-    FORMATS,
-    Row,
-    columns,
-    iso,
-    many_rows,
-    number,
-    write_csv,
-)
+from tests.pipeline.ingest.writers import FORMATS, columns, iso, number, write_csv
 
 LARGEST = 16 * 1024
 """Bytes of a seed."""
@@ -105,12 +97,16 @@ def _csv_seeds() -> list[Seed]:
     # What the format's own tool writes has a checksum, what libraries write has none.
     zst = zstandard.ZstdCompressor(write_checksum=True).compress
     return [
-        _seed("csv", plain.source, _plain_csv),
-        _seed("csv-utf-16", european.source, lambda path, rows: european.write(path, rows, _NAMES)),
+        _seed("csv", Source(plain.logs, CHANNELS), _plain_csv),
+        _seed(
+            "csv-utf-16",
+            Source(european.logs, CHANNELS),
+            lambda path, rows: european.write(path, rows, _NAMES),
+        ),
         _seed("csv-long", long, _long_csv),
-        _seed("csv-gz", plain.source, _packed(gzip.compress), _EVERYWHERE),
-        _seed("csv-zst", plain.source, _packed(zst), _EVERYWHERE),
-        _seed("csv-zst-no-checksum", plain.source, _packed(zstandard.compress)),
+        _seed("csv-gz", Source(plain.logs, CHANNELS), _packed(gzip.compress), _EVERYWHERE),
+        _seed("csv-zst", Source(plain.logs, CHANNELS), _packed(zst), _EVERYWHERE),
+        _seed("csv-zst-no-checksum", Source(plain.logs, CHANNELS), _packed(zstandard.compress)),
     ]
 
 

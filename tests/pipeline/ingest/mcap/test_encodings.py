@@ -17,6 +17,7 @@ from mcap.writer import Writer
 import pipeline.ingest.mcap.log
 from pipeline.errors import LogError
 from pipeline.ingest import time_span
+from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.mcap_files import (
     JSON,
     T0_NS,
@@ -27,7 +28,6 @@ from tests.pipeline.ingest.mcap_files import (
     source_of,
     values,
 )
-from tests.pipeline.ingest.writers import T0_US
 
 # Stamps within the messages
 

@@ -24,11 +24,12 @@ import pipeline.ingest.mcap.log
 import pipeline.ingest.mcap.messages
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
+from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.mcap.chunks import indexed_positions, offsets_in_chunk
 from pipeline.ingest.mcap.layout import record_offsets
 from pipeline.ingest.mcap.messages import read_messages
 from tests.pipeline.ingest.sources import Source, column
-from tests.pipeline.ingest.writers import T0_US, mcap_bytes
+from tests.pipeline.ingest.writers import mcap_bytes
 
 SOURCE = Source.of("mcap", {"pressure_difference": column("dp", "bar")})
 T0_NS = T0_US * 1000

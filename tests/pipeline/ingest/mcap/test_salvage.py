@@ -19,8 +19,8 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
+from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.sources import Source, column
-from tests.pipeline.ingest.writers import T0_US
 
 COUNT = 400
 STRICT = Source.of("mcap", {"pressure_difference": column("dp", "bar")})

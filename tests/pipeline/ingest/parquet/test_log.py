@@ -17,8 +17,8 @@ import pytest
 import pipeline.ingest.parquet.log
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
+from pipeline.ingest.conformance import T0_US
 from tests.pipeline.ingest.sources import Source, column
-from tests.pipeline.ingest.writers import T0_US
 
 SOURCE = Source.of("parquet", {"pressure_difference": column("dp", "bar")})
 TIMES = pa.array([T0_US, T0_US + 1, T0_US + 2], pa.timestamp("us", "UTC"))

@@ -1,1 +1,1 @@
-"""Plants' logs as their historians write them, and the mapping that a person would make."""
+"""Plants' files that `init` has to read, and the score: `python -m tests.pipeline.setup.plants`."""

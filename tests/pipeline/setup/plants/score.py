@@ -4,11 +4,28 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
+from pathlib import Path
 
-from tests.pipeline.setup.plants.made import ASK, Mapped, Place, Plant
+from pipeline.setup.plant import propose
+from tests.pipeline.setup.plants.plant import ASK, Mapped, Place, Plant
 
 Proposed = Mapping[str, Mapping[str, Place]]
 """Places by motor and channel; what is asked is left out, and a unit that is asked is None."""
+
+
+def score_of(plant: Plant, folder: Path) -> Counter[str]:
+    """Score of what `init` proposes for a plant's files, without an answer."""
+    proposal = propose(plant.write(folder), {})
+    return score(
+        plant,
+        {
+            motor.motor_id: {
+                channel: Place(one.source, one.unit, motor.quality.get(channel, ""))
+                for channel, one in motor.sources.items()
+            }
+            for motor in proposal.motors
+        },
+    )
 
 
 def score(plant: Plant, proposed: Proposed) -> Counter[str]:

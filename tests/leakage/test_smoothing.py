@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from leakage import OperatingConditions, regressors
-from pipeline.config import Smoothing, load_fleet
+from leakage.smoothing import smooth
+from pipeline.config import load_fleet
 from pipeline.demo import shipped_configs
-from pipeline.night.smoothing import smooth
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 STEP = 100_000
-FIVE_SECONDS = Smoothing(window_s=5.0)
+FIVE_SECONDS = 5.0
 K_M3 = np.array([7.506312e-14, 1.558230e-14, 4.373874e-14])  # model.md, section 4
 
 
@@ -48,7 +48,7 @@ def some_samples(seed: int, n: int = 80) -> tuple[Floats, Ints, Ints]:
 @given(st.integers(0, 2**32 - 1), st.sampled_from([0.2, 0.5, 1.0, 2.0, 50.0]))
 def test_as_the_slow_definition(seed: int, window_s: float) -> None:
     z, index, block = some_samples(seed)
-    got = smooth(z, index, block, STEP, Smoothing(window_s=window_s))
+    got = smooth(z, index, block, STEP, window_s)
     half = round(window_s * 1e6) // 2 // STEP
     np.testing.assert_allclose(got, slow_average(z, index, block, half), rtol=1e-12, atol=1e-13)
 
@@ -72,7 +72,7 @@ def test_no_shift_of_a_ramp_away_from_the_borders() -> None:
 @pytest.mark.parametrize("window_s", [0.0, 0.1, 0.19])
 def test_a_window_of_one_sample_changes_nothing(window_s: float) -> None:
     z, index, block = some_samples(1)
-    np.testing.assert_array_equal(smooth(z, index, block, STEP, Smoothing(window_s=window_s)), z)
+    np.testing.assert_array_equal(smooth(z, index, block, STEP, window_s), z)
 
 
 @pytest.mark.parametrize("rate_hz", [1, 5, 10])
@@ -128,8 +128,8 @@ def test_arguments_are_left_alone() -> None:
     for array in (z, index, block):
         array.flags.writeable = False
     before = z.copy()
-    smooth(z, index, block, STEP, Smoothing(window_s=1.0, apply_to="all"))
-    smooth(z, index, block, STEP, Smoothing(window_s=1.0, apply_to="leakage"))
+    smooth(z, index, block, STEP, 1.0, "all")
+    smooth(z, index, block, STEP, 1.0, "leakage")
     np.testing.assert_array_equal(z, before)
 
 
@@ -169,12 +169,12 @@ class TestLossFactors:
     def test_on_all_columns_unbiased(
         self, noise_free: tuple[Floats, Ints, Ints], window_s: float
     ) -> None:
-        smoothed = smooth(*noise_free, STEP, Smoothing(window_s=window_s))
+        smoothed = smooth(*noise_free, STEP, window_s)
         np.testing.assert_allclose(self.loss_factors(smoothed), K_M3, rtol=1e-9)
         assert np.abs(smoothed - noise_free[0])[:, -1].max() > 0.01
 
     def test_on_the_leakage_alone_biased(self, noise_free: tuple[Floats, Ints, Ints]) -> None:
-        smoothed = smooth(*noise_free, STEP, Smoothing(window_s=5.0, apply_to="leakage"))
+        smoothed = smooth(*noise_free, STEP, 5.0, "leakage")
         np.testing.assert_array_equal(smoothed[:, :-1], noise_free[0][:, :-1])
         error = self.loss_factors(smoothed) / K_M3 - 1
         assert np.abs(error).max() > 0.005

@@ -6,20 +6,48 @@ on the measured flow alone (as in the thesis, 3.3.2) does not (model.md, section
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.arrays import SECOND_US, Times
-from pipeline.config import Smoothing
-
 Array = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+SECOND_US = 1_000_000
 
 
 def smooth(
-    z: Array, index: Times, block: NDArray[np.int64], period_us: int, how: Smoothing
+    z: Array,
+    index: Ints,
+    block: Ints,
+    period_us: int,
+    window_s: float,
+    apply_to: Literal["all", "leakage"] = "all",
 ) -> Array:
-    """Centred moving average of the columns, of which the last is the flow, over kept samples."""
-    half = round(how.window_s * SECOND_US) // (2 * period_us)
+    """Centred moving average of the columns, of which the last is the flow, over kept samples.
+
+    Parameters
+    ----------
+    z
+        Columns, shape (n, c).
+    index
+        Place of each sample on the time base, shape (n,).
+    block
+        Number of its block, shape (n,).
+    period_us
+        Period of the time base [µs].
+    window_s
+        Length of the average [s]; 0: none.
+    apply_to
+        ``all`` columns, or the flow alone (``leakage``).
+
+    Returns
+    -------
+    ndarray
+        Shape (n, c); `z` itself where nothing is averaged.
+    """
+    half = round(window_s * SECOND_US) // (2 * period_us)
     if half == 0:
         return z
     row = np.arange(len(z))
@@ -28,7 +56,7 @@ def smooth(
     ends = np.append(begins[1:], len(z))
     first = np.maximum(row - half, begins[segment])
     last = np.minimum(row + half + 1, ends[segment])
-    columns = slice(None) if how.apply_to == "all" else slice(-1, None)
+    columns = slice(None) if apply_to == "all" else slice(-1, None)
     # Sums run afresh in each segment: over a whole night they would lose digits.
     chosen = z[:, columns]
     averaged = np.empty_like(chosen)

@@ -1,0 +1,45 @@
+"""Names of the formats that logs can have: the built-in ones, and those of installed packages.
+
+A package gives a reader by an entry point of the group `GROUP`, under the name of its format.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+
+GROUP = "motor_leakage.readers"
+BUILT_IN = {name: f"pipeline.ingest.{name}:READER" for name in ("csv", "mcap", "parquet")}
+# Nights of a database are written as Parquet.
+BUILT_IN["sql"] = BUILT_IN["parquet"]
+
+
+def reader_entry(name: str) -> EntryPoint:
+    """Entry point of a format's reader; nothing is imported.
+
+    Raises
+    ------
+    ValueError
+        None has this name, or several packages.
+    """
+    if name in BUILT_IN:
+        return EntryPoint(name, BUILT_IN[name], GROUP)
+    found = [entry for entry in installed() if entry.name == name]
+    if len(found) == 1:
+        return found[0]
+    names = ", ".join((*BUILT_IN, *sorted({entry.name for entry in installed()})))
+    if not found:
+        raise ValueError(f"expected one of the formats that are built in or installed: {names}")
+    packages = " and ".join(sorted(map(reader_version, found)))
+    raise ValueError(f"expected a format of one package: {packages} both have a reader of it")
+
+
+def reader_version(entry: EntryPoint) -> str:
+    """Package and version of an installed reader; empty for a built-in one."""
+    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else ""
+
+
+@cache
+def installed() -> tuple[EntryPoint, ...]:
+    """Entry points of readers of installed packages."""
+    return tuple(entry_points(group=GROUP))

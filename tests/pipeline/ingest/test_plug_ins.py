@@ -1,0 +1,176 @@
+"""Readers of installed packages: found by name, and what they do wrong costs their log alone."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from pipeline.config import load_fleet, readers
+from pipeline.config.hashes import reading_hash
+from pipeline.errors import LogError
+from pipeline.ingest import can_grow, read_log, time_span
+from pipeline.ingest.conformance import CHANNELS, Check, checks_of
+from pipeline.run.fleet import RunRequest, run_fleet
+from tests.pipeline.ingest.sources import logs_of
+from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, operate, write_configs
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "mdf4_reader"
+sys.path.insert(0, str(EXAMPLE))
+
+import test_mdf4_reader as example  # noqa: E402
+
+HEAD = """
+import numpy as np
+from pipeline.ingest import LogFile, RawChannel, RawLog, Reader, Samples, log_of_samples
+
+def read(file):
+    time_us = np.array([1_740_808_800_000_000])
+    return log_of_samples(file, {name: Samples(time_us, np.ones(1)) for name in file.channels})
+"""
+
+Install = Callable[..., None]
+
+
+@pytest.fixture
+def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Install]:
+    """Install packages as pip would: their metadata, and a module each."""
+    site = tmp_path / "site-packages"
+    site.mkdir()
+    monkeypatch.syspath_prepend(str(site))
+
+    def add(package: str, module: str = "", code: str = "", version: str = "1.0") -> None:
+        module = module or package
+        if code:
+            (site / f"{module}.py").write_text(code, "utf-8")
+            monkeypatch.delitem(sys.modules, module, raising=False)
+        info = site / f"{package.replace('-', '_')}-{version}.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Name: {package}\nVersion: {version}\n", "utf-8")
+        entry = f"[{readers.GROUP}]\n{package[:4]} = {module}:READER\n"
+        (info / "entry_points.txt").write_text(entry, "utf-8")
+        readers.installed.cache_clear()
+
+    yield add
+    readers.installed.cache_clear()
+
+
+@pytest.fixture
+def mdf4(install: Install) -> None:
+    install("mdf4", "mdf4_reader")
+
+
+@pytest.mark.usefixtures("mdf4")
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize("check", checks_of(example.MDF4), ids=lambda check: check.__name__)
+def test_the_example_conforms(check: Check, tmp_path: Path) -> None:
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    example.test_conformance(check, folder)
+
+
+@pytest.mark.usefixtures("mdf4")
+def test_a_run_fits_a_motor_from_the_example_s_format(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"*.mf4"').replace('"parquet"', '"mdf4"')
+    fleet = load_fleet(write_configs(tmp_path, {"M1": text}))
+    operation = operate()
+    values = operation.channels(operation.flow(fleet.motors[0].motor(NIGHT, "none")))
+    rows = [
+        example.Row(int(time_us), dict(zip(values, map(float, cells), strict=True)))
+        for time_us, *cells in zip(operation.time_us, *values.values(), strict=True)
+    ]
+    example.write(fleet.log_root / "a.mf4", rows, list(values))
+    (outcome,) = run_fleet(RunRequest(fleet)).outcomes
+    assert (outcome.status, dict(outcome.counts)) == ("ok", {"ok": 1})
+
+
+def test_a_format_that_nothing_reads_is_a_fault_with_those_that_there_are(install: Install) -> None:
+    install("abcd")
+    with pytest.raises(ValidationError, match="csv, mcap, parquet, abcd"):
+        logs_of("xlsx")
+
+
+def test_a_format_of_two_packages_is_a_fault_that_names_both(install: Install) -> None:
+    install("mine", "mine", HEAD + "READER = Reader(read)")
+    install("mine-too", "mine")
+    with pytest.raises(ValidationError, match=r"mine 1\.0 and mine-too 1\.0"):
+        logs_of("mine")
+
+
+def test_a_new_version_reads_its_logs_again(install: Install, tmp_path: Path) -> None:
+    install("some", code=HEAD + "READER = Reader(read)")
+    spec = load_motor(tmp_path, motor_toml("M1").replace('"parquet"', '"some"'))
+    before = reading_hash(spec)
+    assert reading_hash(spec) == before
+    next(Path(sys.path[0]).glob("some-1.0.dist-info/METADATA")).write_text(
+        "Name: some\nVersion: 1.1\n", "utf-8"
+    )
+    readers.installed.cache_clear()
+    assert reading_hash(spec) != before
+
+
+def test_a_reader_gets_its_options_and_the_defaults(install: Install, tmp_path: Path) -> None:
+    code = "def read(file):\n    raise LogError('log_type', file.path, str(file.logs.options))\n"
+    head = "from pipeline.errors import LogError\nfrom pipeline.ingest import Reader\n"
+    install("opts", code=head + code + "READER = Reader(read, options={'a': 1, 'b': ''})")
+    log = tmp_path / "log"
+    log.write_text("x")
+    for options, says in (
+        ({"b": "x"}, r"\{'a': 1, 'b': 'x'\}"),
+        ({"c": 1}, "expected of a = 1, b = ''"),
+        ({"a": "x"}, "got a = 'x'"),
+    ):
+        with pytest.raises(LogError, match=says):
+            read_log(log, logs_of("opts", options=options), CHANNELS)
+    with pytest.raises(LogError, match="expected of none"):
+        read_log(log, logs_of("csv", options={"a": 1}), CHANNELS)
+
+
+@pytest.mark.parametrize(
+    ("code", "says"),
+    [
+        ("import nowhere", "cannot be loaded: ModuleNotFoundError"),
+        ("READER = 1", "is no Reader but of type int"),
+        ("def read(file):\n    raise KeyError('x')\nREADER = Reader(read)", "failed: KeyError"),
+        ("def read(file):\n    raise SystemExit\nREADER = Reader(read)", "failed: SystemExit"),
+        ("READER = Reader(lambda file: 7)", "gave no RawLog but a int"),
+        ("READER = Reader(lambda file: RawLog({}, 0, None, None))", "gave the channels none"),
+        (
+            "READER = Reader(lambda file: RawLog(dict.fromkeys(file.channels), 0, None, None))",
+            "gave what cannot be used",
+        ),
+        (
+            "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a, a > 3, 0)\n"
+            "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
+            "gave value of pressure_difference as int64",
+        ),
+        (
+            "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a + 0.5, a > 3, 0)\n"
+            "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
+            "gave time stamps before 1990",
+        ),
+    ],
+    ids=lambda text: text[:20],
+)
+def test_what_a_reader_does_wrong_is_an_error_of_the_log(
+    install: Install, tmp_path: Path, code: str, says: str
+) -> None:
+    install("evil", code=f"{HEAD}\n{code}\n")
+    log = tmp_path / "log"
+    log.write_text("x")
+    for read in (read_log, time_span):
+        with pytest.raises(LogError, match=f"reader evil of evil 1.0 {says}") as caught:
+            read(log, logs_of("evil"), CHANNELS)
+        assert caught.value.code == "log_reader"
+
+
+def test_a_reader_without_pieces_has_logs_that_do_not_grow(
+    install: Install, tmp_path: Path
+) -> None:
+    install("whole", code=HEAD + "READER = Reader(read)")
+    log = tmp_path / "log"
+    log.write_text("x")
+    assert not can_grow(log, logs_of("whol"))

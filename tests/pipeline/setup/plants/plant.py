@@ -1,0 +1,112 @@
+"""Files of a plant, and the mapping that a person who knows the plant would make.
+
+In a mapping, the unit None means that the log does not say it, and the place `ASK` that the log
+does not say which column it is: there only a question is right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime, timedelta
+from pathlib import Path
+
+ROWS = 24
+START = datetime(2026, 1, 13, 6, 0)
+ASK = None
+
+
+@dataclass(frozen=True)
+class Place:
+    """A column, tag or field, with its unit and the column of its quality."""
+
+    source: str
+    unit: str | None
+    quality: str = ""
+
+
+Mapped = Mapping[str, Place | None]
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A plant's files by path, and its motors' channels; `named` is the file or folder to give."""
+
+    name: str
+    files: Mapping[str, str]
+    motors: Mapping[str, Mapped]
+    encoding: str = "utf-8"
+    named: str = ""
+    line_end: str = field(default="\n", repr=False)
+
+    def write(self, folder: Path) -> Path:
+        """Write the files; the path to give to the command."""
+        for name, text in self.files.items():
+            path = folder / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(text.replace("\n", self.line_end).encode(self.encoding))
+        return folder / self.named if self.named else folder
+
+
+def value(kind: str, motor: int, row: int) -> float:
+    """A reading of a motor at work, in bar, °C, rpm or l/min."""
+    base, step = {
+        "dp": (180.0, 4.0),
+        "high": (205.0, 4.0),
+        "low": (18.0, 0.2),
+        "charge": (20.0, 0.2),
+        "case": (1.5, 0.05),
+        "temp": (46.0, 0.3),
+        "speed": (31.0, 0.7),
+        "flow": (1.25, 0.05),
+        "other": (60.0, 1.1),
+        "pump": (1480.0, 1.0),
+    }[kind]
+    return base + step * ((row * (3 + motor)) % 7) + 0.3 * motor
+
+
+def stamp(row: int, form: str) -> str:
+    return (START + timedelta(seconds=row)).strftime(form)
+
+
+def table(
+    header: Sequence[str],
+    kinds: Sequence[tuple[str, int]],
+    *,
+    form: str = "%Y-%m-%dT%H:%M:%SZ",
+    separator: str = ",",
+    decimal: str = ".",
+    quality: str = "",
+    convert: Callable[[str, float], float] = lambda _, number: number,
+    below: str = "",
+) -> str:
+    """A wide table: a column of time, and a column a kind and motor, each with its quality."""
+    lines = [separator.join(header), *([below] if below else [])]
+    for row in range(ROWS):
+        cells = [stamp(row, form)]
+        for kind, motor in kinds:
+            cells.append(f"{convert(kind, value(kind, motor, row)):.3f}".replace(".", decimal))
+            cells += [quality] if quality else []
+        lines.append(separator.join(cells))
+    return "\n".join(lines) + "\n"
+
+
+def tagged(
+    header: Sequence[str],
+    tags: Mapping[str, tuple[str, int]],
+    row_of: Callable[[str, int, float], Sequence[str]],
+    separator: str = ",",
+) -> str:
+    """A long table: a row a sample."""
+    lines = [separator.join(header)]
+    for row in range(ROWS):
+        for tag, (kind, motor) in tags.items():
+            lines.append(separator.join(row_of(tag, row, value(kind, motor, row))))
+    return "\n".join(lines) + "\n"
+
+
+def american(kind: str, number: float) -> float:
+    """psi, °F, rpm and US gallons a minute."""
+    if kind == "temp":
+        return number * 9 / 5 + 32
+    return number * {"dp": 14.5038, "flow": 0.264172}.get(kind, 1.0)

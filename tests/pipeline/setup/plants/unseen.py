@@ -1,0 +1,198 @@
+"""Six plants that were written and measured before the recogniser was changed for them.
+
+Their first score stands in `docs/own_fleet.md` beside the last one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from tests.pipeline.setup.plants.plant import ROWS, Place, Plant, stamp, table, tagged, value
+
+NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
+PORTS = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", "leakage_flow")
+
+
+def _pi_af() -> Plant:
+    """PI DataLink, sampled: attributes of two elements of the asset framework by their paths."""
+    kinds = {"Differential Pressure": "dp", "Oil Temperature": "temp", "Shaft Speed": "speed"}
+    kinds |= {"Case Drain Flow": "flow", "Winding Temperature": "other"}
+    path = r"\\AF01\Works\Mill 2\Drive {}|{}"
+    columns = [(motor, name) for motor in "AB" for name in kinds]
+    text = table(
+        ["Time", *(path.format(*column) for column in columns)],
+        [(kinds[name], "AB".index(motor)) for motor, name in columns],
+        form="%d-%b-%y %H:%M:%S",
+    )
+    return Plant(
+        "PI DataLink, attributes of elements, digital states among the numbers",
+        {"datalink.csv": text.replace(f"{value('flow', 0, 7):.3f}", "I/O Timeout", 1)},
+        {
+            f"Drive {motor}": {
+                channel: Place(path.format(motor, name), None)
+                for channel, name in zip(NAMES, kinds, strict=False)
+            }
+            for motor in "AB"
+        },
+        named="datalink.csv",
+    )
+
+
+def _ignition_italian() -> Plant:
+    """Ignition: paths below a tag provider, in Italian."""
+    signals = {
+        "Pressione_Mandata": "high",
+        "Pressione_Ritorno": "low",
+        "Temperatura_Olio": "temp",
+        "Giri_Motore": "speed",
+        "Portata_Drenaggio": "flow",
+        "Corrente_Pompa": "pump",
+    }
+    path = "[default]Frantoio/Motore{}/{}"
+    columns = [(n, name) for n in (1, 2) for name in signals]
+    return Plant(
+        "Ignition, a tag provider, Italian",
+        {
+            "storico.csv": table(
+                ["t_stamp", *(path.format(*column) for column in columns)],
+                [(signals[name], n) for n, name in columns],
+                form="%Y-%m-%d %H:%M:%S",
+            )
+        },
+        {
+            f"Motore{n}": {
+                channel: Place(path.format(n, name), None)
+                for channel, name in zip(PORTS, signals, strict=False)
+            }
+            for n in (1, 2)
+        },
+        named="storico.csv",
+    )
+
+
+def _wincc_polish() -> Plant:
+    """WinCC Comfort: the archive ends with the panel's own tag for its stop."""
+    kinds = {"Cisnienie_A": "high", "Cisnienie_B": "low", "Temperatura_oleju": "temp"}
+    kinds |= {"Obroty": "speed", "Przeciek": "flow"}
+    tags = {f"Kruszarka_{tag}": (kind, 1) for tag, kind in kinds.items()}
+    text = tagged(
+        ['"VarName"', '"TimeString"', '"VarValue"', '"Validity"', '"Time_ms"'],
+        tags,
+        lambda tag, row, number: (
+            f'"{tag}"',
+            f'"{stamp(row, "%d.%m.%Y %H:%M:%S")}"',
+            f"{number:.3f}".replace(".", ","),
+            "1",
+            f"{46035250000 + row * 11.574:.4f}".replace(".", ","),
+        ),
+        ";",
+    )
+    end = f'"$RT_OFF$";"{stamp(ROWS, "%d.%m.%Y %H:%M:%S")}";0;2;46035250300,0000\n'
+    return Plant(
+        "WinCC Comfort, the mark of a stop at the end, Polish",
+        {"Archiwum0.csv": text + end},
+        {"Kruszarka": {name: Place(tag, None) for name, tag in zip(PORTS, tags, strict=True)}},
+        named="Archiwum0.csv",
+        line_end="\r\n",
+    )
+
+
+def _grafana_prometheus() -> Plant:
+    """Grafana with Prometheus, series joined by time: a column's name is the series' labels."""
+    metrics = {
+        "hydraulic_pressure_difference_bar": ("dp", "bar"),
+        "hydraulic_oil_temperature_celsius": ("temp", "degC"),
+        "hydraulic_shaft_speed_rpm": ("speed", "rpm"),
+        "hydraulic_case_drain_flow_lpm": ("flow", "l/min"),
+    }
+    plain = '{{__name__="{}", instance="edge-4:9100", motor="{}"}}'
+    columns = [(metric, n) for metric in metrics for n in (1, 2)]
+    header = [plain.format(metric, f"W0{n}") for metric, n in columns]
+    text = table(
+        ['"Time"', *('"' + name.replace('"', '""') + '"' for name in header)],
+        [(metrics[metric][0], n) for metric, n in columns],
+        form="%Y-%m-%d %H:%M:%S",
+    )
+    return Plant(
+        "Grafana with Prometheus, labels in the names of columns",
+        {"joined.csv": text},
+        {
+            f"W0{n}": {
+                channel: Place(plain.format(metric, f"W0{n}"), unit)
+                for channel, (metric, (_, unit)) in zip(NAMES, metrics.items(), strict=True)
+            }
+            for n in (1, 2)
+        },
+        named="joined.csv",
+    )
+
+
+def _influx_dutch() -> Plant:
+    """InfluxDB, annotated, with the query's range, two tags, and fields in Dutch."""
+    kinds = {"drukverschil_bar": "dp", "olietemperatuur_C": "temp", "toerental_rpm": "speed"}
+    kinds |= {"lekdebiet_lpm": "flow"}
+    units = ("bar", "degC", "rpm", "l/min")
+    head = (
+        "#group,false,false,true,true,false,false,true,true,true,true\n"
+        "#datatype,string,long,dateTime:RFC3339,dateTime:RFC3339,dateTime:RFC3339,double,"
+        "string,string,string,string\n"
+        "#default,_result,,,,,,,,,\n"
+        ",result,table,_start,_stop,_time,_value,_field,_measurement,asset,site\n"
+    )
+    span = "2026-01-12T23:00:00Z,2026-01-13T23:00:00Z"
+    lines = [
+        f",,{number},{span},{stamp(row, '%Y-%m-%dT%H:%M:%SZ')},{value(kind, n, row):.3f},"
+        f"{name},hydrauliek,lier-{n},zuid"
+        for n in (1, 2)
+        for number, (name, kind) in enumerate(kinds.items())
+        for row in range(ROWS)
+    ]
+    return Plant(
+        "InfluxDB, annotated CSV with a range and two tags, Dutch",
+        {"export.csv": head + "\n".join(lines) + "\n"},
+        {
+            f"lier-{n}": {
+                channel: Place(name, unit)
+                for channel, name, unit in zip(NAMES, kinds, units, strict=True)
+            }
+            for n in (1, 2)
+        },
+        named="export.csv",
+    )
+
+
+def _excel_portuguese() -> Plant:
+    """Excel: date and time in columns of their own, a title above, in Portuguese."""
+    signals: Mapping[str, tuple[str, str, str]] = {
+        "Pressão diferencial (bar)": ("pressure_difference", "dp", "bar"),
+        "Temperatura do óleo (°C)": ("oil_temperature", "temp", "degC"),
+        "Rotação (rpm)": ("speed", "speed", "rpm"),
+        "Vazão de dreno (L/min)": ("leakage_flow", "flow", "l/min"),
+        "Pressão da carcaça (bar)": ("case_pressure", "case", "bar"),
+        "Nível do tanque (%)": ("", "other", ""),
+    }
+    text = table(
+        ["Data;Hora", *signals],
+        [(kind, 1) for _, kind, _ in signals.values()],
+        form="%d/%m/%Y;%H:%M:%S",
+        separator=";",
+        decimal=",",
+    )
+    return Plant(
+        "Excel, a title, date and time apart, Portuguese",
+        {"registo.csv": "Registo do guincho 2\n\n" + text},
+        {"": {channel: Place(t, unit) for t, (channel, _, unit) in signals.items() if channel}},
+        encoding="cp1252",
+        named="registo.csv",
+        line_end="\r\n",
+    )
+
+
+UNSEEN: tuple[Plant, ...] = (
+    _pi_af(),
+    _ignition_italian(),
+    _wincc_polish(),
+    _grafana_prometheus(),
+    _influx_dutch(),
+    _excel_portuguese(),
+)
