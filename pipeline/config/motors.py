@@ -259,8 +259,8 @@ class Logs(Section):
     """The motor's log files and their dialect, or the database that has its samples."""
 
     format: str = Field(
-        description="`csv`, `parquet`, `mcap`, `sql` (a database), or a format that an installed package reads "
-        "([readers](readers.md))"
+        description="`csv`, `parquet`, `mcap`, `sql` (a database), or a format that an installed "
+        "package reads ([readers](readers.md))"
     )
     options: dict[str, Any] = Field(
         default_factory=dict, description="Options of an installed package's reader"

@@ -25,6 +25,7 @@ from pipeline.config.databases import END, START, Database
 from pipeline.config.motors import Logs
 from pipeline.config.nights import DAY, Night, night, night_of, nights_between
 from pipeline.errors import LogError
+from pipeline.ingest import LogFile
 from pipeline.ingest.table import wanted_columns
 from pipeline.logs.database import SLOW, Connection, DatabaseError
 from pipeline.store.atomic_files import prepare, put
@@ -204,7 +205,7 @@ def nightly_query(spec: MotorSpec) -> str:
     """The query of a motor: its columns, rows and tags of the config's one, in order of time."""
     logs = spec.file.logs
     channels = {name: one for name, one in spec.file.channels.items() if one.constant is None}
-    columns = wanted_columns(Path(spec.motor_id), logs, channels).all
+    columns = wanted_columns(LogFile(Path(), logs, channels)).all
     order = ", ".join(str(place) for place in range(1, len(columns) + 1))
     return (
         f"SELECT {', '.join(map(identifier, columns))} FROM (\n{_database(spec).query}\n) AS log"  # noqa: S608
