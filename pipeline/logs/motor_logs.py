@@ -81,7 +81,7 @@ class LogShelf:
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
         self._silent = silent
-        self._source = logs_of(spec, latest_us, silent)
+        self._source = logs_of(spec, latest_us, silent, ask=looked_at is None)
         self.absent = self._source.absent
         self.unmatched = self._source.unmatched
         found = self._look() if looked_at is None else looked_at
