@@ -17,7 +17,7 @@ from hypothesis import settings
 
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
 settings.register_profile("patient", deadline=None)
-settings.load_profile("patient")
+settings.register_profile("quick", deadline=None, max_examples=40)
 
 # No test cuts the power, so nothing waits for a disk: folders of tests lie in memory where there is
 # enough of it.
@@ -33,6 +33,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 DEMO_NIGHTS = 3
 DEMO_MINUTES = 60.0
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """`make test-full`, which selects nothing, draws more examples."""
+    settings.load_profile("quick" if config.option.markexpr else "patient")
 
 
 class OwnFleet(Protocol):
