@@ -10,7 +10,7 @@ DEMO   := demo
 # Only variables that are set are passed on; the config decides the rest.
 OPTIONS := --jobs $(JOBS) $(if $(MOTORS),--motors "$(MOTORS)") $(if $(SINCE),--since $(SINCE)) $(if $(UNTIL),--until $(UNTIL))
 
-.PHONY: help install fit-fleet look report check demo-logs lint format test test-full bench bench-guard docs \
+.PHONY: help install fit-fleet look report check demo-logs lint format test test-full bench bench-guard validate docs \
         docs-site pictures wheelhouse clean
 
 help:            ## list of targets
@@ -70,6 +70,10 @@ test-full: $(READY) ## all tests, with the long ones
 
 bench: $(READY)  ## the benchmarks, into benchmarks/results/
 	$(BIN)/python -m benchmarks
+
+validate: $(READY) ## figures of docs/real_machines.md: DATA=folder of the pump rig's records
+	$(BIN)/python -m validation pump_rig $(DATA) --page docs/real_machines.md
+	$(BIN)/python -m validation machines --page docs/real_machines.md
 
 bench-guard: $(READY) ## compare speed with the last committed results
 	$(BIN)/python -m benchmarks guard

@@ -1,0 +1,143 @@
+"""The scripts of `validation/`, on a small made-up record of the same shape as the rig's."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from validation import published, pump_rig
+from validation.cuts import Plan, growth
+from validation.record import FLOW, PRESSURE, STATE, TEMPERATURE, TIME, read_records, windows
+from validation.tables import Table, show
+
+BEGIN = dt.datetime(2024, 3, 15, 8, 33, 44, tzinfo=dt.UTC)
+SECOND = dt.timedelta(seconds=1)
+PLAN = Plan(
+    nights=2, length=dt.timedelta(minutes=10), healthy=1, kinds=("all",), courses=("step-30",)
+)
+
+
+def rows(minutes: float, state: int = 1, begin: dt.datetime = BEGIN) -> pl.DataFrame:
+    """A warm record whose flow is 0.9 l/min and a laminar leak, down to the meter's floor."""
+    t = np.arange(round(60 * minutes))
+    pressure = 127.0 + 105.0 * np.sin(2.0 * np.pi * t / 120.0)
+    flow = 0.9 + 0.0135 * pressure
+    return pl.DataFrame(
+        {
+            TIME: pl.Series([begin + second * SECOND for second in t.tolist()]),
+            STATE: [state] * t.size,
+            PRESSURE: pressure,
+            TEMPERATURE: 54.0 + np.sin(2.0 * np.pi * t / 600.0),
+            FLOW: np.where(flow < 1.8, 1.2, flow),
+        }
+    )
+
+
+def written(folder: Path, *parts: pl.DataFrame) -> Path:
+    """A file of the rig with these parts, one after the other; its folder."""
+    pl.concat(parts).write_csv(folder / "dane_UT9.csv", datetime_format="%F %T+00:00")
+    return folder
+
+
+class TestRecords:
+    def test_a_change_of_state_parts_a_file_and_is_told(self, tmp_path: Path) -> None:
+        later = BEGIN + dt.timedelta(minutes=2)
+        first, second = read_records(written(tmp_path, rows(2), rows(3, 2, later)))
+        assert (first.state, first.rows.height) == ("1", 120)
+        assert (second.state, second.rows.height) == ("2", 180)
+        assert "state 2 from 2024-03-15 08:35:44; judged apart" in second.notes[0]
+
+    def test_a_clock_that_goes_back_parts_a_file(self, tmp_path: Path) -> None:
+        records = read_records(written(tmp_path, rows(2), rows(3)))
+        assert [record.rows.height for record in records] == [120, 180]
+        assert all(record.rows[TIME].is_sorted() for record in records)
+
+    def test_a_gap_is_noted_and_parts_nothing(self, tmp_path: Path) -> None:
+        later = BEGIN + dt.timedelta(minutes=3)
+        (record,) = read_records(written(tmp_path, rows(2), rows(1, begin=later)))
+        assert record.rows.height == 180
+        assert record.notes == ("gap of 61 s to 2024-03-15 08:36:44",)
+
+    def test_what_is_no_record_is_refused_by_name(self, tmp_path: Path) -> None:
+        with pytest.raises(SystemExit, match="no file"):
+            read_records(tmp_path)
+        rows(1).drop(FLOW).write_csv(tmp_path / "UT1.csv")
+        with pytest.raises(SystemExit, match=f"UT1.csv: no column {FLOW}"):
+            read_records(tmp_path)
+
+    def test_windows_have_their_length_and_reach_the_end(self) -> None:
+        minute = dt.timedelta(minutes=1)
+        cut = windows(rows(10), 4 * minute, 3)
+        assert [part[TIME][0] - BEGIN for part in cut] == pytest.approx(
+            [0 * minute, 2.99 * minute, 5.98 * minute], abs=SECOND
+        )
+        assert [part.height for part in cut] == pytest.approx([240] * 3, abs=1)
+        assert [part.height for part in windows(rows(10), 4 * minute, 3 * minute)] == [240, 240]
+        assert windows(rows(3), 4 * minute, 2) == []
+
+
+class TestWear:
+    def test_a_step_is_whole_at_once_and_a_ramp_at_the_last_night(self) -> None:
+        plan = Plan(nights=90, healthy=60)
+        assert [growth("step-20", n, plan) for n in (-1, 0, 29)] == [0.0, 0.2, 0.2]
+        ramp = [growth("ramp-30", n, plan) for n in (-1, 0, 14, 29)]
+        assert ramp == pytest.approx([0.0, 0.01, 0.15, 0.3])
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Table]:
+    folder = tmp_path_factory.mktemp("rig")
+    later, last = (BEGIN + dt.timedelta(minutes=minutes) for minutes in (14, 32))
+    record = written(folder, rows(12), rows(18, begin=later), rows(1, 2, last))
+    tables = pump_rig.judge(record, folder / "work", PLAN, folder / "pictures")
+    assert (folder / "pictures" / "real_machines_dane_UT9-1.png").stat().st_size > 10_000
+    return {table.name: table for table in tables}
+
+
+class TestPumpRig:
+    def test_a_record_of_the_law_is_fitted_on_held_out_blocks(
+        self, answers: dict[str, Table]
+    ) -> None:
+        fits = {
+            row["samples"]: float(row["held-out fit"].removesuffix(" %"))
+            for row in answers["held_out"].rows[:3]
+        }
+        assert fits["meter reads"] > 90.0 > fits["every sample"]
+
+    def test_both_states_are_told_and_never_averaged(self, answers: dict[str, Table]) -> None:
+        assert [row["state"] for row in answers["records"].rows] == ["1", "2"]
+        assert all("judged apart" in row["notes"] for row in answers["records"].rows)
+        assert "gap of 121 s" in answers["records"].rows[0]["notes"]
+
+    def test_the_leakage_of_a_labelled_state_is_the_true_one(
+        self, answers: dict[str, Table]
+    ) -> None:
+        (row,) = answers["labels"].rows  # the other state is too short to tell one
+        assert (row["record"], row["state"]) == ("dane_UT9-1", "1")
+        assert float(row["leakage, l/min"]) == pytest.approx(0.0135 * 150.0, rel=0.03)
+
+    def test_few_nights_tell_nothing(self, answers: dict[str, Table]) -> None:
+        assert [row["told in night"] for row in answers["alarms"].rows] == ["never"] * 3
+
+
+def test_published_coefficients_are_recovered_by_config_alone(tmp_path: Path) -> None:
+    (table,) = published.judge(tmp_path / "work", minutes=12.0)
+    assert [row["within 1 %"] for row in table.rows] == ["yes"] * len(published.PUBLISHED_M3)
+
+
+def test_the_textbooks_gap_leaks_as_the_textbook_says() -> None:
+    one_piston = published.PUBLISHED_M3["nine_pistons"] / 9.0
+    assert one_piston * 19e6 / 0.018 == pytest.approx(57.6e-9, rel=1e-3)  # m³/s
+
+
+def test_a_table_takes_its_place_in_the_page(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text("before\n<!-- one -->\nold\n<!-- end -->\nafter\n", "utf-8")
+    show([Table("one", [{"a": "1", "b": "2"}]), Table("other", [])], page)
+    assert page.read_text("utf-8") == (
+        "before\n<!-- one -->\n\n| a | b |\n| --- | --- |\n| 1 | 2 |\n\n<!-- end -->\nafter\n"
+    )

@@ -1,0 +1,71 @@
+"""Pictures of docs/real_machines.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+from matplotlib.axes import Axes
+from PIL import Image
+
+from pipeline.model_figures.canvas import dots, drawing, label, line, new_figure, save
+from pipeline.notebook import Tables
+from validation.record import FLOW, TIME, Record
+
+SOURCE = (
+    "Axial piston pump, valve plate UT3: Silesian University of Technology, Appl. Sci. 2024, "
+    "14(16), 7183. Wear is added to the measured flow."
+)
+WIDTH = 1400
+COLOURS = 64
+SHOWN_MINUTES = (70.0, 80.0)  # of the warm part: a held-out block
+
+
+def draw(record: Record, predicted: pl.Series, cuts: Tables, nights: Tables, folder: Path) -> None:
+    """Write the picture of one record: the fit, its stability, and nights with added wear.
+
+    `predicted` is the flow of each row of the record's warm part.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with drawing():
+        figure, axes = new_figure("A real pump", 3, note=SOURCE)
+        _course(axes[0], record.warm(), predicted)
+        _windows(axes[1], cuts, f"{record.name}-windows")
+        _wear(axes[2], nights, record.name)
+        path = folder / f"real_machines_{record.name}.png"
+        save(figure, path, "png")
+    picture = Image.open(path).convert("RGB")
+    picture.thumbnail((WIDTH, WIDTH))
+    picture.quantize(COLOURS).save(path, optimize=True)
+
+
+def _course(axes: Axes, rows: pl.DataFrame, predicted: pl.Series) -> None:
+    minutes = (rows[TIME] - rows[TIME][0]).dt.total_seconds().cast(pl.Float64).to_numpy() / 60.0
+    shown = (minutes >= SHOWN_MINUTES[0]) & (minutes < SHOWN_MINUTES[1])
+    line(axes, minutes[shown], rows[FLOW].to_numpy()[shown], 0, "measured")
+    line(axes, minutes[shown], predicted.to_numpy()[shown], 1, "predicted")
+    label(axes, "Leak-line flow, ten held-out minutes", "minutes", "l/min")
+    axes.legend()
+
+
+def _windows(axes: Axes, cuts: Tables, motor_id: str) -> None:
+    fits = cuts.fits().filter(pl.col("motor_id") == motor_id).collect()
+    leakage = fits["reference_leakage_l_per_min"].to_numpy()
+    total = fits["reference_leakage_total_half_width"].to_numpy()
+    minutes = np.arange(0.0, 5.0 * len(leakage), 5.0)
+    line(axes, minutes, leakage, 0)
+    axes.fill_between(minutes, leakage - total, leakage + total, alpha=0.2)
+    label(axes, "Reference leakage of 20-minute windows, total ±", "begin, minutes", "l/min")
+
+
+def _wear(axes: Axes, nights: Tables, record: str) -> None:
+    courses = ("steady", "all-step-20", "all-ramp-30")
+    for place, name in enumerate(courses):
+        course = nights.trend(f"{record}-{name}", "reference_leakage").collect()
+        deviation = course["deviation_percent"].cast(pl.Float64).to_numpy()
+        line(axes, np.arange(len(deviation), dtype=np.float64), deviation, place, name)
+        raised = course["state"].is_in(["warning", "alarm"]).to_numpy()
+        dots(axes, np.flatnonzero(raised).astype(np.float64), deviation[raised], place)
+    label(axes, "Reference leakage, dots: warning or alarm", "night", "% over the baseline")
+    axes.legend()

@@ -1,0 +1,212 @@
+"""The pump rig: what the program finds on its records, in six tables.
+
+`python -m validation pump_rig FOLDER` reads the records of FOLDER, fits cuts of them with the
+program's own command, and writes the tables and the picture of docs/real_machines.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+
+from leakage import total_flow_l_per_min
+from pipeline.notebook import Tables
+from validation.cuts import (
+    METER_READS_FROM,
+    SHORT,
+    STEP,
+    VALUE,
+    VARIANTS,
+    Plan,
+    add_cuts,
+    add_nights,
+    conditions,
+    fits_of,
+    growth,
+    labelled,
+    law_of,
+)
+from validation.fleet import DAY, fitted, label, new_fleet
+from validation.pictures import draw
+from validation.record import FLOW, PRESSURE, TEMPERATURE, Record, read_records
+from validation.tables import NONE, Row, Table
+
+Fit = dict[str, Any]
+RAISED = ("warning", "alarm")
+
+
+def judge(
+    folder: Path, work: Path, plan: Plan | None = None, pictures: Path | None = None
+) -> list[Table]:
+    """Fit cuts of every record of a folder, and answer the questions of the page."""
+    plan = plan or Plan()
+    records = read_records(folder)
+    fleet = new_fleet("pump_rig", work / "cuts")
+    for record in records:
+        add_cuts(fleet, record)
+    cuts = fitted(fleet)
+    fleet = new_fleet("pump_rig", work / "nights")
+    known = [record for record in records if labelled(cuts, record)]
+    for record in known:
+        add_nights(fleet, record, cuts, plan)
+    nights = fitted(fleet)
+    for record in known:
+        if pictures:
+            law, coefficients = law_of(fleet, cuts, record)
+            flow = total_flow_l_per_min(law, conditions(record.warm()), coefficients)
+            draw(record, pl.Series(flow), cuts, nights, pictures)
+    rising = sorted(known, key=lambda record: float(labelled(cuts, record)[0][VALUE]))
+    return [
+        Table("records", [_record(record) for record in records]),
+        Table("held_out", [row for record in records for row in _held_out(cuts, record)]),
+        Table("labels", [_label(cuts, record) for record in rising]),
+        Table("stability", [row for record in records for row in _quarters(cuts, record)]),
+        Table("coverage", [row for record in records for row in _coverage(cuts, record)]),
+        Table("alarms", [row for record in known for row in _alarms(nights, record, plan)]),
+    ]
+
+
+def _record(record: Record) -> Row:
+    at_floor = float((record.rows[FLOW] < METER_READS_FROM).to_numpy().mean())
+    return {
+        "record": record.name,
+        "state": record.state,
+        "samples": str(record.rows.height),
+        "bar (5–95 %)": _range(record.rows[PRESSURE]),
+        "°C (5–95 %)": _range(record.rows[TEMPERATURE]),
+        "meter at its floor": f"{100.0 * at_floor:.0f} %",
+        "notes": "; ".join(record.notes) or NONE,
+    }
+
+
+def _range(values: pl.Series) -> str:
+    return f"{values.quantile(0.05):.0f} to {values.quantile(0.95):.0f}"
+
+
+def _held_out(tables: Tables, record: Record) -> list[Row]:
+    return [
+        {
+            "record": record.name,
+            "samples": words,
+            "training": str(fit["n_training"]),
+            "its fit": _percent(fit["training_fit_percent"]),
+            "held out": str(fit["n_validation"]),
+            "held-out fit": _percent(fit["validation_fit_percent"]),
+        }
+        for variant, (words, _) in VARIANTS.items()
+        for fit in fits_of(tables, f"{record.name}-{variant}")
+    ]
+
+
+def _percent(value: float | None) -> str:
+    return NONE if value is None else f"{value:.1f} %"
+
+
+def _label(tables: Tables, record: Record) -> Row:
+    (fit,) = labelled(tables, record)
+    verdict = fit["reference_verdict"]
+    return {"record": record.name, "state": record.state, **_leakage(fit), "verdict": verdict}
+
+
+def _quarters(tables: Tables, record: Record) -> list[Row]:
+    quarters = enumerate(fits_of(tables, f"{record.name}-quarters"), start=1)
+    return [
+        {
+            "record": record.name,
+            "quarter": str(number),
+            "°C": f"{fit['own_temperature_c']:.1f}",
+            "K, 1e-14 m³": f"{fit['coefficients'][0] * 1e14:.2f}",
+            "offset, l/min": f"{fit['coefficients'][1]:.2f}",
+            **_leakage(fit),
+            "model": fit["model_verdict"] or NONE,
+        }
+        for number, fit in quarters
+        if fit[VALUE] is not None
+    ]
+
+
+def _leakage(fit: Fit) -> Row:
+    """Reference leakage, and its ± from the samples and in total."""
+    return {
+        "leakage, l/min": f"{fit[VALUE]:.3f}",
+        "± of samples": f"{fit['reference_leakage_statistical_half_width']:.3f}",
+        "total ±": f"{fit['reference_leakage_total_half_width']:.3f}",
+    }
+
+
+def _coverage(tables: Tables, record: Record) -> list[Row]:
+    """Windows whose interval holds the leakage of the window that begins where they end."""
+    fits = fits_of(tables, f"{record.name}-windows")
+    found = {fit["night"]: fit for fit in fits if fit[VALUE] is not None}
+    apart = SHORT // STEP
+    pairs = [(found[n], found[n + apart * DAY]) for n in found if n + apart * DAY in found]
+    kinds = {"every 5 minutes": pairs, "one after another": pairs[::apart]}
+    return [
+        {
+            "record": record.name,
+            "windows": words,
+            "pairs": str(len(some)),
+            "held by ± of samples": _held(some, "statistical"),
+            "held by total ±": _held(some, "total"),
+            "RMS change": _percent(_root_mean_square_change(some)),
+            "leakage over temperature": f"{_slope_percent_per_k(some):+.2f} %/K",
+        }
+        for words, some in kinds.items()
+        if len(some) > 1
+    ]
+
+
+def _held(pairs: Sequence[tuple[Fit, Fit]], part: str) -> str:
+    """Share of pairs whose first interval holds the second's leakage."""
+    name = f"reference_leakage_{part}_half_width"
+    held = sum(abs(now[VALUE] - then[VALUE]) <= then[name] for then, now in pairs)
+    return f"{held} ({100 * held / len(pairs):.0f} %)"
+
+
+def _root_mean_square_change(pairs: Sequence[tuple[Fit, Fit]]) -> float:
+    changes = np.asarray([now[VALUE] / then[VALUE] - 1.0 for then, now in pairs])
+    return 100.0 * float(np.sqrt(np.mean(changes**2)))
+
+
+def _slope_percent_per_k(pairs: Sequence[tuple[Fit, Fit]]) -> float:
+    """Reference leakage of the first windows over their temperature."""
+    temperatures = [then["own_temperature_c"] for then, _ in pairs]
+    logarithms = np.log([then[VALUE] for then, _ in pairs])
+    return 100.0 * float(np.polyfit(temperatures, logarithms, 1)[0])
+
+
+def _alarms(tables: Tables, record: Record, plan: Plan) -> list[Row]:
+    """First warning or alarm of the nights without wear, and of each course since it began."""
+    raised = tables.alarms().filter(pl.col("to_state").is_in(RAISED)).collect().to_dicts()
+    found: dict[str, list[dict[str, Any]]] = {}
+    for one in raised:
+        found.setdefault(one["motor_id"], []).append(one)
+    rows = []
+    for order in ("steady", "mixed"):
+        told = _told(found.get(f"{record.name}-{order}", []), 0, None, plan)
+        rows.append({"record": record.name, "wear": "none", "course": order, **told})
+    for kind in plan.kinds:
+        for course in plan.courses:
+            of_it = found.get(f"{record.name}-{kind}-{course}", [])
+            told = _told(of_it, plan.healthy, course, plan)
+            words = course.replace("-", " +") + " %"
+            rows.append({"record": record.name, "wear": kind, "course": words, **told})
+    return rows
+
+
+def _told(raised: Sequence[dict[str, Any]], begin: int, course: str | None, plan: Plan) -> Row:
+    """Night of the first warning or alarm since the first worn night, growth by then, words."""
+    first = next((one for one in raised if one["night"] >= label(begin)), None)
+    if first is None:
+        return {"told in night": "never", "at": NONE, "by": NONE, "in words": NONE}
+    number = (first["night"] - label(begin)).days
+    return {
+        "told in night": str(number + 1),
+        "at": f"+{100 * growth(course, number, plan):.0f} %" if course else NONE,
+        "by": f"{first['indicator']}, {first['way']}",
+        "in words": first["reason"].split(";")[0],
+    }
