@@ -31,6 +31,7 @@ BENCHMARKS = (
     "scale",
     "speed",
     "table_reading",
+    "wide_plant",
     "within_day",
 )
 

@@ -93,6 +93,11 @@ class Channel(Section):
         description="Field in the message of an MCAP topic: a key, or a path such as "
         "`hydraulics.pressure.a`, `pressures[0].value` or, in a map, `temperatures.oil`",
     )
+    value_column: str = Field(
+        "",
+        description="Layout `file_per_channel`: column of this channel's values, where it is "
+        "another than `logs.value_column`; several channels may be columns of one file",
+    )
     unit: str = Field(description="Unit in the log")
     quality_source: str = Field(
         "",

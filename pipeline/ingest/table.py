@@ -92,7 +92,8 @@ def wanted_columns(file: LogFile) -> Columns:
                 file.path,
                 f"the file's name is that of no channel: their sources are {patterns}",
             )
-        return Columns(times, None, (logs.value_column,), _qualities(here))
+        values = dict.fromkeys(channel.value_column or logs.value_column for channel in here)
+        return Columns(times, None, tuple(values), _qualities(here))
     numbers = tuple(dict.fromkeys(channel.source for channel in channels.values()))
     return Columns(times, None, numbers, _qualities(channels.values()))
 
@@ -228,7 +229,8 @@ class RawTable:
         """Column of a channel; None where it is in another file."""
         if self.logs.layout == "wide":
             return channel.source
-        return self.logs.value_column if is_of_file(channel, self.path) else None
+        own = channel.value_column or self.logs.value_column
+        return own if is_of_file(channel, self.path) else None
 
     def _joined(self, name: str) -> Readings:
         return self._parts.pop(name, GatheredReadings()).taken()

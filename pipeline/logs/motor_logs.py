@@ -206,6 +206,8 @@ class LogShelf:
             found = covered(record, content, self._spec)
         except LogError as error:
             found, content = failed(record, error), None
+            if error.code == "log_column_missing":
+                found = replace(found, message=f"{found.message}{self._last_read(record)}")
         why = self._source.change_of(record)
         if why is not None:
             found, content = growing(record, why), None
@@ -218,6 +220,20 @@ class LogShelf:
         if len(self._open) > LOGS_IN_MEMORY:
             self._open.popitem(last=False)
         return content
+
+    def _last_read(self, record: FileRecord) -> str:
+        """The last log before this one that was read, which had all columns, in words."""
+        earlier = [
+            (one.last_us, one)
+            for one in self.files.values()
+            if one.rows is not None and one.last_us is not None
+            if record.first_us is not None and one.last_us < record.first_us
+        ]
+        if not earlier:
+            return ""
+        last = max(earlier, key=lambda pair: pair[0])[1]
+        label = max(labels_of(last))
+        return f"; {last.path}, of {label.day} {label:%B %Y}, was the last log that had them all"
 
     def let_go_until(self, label: dt.date) -> None:
         """Give up contents that no night after this one needs."""

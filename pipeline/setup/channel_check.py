@@ -69,7 +69,9 @@ def check_channels(
         _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    worth = night_worth(spec, log.channels, len(labels_of(records[newest])))
+    worth = night_worth(
+        spec, max(labels_of(records[newest])), log.channels, len(labels_of(records[newest]))
+    )
     return found, tuple(fault for one in found for fault in one.unit_faults), (worth,)
 
 

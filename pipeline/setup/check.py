@@ -13,6 +13,7 @@ from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, 
 from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import LogSource, logs_of
 from pipeline.setup.channel_check import ChannelCheck, check_channels
+from pipeline.setup.column_changes import column_changes
 
 # Objects of a motor that are opened: a check answers in seconds.
 OPENED = 3
@@ -50,6 +51,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
     records = {name: _looked_at(name, logs, spec) for name in names}
     nights = {label for record in records.values() for label in labels_of(record)}
     channels, unfit, worth = check_channels(spec, records, logs.path)
+    changes = column_changes(spec, records, logs.path)
     broken = [record for record in records.values() if record.status == "failed"]
     written = [record for record in records.values() if record.status == "growing"]
     return MotorCheck(
@@ -60,7 +62,7 @@ def check_motor(spec: MotorSpec) -> MotorCheck:
         n_nights=len(nights),
         first=min(nights).isoformat() if nights else None,
         last=max(nights).isoformat() if nights else None,
-        faults=(*map(_fault, broken), *map(_absent, logs.absent), *unfit),
+        faults=(*map(_fault, broken), *map(_absent, logs.absent), *changes, *unfit),
         placeholders=(
             *(path.name for path in spec.motor_type.path if path.source == "placeholder"),
             *(oil.name for oil in _oils(spec) if oil.source == "placeholder"),

@@ -75,6 +75,8 @@ def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
         keys = {"source": source.source, "unit": source.unit}
         if source.field and source.field != "value":
             keys["field"] = source.field
+        if source.value_column:
+            keys["value_column"] = source.value_column
         if motor.quality.get(name):
             keys["quality_source"] = motor.quality[name]
         channels[name] = keys

@@ -47,6 +47,7 @@ _QUALITY_WORDS = {"quality", "status", "qualität", "kvalitet", "calidad", "qual
 _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
 
+_BRACKETED = re.compile(r"[\[(<{][^\])>}]*[\])>}]")
 _LABEL = re.compile(r'([A-Za-z_]\w*)="([^"]*)"')
 _SERIES = re.compile(r'[\w:]*\{[A-Za-z_]\w*="[^"]*"(?:, ?[A-Za-z_]\w*="[^"]*")*\}')
 
@@ -85,6 +86,7 @@ class GuessedSource:
     unit: str | None  # None where the log does not say it
     samples: tuple[str, ...]
     field: str = ""
+    value_column: str = ""  # of a file a channel, where the files' differ
 
 
 Candidate = tuple[str, str, str, tuple[str, ...]]
@@ -105,6 +107,8 @@ class TableLayout:
     # Motors by column, of a long table whose rows have the same names for several.
     motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quality: str = ""  # column of the rows' quality, in a long table
+    # Topics and fields of each of several motors of an MCAP, by what their names begin with.
+    fields: Mapping[str, tuple[GuessedSource, ...]] = field(default_factory=dict)
 
 
 def kind_of(cells: Sequence[str]) -> Kind:
@@ -182,8 +186,8 @@ def find_layout(
         found = _long(value, texts, scan)
         if found is not None:
             return found
-    if len(numbers) == 1 and channel_of(numbers[0].name) is None:
-        found = _file_per_channel(numbers[0].name, path, read)
+    if len(numbers) == 1 and channel_of(_BRACKETED.sub("", numbers[0].name)) is None:
+        found = _file_per_channel(numbers[0].name, times, path, read)
         if found is not None:
             return found
     readable = [one for one in rest if one.kind in ("number", "nothing")]
@@ -288,17 +292,22 @@ def is_quality_name(name: str) -> bool:
 
 
 def _file_per_channel(
-    value: str, path: Path, read: Callable[[Path], Sequence[GuessedColumn]]
+    value: str, times: Times, path: Path, read: Callable[[Path], Sequence[GuessedColumn]]
 ) -> TableLayout | None:
-    """The layout of a file a channel; None where the files are not all alike."""
+    """The layout of a file a channel; None where a file has not one column of values."""
     sources, files = [], []
     for channel, (pattern, example) in files_by_channel(path).items():
-        column = next((one for one in read(example) if one.name == value), None)
+        numbers = [one for one in read(example) if one.kind == "number" and one.name != times.time]
+        column = next((one for one in numbers if one.name == value), None)
+        if column is None and len(numbers) == 1:
+            column = numbers[0]
         if column is None:
             return None
-        told = (unit_of(channel, text) for text in (column.unit, value, example.name) if text)
+        told = (unit_of(channel, text) for text in (column.unit, column.name, example.name) if text)
         unit = next((one for one in told if one), None)
-        sources.append(GuessedSource(channel, pattern, unit, column.filled[:SAMPLES]))
+        own = column.name if column.name != value else ""
+        samples = column.filled[:SAMPLES]
+        sources.append(GuessedSource(channel, pattern, unit, samples, value_column=own))
         files.append(pattern)
     if not sources:
         return None

@@ -26,6 +26,7 @@ from pipeline.setup.guess_times import (
     is_time_name,
     number_format,
 )
+from pipeline.setup.motor_groups import groups_of
 from pipeline.units import QUANTITIES
 
 _FIELDS_SHOWN = 40
@@ -53,6 +54,8 @@ class McapGuess:
     stamp_format: TimeGuess | None  # None for a pair of seconds and nanoseconds
     sources: tuple[GuessedSource, ...]
     unused: Mapping[str, tuple[str, ...]]  # samples of fields that no channel was found for
+    # Where topics or fields are of several motors: those of each, by what their names begin with.
+    motors: Mapping[str, tuple[GuessedSource, ...]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +71,12 @@ class _Reading:
         return f"{self.topic.name} {path_text(self.path)}"
 
     @property
+    def told(self) -> str:
+        """The topic, with the field where that is called something."""
+        field = path_text(self.path)
+        return self.topic.name if field in VALUE_WORDS else f"{self.topic.name}.{field}"
+
+    @property
     def samples(self) -> tuple[str, ...]:
         return _shown(self.topic.fields[self.path])
 
@@ -76,7 +85,8 @@ def guess_mcap(path: Path) -> McapGuess:
     """Topics of a file, and the channels that they seem to be."""
     topics = read_topics(path)
     readings = [one for topic in topics for one in _readings(topic)]
-    chosen = best_by_channel((one.channel, _merit(one), one) for one in readings).values()
+    motors = _motors(readings)
+    chosen = [one for own in (motors or {"": _best(readings)}).values() for one in own]
     of_channels = list({one.topic.name: one.topic for one in chosen}.values())
     stamp, stamp_format = _stamp(of_channels)
     time, remark = ("log_time", "") if stamp else _time(of_channels)
@@ -86,9 +96,30 @@ def guess_mcap(path: Path) -> McapGuess:
         remark=remark,
         stamp=stamp,
         stamp_format=stamp_format,
-        sources=tuple(_source(one) for one in chosen),
+        sources=tuple(_source(one) for one in _best(readings)),
         unused={one.name: one.samples for one in readings if one not in chosen},
+        motors={name: tuple(map(_source, own)) for name, own in motors.items()},
     )
+
+
+def _best(readings: Sequence[_Reading]) -> list[_Reading]:
+    return list(best_by_channel((one.channel, _merit(one), one) for one in readings).values())
+
+
+def _motors(readings: Sequence[_Reading]) -> dict[str, list[_Reading]]:
+    """Readings of each motor, told by what repeats in topics and fields; none of a lone motor."""
+    by_path = {one.told: one for one in readings if one.channel is not None}
+    groups, _ = groups_of(list(by_path), {})
+    if len(groups) < 2:
+        return {}
+    found = {}
+    for group in groups:
+        own = _best([by_path[name] for name in group.signals])
+        topics = {one.topic.name for one in own}
+        # Of fields of one topic, the motor's part is that of the fields.
+        name = group.name.removeprefix(f"{topics.pop()}.") if len(topics) == 1 else group.name
+        found[name] = own
+    return found
 
 
 def _merit(reading: _Reading) -> tuple[int, int]:

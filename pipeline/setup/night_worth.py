@@ -1,49 +1,147 @@
-"""Operation in a log, and whether it is enough for a night's fit."""
+"""Operation in a log, and the figures that a night of it gives."""
 
 from __future__ import annotations
 
+import datetime as dt
+import math
 from collections.abc import Mapping
 
 import numpy as np
+from numpy.typing import NDArray
 
+from leakage import LeakageError, Motor, OperatingConditions
+from leakage.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
+from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
 
-# Inputs of the model with their unit in words; the pressure is the difference, or the high side.
-_INPUTS = {
-    "pressure_difference": "bar",
-    "high_port_pressure": "bar",
-    "oil_temperature": "°C",
-    "speed": "rpm",
-}
+Array = NDArray[np.float64]
+
+# Simulated nights of benchmarks/results/coverage.md, loads of 15 to 90 s: the range of each input,
+# 5th to 95th percentile, and the minutes of which 92 to 100 % told every path.
+_RANGES = {"pressure": (260.0, "bar"), "speed": (96.0, "rpm"), "oil temperature": (12.0, "°C")}
+_ENOUGH_MINUTES = 30.0
+# Error of the flow [l/min at one sample a second] that gives that table's intervals of K from the
+# spread of the columns alone: ±8.5 % of the piston ring's from 30 minutes, ±5.6 % from 60.
+_ERROR_L_PER_MIN = 0.16
+# A K is told if its half-width is at most half of it.
+_WIDEST = 0.5
+# Condition of columns that are multiples of one another but for rounding.
+_MOST_ALIKE = 1e10
+_MOST_NIGHTS = 30
+_MOST_SAMPLES = 5000
 
 
-def night_worth(spec: MotorSpec, channels: Mapping[str, RawChannel], nights: int) -> str:
-    """Running minutes a night and the conditions in them, in words.
+def night_worth(
+    spec: MotorSpec, label: dt.date, channels: Mapping[str, RawChannel], nights: int
+) -> str:
+    """Running minutes a night, the conditions in them, and what they tell, in words.
 
     A sample counts for the typical distance of two, so that gaps count for nothing. Conditions are
-    the 5th to 95th percentiles of all that was logged.
+    the 5th to 95th percentiles while the motor ran.
     """
     speed = channels["speed"]
-    is_running = np.abs(speed.value) > spec.settings.cleaning.standstill_rpm
+    is_running = (np.abs(speed.value) > spec.settings.cleaning.standstill_rpm) & _valid(
+        spec, "speed", speed
+    )
     steps = np.diff(np.unique(speed.time_us[~speed.missing]))
     step_us = float(np.median(steps)) if steps.size else 0.0
     minutes = float(is_running.sum()) * step_us / SECOND_US / 60.0 / max(nights, 1)
     windows = spec.settings.windows
     needed = windows.minimum_training_minutes / windows.training_share
-    conditions = [
-        f"{low:.3g} to {high:.3g} {unit}"
-        for name, unit in _INPUTS.items()
-        if name in channels and (numbers := _numbers(channels[name])).size
-        for low, high in [np.percentile(numbers, (5, 95), method="nearest")]
-    ]
-    ran = f"the motor ran {minutes:.3g} minutes a night, at {', '.join(conditions)}"
-    if minutes >= needed:
-        return f"{ran}: enough for a fit every night ({needed:.3g} minutes)"
-    return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
+    inputs = _inputs(spec, channels, is_running)
+    if not inputs:
+        return f"the motor ran {minutes:.3g} minutes a night, without a pressure and temperature"
+    reached = []
+    for (name, (full, unit)), values in zip(_RANGES.items(), inputs, strict=True):
+        low, high = np.percentile(values, (5, 95), method="nearest")
+        share = min((high - low) / full, 1.0)
+        reached.append(f"{name} {low:.3g} to {high:.3g} {unit} ({100 * share:.0f} %)")
+    ran = (
+        f"the motor ran {minutes:.3g} minutes a night, at {', '.join(reached)} of the range that "
+        "tells every path within a night"
+    )
+    if minutes < needed:
+        return f"{ran}: too little for a fit, which needs {needed:.3g} minutes"
+    return f"{ran}: leakage every night, {_paths_told(spec, label, inputs, minutes)}"
 
 
-def _numbers(raw: RawChannel) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    numbers: np.ndarray[tuple[int], np.dtype[np.float64]] = raw.value[np.isfinite(raw.value)]
-    return numbers
+def _valid(spec: MotorSpec, name: str, raw: RawChannel) -> NDArray[np.bool_]:
+    """Samples within the channel's range."""
+    stated = next(one.valid_range for key, one in spec.file.channels.items() if key == name)
+    low, high = stated or FALLBACK_VALID_RANGE[name]
+    return (raw.value >= low) & (raw.value <= high)
+
+
+def _inputs(
+    spec: MotorSpec, channels: Mapping[str, RawChannel], is_running: NDArray[np.bool_]
+) -> list[Array]:
+    """Pressure difference, speed and temperature at some samples at which the motor ran."""
+    chosen = np.flatnonzero(is_running)
+    chosen = chosen[:: max(1, len(chosen) // _MOST_SAMPLES)]
+    time_us = channels["speed"].time_us[chosen]
+
+    def at(name: str) -> Array | None:
+        if name not in channels or not chosen.size:
+            return None
+        own = channels[name]
+        known = _valid(spec, name, own)
+        if not known.any():
+            return None
+        order = np.argsort(own.time_us[known], kind="stable")
+        return np.interp(time_us, own.time_us[known][order], own.value[known][order])
+
+    pressure, temperature = at("pressure_difference"), at("oil_temperature")
+    high, low = at("high_port_pressure"), at("low_port_pressure")
+    if pressure is None and high is not None and low is not None:
+        pressure = high - low
+    if pressure is None or temperature is None:
+        return []
+    return [np.abs(pressure), np.abs(channels["speed"].value[chosen]), temperature]
+
+
+def _paths_told(spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: float) -> str:
+    """Nights after which the paths are told apart, in words."""
+    motor = spec.motor(label, spec.file.flushing.mode)
+    try:
+        widths = half_widths(motor, OperatingConditions.from_bar(*_ordered(inputs)), minutes)
+    except LeakageError:
+        return "paths cannot be judged: its conditions are outside the model's"
+    alone = math.ceil(_ENOUGH_MINUTES / minutes)
+    nights = {
+        name: max(alone, math.ceil((width / _WIDEST) ** 2)) if math.isfinite(width) else math.inf
+        for name, width in widths.items()
+    }
+    told = [name for name, number in nights.items() if number <= _MOST_NIGHTS]
+    untold = ", ".join(name.replace("_", " ") for name in nights if name not in told)
+    words = "no path by itself"
+    if told:
+        number = max(nights[name] for name in told)
+        after = "every night" if number == 1 else f"after {number} nights"
+        words = f"{'other ' if untold else ''}paths {after}"
+    return f"{words}; not told apart at these conditions: {untold}" if untold else words
+
+
+def _ordered(inputs: list[Array]) -> tuple[Array, Array, Array]:
+    pressure, speed, temperature = inputs
+    return pressure, temperature, speed
+
+
+def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -> dict[str, float]:
+    """Half-width of each free path's coefficient, relative to it, from minutes at conditions.
+
+    Infinite where the path's flow cannot be told from the others' at these conditions.
+    """
+    flows = path_flows_l_per_min(motor, conditions)
+    names = [path.name for path in motor.column_paths if np.any(flows[path.name])]
+    columns = np.stack([flows[name] for name in names], axis=1)
+    lengths = np.linalg.norm(columns, axis=0)
+    seconds_a_sample = minutes * 60.0 / len(columns)
+    # As in a regression of each column on the others: what is left of it tells its coefficient.
+    correlation = (columns / lengths).T @ (columns / lengths)
+    if np.linalg.cond(correlation) > _MOST_ALIKE:
+        return dict.fromkeys(names, math.inf)
+    spread = np.sqrt(np.diag(np.linalg.inv(correlation))) / lengths
+    widths = _ERROR_L_PER_MIN * spread / math.sqrt(seconds_a_sample)
+    return dict(zip(names, map(float, widths), strict=True))

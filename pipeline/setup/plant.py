@@ -178,11 +178,29 @@ def _motors(
             yield from _grouped(guess, own_logs, name, asked, unused)
         return
     if is_split:
-        sources = {one.channel: _with_unit(one, guess, asked, log) for one in guess.layout.sources}
-        yield from _complete(ProposedMotor("", log, logs, sources, {}), guess, asked)
+        for name, own_sources in (guess.layout.fields or {"": guess.layout.sources}).items():
+            motor_id = _plain(name or log)
+            told = {_pressure_or_channel(one): [one] for one in own_sources}
+            sources = {
+                channel: _with_unit(one, guess, asked, name or log)
+                for channel, one in _chosen(motor_id, told, asked)
+            }
+            yield from _complete(ProposedMotor(name, motor_id, logs, sources, {}), guess, asked)
         unused |= dict.fromkeys(guess.layout.unused)
         return
     yield from _grouped(guess, logs, log, asked, unused)
+
+
+def _place(source: GuessedSource) -> str:
+    """Where a channel stands, in words: its column, tag or topic, with a field that has a name."""
+    named = source.field and source.field != "value"
+    return f"{source.source}.{source.field}" if named else source.source
+
+
+def _pressure_or_channel(source: GuessedSource) -> str:
+    """A source's channel, or "bare" for a pressure that may be any."""
+    is_bare = source.channel == "pressure_difference" and is_bare_pressure(_place(source))
+    return "bare" if is_bare else source.channel
 
 
 def _grouped(
@@ -296,11 +314,11 @@ def _chosen(
         if len(own) == 1 and found != "bare":
             yield channel, own[0]
             continue
-        names = [one.source for one in own]
+        names = [_place(one) for one in own]
         words = channel.replace("_", " ")
         text = f"{motor_id}: {', '.join(names)} may be the {words}: which is it?"
         named = asked.ask(f"{motor_id}.{channel}", text, names)
-        yield from ((channel, one) for one in own if one.source == named)
+        yield from ((channel, one) for one in own if _place(one) == named)
 
 
 def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked, motor: str) -> GuessedSource:
@@ -310,10 +328,13 @@ def _with_unit(source: GuessedSource, guess: LogGuess, asked: _Asked, motor: str
     numbers = [as_number(cell, guess.marks) for cell in source.samples]
     known = [number for number in numbers if number is not None]
     shown = "; ".join(source.samples[:3])
-    text = f"unit of {source.channel.replace('_', ' ')} ({source.source}: {shown}): which is it?"
+    place = _place(source)
+    text = f"unit of {source.channel.replace('_', ' ')} ({place}: {shown}): which is it?"
     units = tuple(UNITS[QUANTITIES[source.channel]])
     likely = likely_units(source.channel, known) or units
-    key = f"unit of {source.source.replace(motor, '').strip('._/: -') or source.channel}"
+    whole = rf"(?<![^\W_]){re.escape(motor)}(?![^\W_])"
+    rest = re.sub(r"([._/: -])[._/: -]+", r"\1", re.sub(whole, "", place)).strip("._/: -")
+    key = f"unit of {rest or source.channel}"
     if key in asked.answers and asked.answers[key] not in likely:
         key = f"{key} in {asked.log}"
     return replace(source, unit=asked.ask(key, text, likely, units))

@@ -172,7 +172,7 @@ def _mcap_guess(path: Path) -> LogGuess:
         logs.append(f"stamp = {quoted(guess.stamp)}")
         if guess.stamp_format:
             logs += _time_lines(Times("", "", guess.stamp_format))
-    layout = TableLayout("wide", guess.sources, guess.unused)
+    layout = TableLayout("wide", guess.sources, guess.unused, fields=guess.motors)
     return LogGuess("mcap", _files(path, layout), tuple(logs), layout, Marks(), guess.listing)
 
 
@@ -241,6 +241,8 @@ def _channel_lines(sources: Sequence[GuessedSource], marks: Marks) -> Iterator[s
         yield f"source = {quoted(one.source)}" + ("" if one.field else _shown(one.samples))
         if one.field and one.field != "value":
             yield f"field = {quoted(one.field)}{_shown(one.samples)}"
+        if one.value_column:
+            yield f"value_column = {quoted(one.value_column)}"
         yield _unit_line(one, marks)
     found = {one.channel for one in sources}
     missing = set(_NEEDED) - found

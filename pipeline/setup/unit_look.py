@@ -11,7 +11,7 @@ import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
-from pipeline.config.motors import MotorFile
+from pipeline.config.motors import Logs, MotorFile
 from pipeline.ingest import RawChannel
 from pipeline.setup.guess_channels import LOW_SIDE, USUAL, unit_of
 from pipeline.setup.guess_csv import csv_head
@@ -54,12 +54,7 @@ def suspect_units(
 
 def units_told(path: Path, file: MotorFile) -> dict[str, str]:
     """Channels that a table's header or line of units gives another unit than the config."""
-    beside: dict[str, str] = {}
-    if file.logs.layout == "wide" and file.logs.format == "csv":
-        head = csv_head(path)
-        beside = dict(zip(head.names, head.units, strict=False))
-    elif file.logs.layout == "wide" and file.logs.format == "parquet":
-        beside = {one.name: one.unit for one in parquet_columns(path) if one.kind != "timestamp"}
+    beside = columns_of(path, file.logs) or {}
     found = {}
     for name, channel in file.channels.items():
         if channel.counts is not None or channel.constant is not None:
@@ -71,6 +66,19 @@ def units_told(path: Path, file: MotorFile) -> dict[str, str]:
                 f"{channel.source}"
             )
     return found
+
+
+def columns_of(path: Path, logs: Logs) -> dict[str, str] | None:
+    """Columns of a table, each with what stands in its header as a unit; None: it is no table."""
+    if logs.layout != "wide":
+        return None
+    if logs.format == "csv":
+        head = csv_head(path)
+        return dict(zip(head.names, head.units or ("",) * len(head.names), strict=False))
+    if logs.format == "parquet":
+        columns = parquet_columns(path)
+        return {one.name: one.unit if one.kind != "timestamp" else "" for one in columns}
+    return None
 
 
 def _typical(raw: RawChannel) -> float | None:

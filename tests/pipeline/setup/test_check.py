@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
 
+from benchmarks.night_kinds import CYCLES_S
+from benchmarks.simulated_nights import duty
+from benchmarks.simulated_nights import motor as simulated_motor
+from leakage import OperatingConditions
 from pipeline.config import load_fleet
 from pipeline.setup.channel_check import ChannelCheck
 from pipeline.setup.check import MotorCheck, check_fleet
+from pipeline.setup.night_worth import half_widths
 from tests.conftest import OwnFleet
 from tests.pipeline.simulated import NIGHT, motor_toml, operate, write_configs, write_log
 
@@ -266,7 +273,41 @@ def test_running_minutes_and_whether_they_are_enough(tmp_path: Path) -> None:
         (note,) = checks_of(fleet)["M1"].notes
         assert told in note
         # 5 minutes of training are 80 % of a night.
-        assert note.endswith("enough for a fit every night (6.25 minutes)") == (running == 2400)
+        assert ("too little for a fit, which needs 6.25 minutes" in note) == (running == 240)
+        assert ("leakage every night, paths every night" in note) == (running == 2400)
+
+
+def worth_of(tmp_path: Path, minutes: float, **values: float) -> str:
+    fleet = write_configs(tmp_path, {"M1": motor_toml("M1")})
+    operation = operate(minutes=minutes)
+    channels = operation.channels(operation.pressure_bar)
+    for name, value in values.items():
+        channels[name] = np.full_like(channels[name], value)
+    write_log(tmp_path / "logs" / "M1" / "a.parquet", operation.time_us, channels)
+    return checks_of(fleet)["M1"].notes[0]
+
+
+def test_short_nights_tell_the_paths_together(tmp_path: Path) -> None:
+    """30 minutes at all conditions tell them (`benchmarks/results/coverage.md`)."""
+    assert worth_of(tmp_path, 12.0).endswith("leakage every night, paths after 3 nights")
+
+
+def test_a_motor_at_one_condition_tells_its_leakage_and_no_path(tmp_path: Path) -> None:
+    """Columns that do not vary are multiples of one another."""
+    note = worth_of(tmp_path, 60.0, pressure_difference=150.0, speed=30.0, oil_temperature=50.0)
+    assert "pressure 150 to 150 bar (0 %), speed 30 to 30 rpm (0 %)" in note
+    assert "leakage every night, no path by itself; not told apart at these conditions: " in note
+
+
+def test_half_widths_are_those_of_the_benchmark() -> None:
+    """Median of 1000 nights of 30 and 60 minutes: ±8.46 and ±5.59 % of the piston ring's K."""
+    for minutes, published in ((30, 8.46), (60, 5.59)):
+        found = []
+        for seed in range(5):
+            seen = duty(minutes / 60.0, np.random.default_rng(seed), 1.0, CYCLES_S)
+            conditions = OperatingConditions.from_bar(*seen.channels)
+            found.append(100.0 * half_widths(simulated_motor(), conditions, minutes)["piston_ring"])
+        assert np.median(found) == pytest.approx(published, rel=0.2)
 
 
 def test_two_motors_of_one_drain_flow(tmp_path: Path) -> None:
@@ -275,4 +316,43 @@ def test_two_motors_of_one_drain_flow(tmp_path: Path) -> None:
     assert checks["M1"].faults == ()
     assert checks["M2"].faults == (
         "column_claimed_twice: leakage_flow is the drain flow of M1, too",
+    )
+
+
+def daily_logs(tmp_path: Path, header_of: Callable[[int], str]) -> Path:
+    """Logs of 10 to 19 March, each of a few rows in the evening; returns the fleet file."""
+    fleet = write_configs(
+        tmp_path,
+        {"M1": motor_toml("M1", files='"*.csv"').replace('"parquet"', '"csv"\nunit_rows = 1')},
+    )
+    for day in range(10, 20):
+        rows = [f"2026-03-{day}T22:00:0{i}Z,150.{i},50.5,30.5,1.2" for i in range(9)]
+        log = tmp_path / "logs" / f"2026-03-{day}.csv"
+        log.write_text("\n".join([header_of(day), *rows]) + "\n", "utf-8")
+    return fleet
+
+
+COLUMNS = "time,pressure_difference,oil_temperature,speed,leakage_flow\n,bar,degC,rpm,l/min"
+
+
+def test_a_column_that_is_renamed_is_told_with_the_date(tmp_path: Path) -> None:
+    renamed = COLUMNS.replace("oil_temperature", "T_OIL")
+    fleet = daily_logs(tmp_path, lambda day: COLUMNS if day < 14 else renamed)
+    told = [one for one in checks_of(fleet)["M1"].faults if one.startswith("column_gone")]
+    assert told == [
+        "column_gone: the log of 15 March 2026 (2026-03-14.csv) has no column 'oil_temperature', "
+        "but 'T_OIL', new since then"
+    ]
+
+
+def test_a_unit_that_changes_is_told_with_the_date(tmp_path: Path) -> None:
+    other = COLUMNS.replace(",bar,", ",psi,")
+    fleet = daily_logs(tmp_path, lambda day: COLUMNS if day < 17 else other)
+    told = [one for one in checks_of(fleet)["M1"].faults if one.startswith("unit_changed")]
+    assert told == [
+        "unit_changed: the log of 18 March 2026 (2026-03-17.csv) gives 'pressure_difference' in "
+        "'psi'; the log before has 'bar'"
+    ]
+    assert not any(
+        "_changed" in one for one in checks_of(daily_logs(tmp_path, lambda _: COLUMNS))["M1"].faults
     )

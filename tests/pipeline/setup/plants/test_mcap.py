@@ -1,0 +1,91 @@
+"""`init` on an MCAP file of several motors, by topics or by fields of one topic."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from pipeline.config import load_fleet
+from pipeline.demo import shipped_configs
+from pipeline.ingest import read_log
+from pipeline.setup.fleet_files import fleet_files, write_fleet
+from pipeline.setup.plant import propose
+from tests.pipeline.ingest.writers import mcap_bytes
+from tests.pipeline.setup.plants.plant import ROWS, START, value
+
+T0_NS = int(START.timestamp()) * 10**9
+KINDS = {"pressure": "dp", "oil_temperature": "temp", "speed": "speed", "case_drain": "flow"}
+UNITS = {"pressure": "bar", "oil_temperature": "degC", "speed": "rpm", "case_drain": "l/min"}
+
+Messages = Sequence[tuple[str, int, bytes]]
+
+
+def by_topics() -> Messages:
+    return [
+        (f"/mill3/motor{m}/{name}", T0_NS + row * 10**9, payload({"value": value(kind, m, row)}))
+        for row in range(ROWS)
+        for m in (1, 2)
+        for name, kind in KINDS.items()
+    ]
+
+
+def by_fields() -> Messages:
+    return [
+        (
+            "/mill3",
+            T0_NS + row * 10**9,
+            payload(
+                {
+                    f"motor{m}": {name: value(kind, m, row) for name, kind in KINDS.items()}
+                    for m in (1, 2)
+                }
+            ),
+        )
+        for row in range(ROWS)
+    ]
+
+
+def payload(content: object) -> bytes:
+    return json.dumps(content).encode()
+
+
+@pytest.mark.parametrize(
+    ("messages", "names", "pressure"),
+    [
+        (by_topics(), ("/mill3/motor1", "/mill3/motor2"), "/mill3/{}/pressure"),
+        (by_fields(), ("motor1", "motor2"), "/mill3.{}.pressure"),
+    ],
+    ids=["topics", "fields"],
+)
+def test_each_motor_has_its_channels(
+    tmp_path: Path, messages: Messages, names: tuple[str, ...], pressure: str
+) -> None:
+    log = tmp_path / "plant.mcap"
+    log.write_bytes(mcap_bytes(messages))
+    first = propose(log, {})
+    assert tuple(one.name for one in first.motors) == names
+    # A pressure that may be any is asked for, and so are the units.
+    answers = {
+        f"{one.motor_id}.pressure_difference": pressure.format(f"motor{number}")
+        for number, one in enumerate(first.motors, 1)
+    }
+    answers["time log_time"] = "log_time"
+    asked = {one.key for one in propose(log, answers).questions}
+    answers |= {key: UNITS[key.removeprefix("unit of ").rpartition(".")[2]] for key in asked}
+    proposal = propose(log, answers)
+    assert proposal.questions == ()
+    folder = tmp_path / "fleet"
+    files = fleet_files(proposal, folder, "CB560", "vg68")
+    write_fleet(files, folder, shipped_configs(), "CB560")
+    for number, spec in enumerate(load_fleet(folder / "fleet.toml").motors, 1):
+        channels = read_log(log, spec.file.logs, spec.file.channels).channels
+        for name, kind in zip(
+            ("pressure_difference", "oil_temperature", "speed", "leakage_flow"),
+            KINDS.values(),
+            strict=True,
+        ):
+            expected = [value(kind, number, row) for row in range(ROWS)]
+            assert channels[name].value.tolist() == pytest.approx(expected)
