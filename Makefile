@@ -86,6 +86,7 @@ docs-site: $(READY) ## the documentation as pages that can be browsed and search
 
 pictures: report ## make the pictures of the README and the docs anew, from the demo
 	$(BIN)/python -m tests.pictures out/report docs/pictures
+	$(BIN)/python -m tests.notebooks .
 
 wheelhouse: $(READY) ## all packages for an installation without a network, in wheelhouse/
 	$(BIN)/python -m pip download --quiet --require-hashes -r requirements.txt -d wheelhouse

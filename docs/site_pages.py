@@ -7,6 +7,7 @@ import json
 import re
 from pathlib import Path, PurePosixPath
 from posixpath import normpath, relpath
+from typing import Any
 
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
@@ -25,6 +26,7 @@ NOTEBOOKS = {
     f"docs/notebooks/{path.name}": f"notebooks/{path.stem}.md"
     for path in (ROOT / "docs" / "notebooks").glob("*.ipynb")
 }
+_ONE_LINE = re.compile(r"\s*\n\s*")
 LINK = re.compile(
     r"(?P<image>!?)\[(?P<text>[^\]]*)\]\((?P<path>(?!\w+:|#)[^)#\s]+)(?P<anchor>[^)]*)\)"
 )
@@ -40,10 +42,39 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def as_markdown(notebook: Path) -> str:
-    """Text and code of a notebook, as Markdown."""
+    """Text, code and outputs of a notebook, as Markdown.
+
+    Figures are those of `docs/pictures/`; the other outputs are of `out/notebooks/`, where
+    `make pictures` leaves the notebook executed, and are left out without it.
+    """
     cells = json.loads(notebook.read_text("utf-8"))["cells"]
-    parts = [("".join(cell["source"]), cell["cell_type"] == "code") for cell in cells]
-    return "\n\n".join(f"```python\n{text}\n```" if code else text for text, code in parts)
+    parts = []
+    for at, (cell, outputs) in enumerate(zip(cells, _outputs(notebook, cells), strict=True)):
+        text = "".join(cell["source"])
+        parts.append(f"```python\n{text}\n```" if cell["cell_type"] == "code" else text)
+        picture = f"pictures/{notebook.stem}_{at}.png"
+        if (ROOT / "docs" / picture).exists():
+            parts.append(f"![Figure of the cell above](../{picture})")
+        else:
+            parts += [_output(one) for one in outputs]
+    return "\n\n".join(parts)
+
+
+def _outputs(notebook: Path, cells: list[dict[str, Any]]) -> list[list[dict[str, Any]]]:
+    """Outputs by cell of the executed notebook; none where it is not that of these cells."""
+    executed = ROOT / "out" / "notebooks" / notebook.name
+    made = json.loads(executed.read_text("utf-8"))["cells"] if executed.exists() else []
+    if [cell["source"] for cell in made] != [cell["source"] for cell in cells]:
+        return [[] for _ in cells]
+    return [cell.get("outputs", []) for cell in made]
+
+
+def _output(output: dict[str, Any]) -> str:
+    data = output.get("data", {})
+    if html := "".join(data.get("text/html", ())):
+        return f'<div class="output">{_ONE_LINE.sub(" ", html)}</div>'
+    text = "".join(data.get("text/plain", output.get("text", ())))
+    return f"```text\n{text.rstrip()}\n```"
 
 
 def on_page_markdown(markdown: str, page: Page, files: Files, **_: object) -> str:

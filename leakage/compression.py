@@ -63,8 +63,8 @@ class CompressedSamples:
 
     def error_of(self, part: str, coefficients: Array) -> Array:
         """Prediction errors of the samples of a part [l/min], shape (n,)."""
-        error: Array = self.z[self.rows_of(part)] @ -np.concatenate([coefficients, (1.0, -1.0)])
-        return error
+        error: Array = self.z @ -np.concatenate([coefficients, (1.0, -1.0)])
+        return error[self.rows_of(part)]
 
 
 def compress(

@@ -6,10 +6,13 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
+
+from leakage.lagged_products import Segments, lagged_products
 
 Array = NDArray[np.float64]
 
+# Lags that are looked at first: most errors forget sooner, and more lags take longer.
+FIRST_LAGS = 500
 # Longest memory of the errors that is looked for in the samples.
 LONGEST_MEMORY_S = 600.0
 # Means over this time show a slow error under a larger fast one.
@@ -40,13 +43,13 @@ def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -
     array([ 1., -1.,  1.])
     """
     place = index - index[0]
-    length = int(place[-1]) + 1
-    present, series = np.zeros(length), np.zeros(length)
-    present[place] = 1.0
-    series[place] = values - values.mean()
-    size = next_fast_len(length + longest_lag + 1, real=True)
-    pairs = np.round(irfft(np.abs(rfft(present, size)) ** 2, size)[: longest_lag + 1])
-    products = irfft(np.abs(rfft(series, size)) ** 2, size)[: longest_lag + 1]
+    # Of what is present, and of the values; 0 where a sample is missing.
+    series = np.zeros((2, int(place[-1]) + 1))
+    series[0, place] = 1.0
+    series[1, place] = values - values.mean()
+    together = Segments.of(np.arange(series.shape[1]))
+    pairs, products = lagged_products(series, together, longest_lag, [(0, 0), (1, 1)])
+    pairs = np.round(pairs)
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = np.where(pairs > 0, products / pairs, np.nan)
         result: Array = mean / mean[0] if mean[0] > 0 else np.full(longest_lag + 1, np.nan)
@@ -81,6 +84,10 @@ def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) 
     .. [1] M. G. Kendall, "Note on bias in the estimation of autocorrelation", *Biometrika*,
        41(3/4), 1954.
     """
+    if longest_lag > FIRST_LAGS >= index[1] - index[0]:
+        found = correlation_time(values, index, FIRST_LAGS)
+        if math.isfinite(found):
+            return found
     rho = autocorrelation(values, index, longest_lag)
     n = len(values)
     # Of every second sample there is no pair at lag one: the first lag there is stands in.

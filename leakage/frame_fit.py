@@ -142,10 +142,11 @@ def fit_frame(
             " samples are of another time, or the period is too short",
         )
     days = 1 + int(samples.time_us[-1] - samples.time_us[0]) // DAY_US
+    index, period_us = samples.index, samples.period_us
     made = compress(
         columns_of(motor, samples),
-        samples.index,
-        samples.period_us,
+        index,
+        period_us,
         short,
         Parametrisation.of(motor).coefficient_bounds(),
         maximum_blocks=windows.maximum_blocks * days,
@@ -171,8 +172,8 @@ def fit_frame(
         block_s=windows.block_s,
         memory_s=memory_s(
             made.error_of(TRAINING, theta),
-            samples.index[made.rows_of(TRAINING)],
-            samples.period_us / SECOND_US,
+            index[made.rows_of(TRAINING)],
+            period_us / SECOND_US,
             samples.rounding_l_per_min,
         ),
         training=agreement(made.judged_on(TRAINING), theta),

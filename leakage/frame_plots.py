@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 # Points of a curve over time: more are not seen.
 MOST_POINTS = 5000
 CURVE_POINTS = 60
+# Periods without a sample that end a line.
+GAP = 5
 # Reach of a profile on either side of the estimate, over its interval's half-width.
 REACH = 2.0
 
@@ -41,7 +43,10 @@ def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
     if samples.on_clock:
         time = samples.time_us[few].astype("datetime64[us]")
     axes.plot(time, samples.measured_l_per_min[few], ".", ms=2, color="0.6", label="measured")
-    axes.plot(time, found.predict()[few], lw=1, label="predicted")
+    predicted, apart = found.predict()[few], np.diff(samples.time_us[few], prepend=0)
+    # The line ends where samples are left out.
+    predicted[apart > GAP * step * samples.period_us] = np.nan
+    axes.plot(time, predicted, lw=1, label="predicted")
     for part, colour in ((TRAINING, "tab:green"), (VALIDATION, "tab:orange")):
         inside = found.parts[few] == part
         if inside.any():
@@ -57,7 +62,7 @@ def plot(found: FrameFit, ax: Axes | None = None) -> Axes:
                 label=part,
             )
     axes.set(xlabel="time (UTC)" if samples.on_clock else "time [s]", ylabel="drain flow [l/min]")
-    axes.legend(loc="upper right", fontsize="small")
+    _legend_beside(axes)
     return axes
 
 
@@ -65,23 +70,25 @@ def plot_residuals(found: FrameFit, part: Part, axes: Sequence[Axes] | None = No
     """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
     tests = found.residual_tests(part)
     panels = {"errors": tests.whiteness, **tests.independence}
-    found_axes = _panels(axes, len(panels))
+    found_axes, period_s = _panels(axes, len(panels)), found.samples.period_us / SECOND_US
     for ax, (name, test) in zip(found_axes, panels.items(), strict=True):
         ax.axhline(0.0, color="0.7", lw=0.8)
         ax.set(title=f"{name.replace('_', ' ')}: {test.verdict.replace('_', ' ')}")
-        ax.set_xlabel("lag [samples]")
+        ax.set_xlabel("lag [s]")
         if not len(test.lags):
             ax.text(0.5, 0.5, test.reason or "", ha="center", va="center", transform=ax.transAxes)
             continue
-        ax.fill_between(test.lags, -test.bounds, test.bounds, color="tab:blue", alpha=0.15, lw=0)
-        ax.vlines(test.lags, 0.0, test.values, lw=1.5)
+        lags = test.lags * period_s
+        ax.fill_between(lags, -test.bounds, test.bounds, color="tab:blue", alpha=0.15, lw=0)
+        ax.vlines(lags, 0.0, test.values, lw=1.5)
+    found_axes[0].set_ylabel("correlation [-]")
     return found_axes
 
 
 def plot_leakage(
     found: FrameFit, temperature_c: float | None, speed_rpm: float | None, ax: Axes | None = None
 ) -> Axes:
-    """Leakage by path over pressure, with the 95 % band of the sum."""
+    """Leakage by path over pressure, with the band of the sum: samples, model, sensors."""
     axes = ax or plt.subplots(figsize=(7, 4), layout="constrained")[1]
     samples, charge = found.samples, found.samples.charge_over_case_bar
     celsius = float(samples.oil_temperature_c.mean()) if temperature_c is None else temperature_c
@@ -93,25 +100,20 @@ def plot_leakage(
     theta = found.estimate.fit.coefficients
     flows = path_flows_l_per_min(found.motor, at, found.estimate.fit.coefficients_by_path)
     leaking = [path.name for path in found.motor.paths if not isinstance(path, Constant)]
-    axes.stackplot(bar, [flows[name] for name in leaking], labels=leaking, alpha=0.5)
+    labels = [name.replace("_", " ") for name in leaking]
+    axes.stackplot(bar, [flows[name] for name in leaking], labels=labels, alpha=0.5)
     rows = regressors(found.motor, at)
     total = rows[:, :-2] @ theta[:-1] + rows[:, -1]
-    half = np.array([_half_width(found, row) for row in rows])
+    half = found.total_half_widths(rows, at)
     axes.plot(bar, total, color="black", lw=1.2, label="sum")
-    axes.fill_between(bar, total - half, total + half, color="black", alpha=0.25, lw=0)
+    axes.fill_between(bar, total - half, total + half, color="black", alpha=0.3, lw=0)
     axes.set(
         xlabel="pressure difference [bar]",
         ylabel="leakage [l/min]",
-        title=f"{celsius:.1f} °C, {rpm:.0f} rpm; band: 95 %, from the samples",
+        title=f"{celsius:.1f} °C, {rpm:.0f} rpm; band: total ±",
     )
-    axes.legend(loc="upper left", fontsize="small")
+    _legend_beside(axes)
     return axes
-
-
-def _half_width(found: FrameFit, row: Array) -> float:
-    distribution = found.identification.distribution
-    interval = None if distribution is None else distribution.interval(np.append(row[:-2], 0.0))
-    return np.nan if interval is None else interval.half_width
 
 
 def plot_profile(found: FrameFit, axes: Sequence[Axes] | None = None) -> list[Axes]:
@@ -168,6 +170,11 @@ def _rise_at(whole: Array, found: FrameFit, free: Array, half_width: float) -> f
     beside = own - others @ np.linalg.lstsq(others, own)[0]
     n = float(np.sum(whole[:, -3] ** 2))
     return float(beside @ beside) * half_width**2 / n or 1.0
+
+
+def _legend_beside(axes: Axes) -> None:
+    """A legend that hides no data."""
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
 
 
 def _panels(axes: Sequence[Axes] | None, n: int) -> list[Axes]:

@@ -112,8 +112,8 @@ class FrameFit:
     @property
     def judgements(self) -> dict[str, Judgement]:
         """Verdict, reason and interval of each coefficient by name."""
-        judged = self.identification.coefficients
-        return {path.coefficient_name: judged[at] for at, path in self.paths.items()}
+        found = self.identification.coefficients
+        return {path.coefficient_name: found[at] for at, path in self.paths.items()}
 
     def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
         """Intervals from the samples by name; None for a coefficient that has none.
@@ -199,6 +199,18 @@ class FrameFit:
             self.estimate.fit, self.identification, self.blocks.excitation, at, systematic
         )
 
+    def total_half_widths(self, rows: Array, at: OperatingConditions) -> Array:
+        """Total ± of the leakage at some conditions, by their regressors [l/min]; nan: unknown."""
+        contrasts = np.column_stack([rows[:, :-2], np.zeros(len(rows))])
+        told = self.identification.distribution
+        intervals = [None if told is None else told.interval(one) for one in contrasts]
+        samples = np.array([np.nan if one is None else one.half_width for one in intervals])
+        model = self._model_errors(contrasts, LEAKAGE_FACTOR)
+        each = [at.part(slice(place, place + 1)) for place in range(len(rows))]
+        sensors = self._sensors(each).leakages_l_per_min()
+        total: Array = np.hypot(np.hypot(samples, model), 0.0 if sensors is None else sensors)
+        return total
+
     def judged(self) -> FrameFit:
         """The fit with what the model and the sensors can do to its coefficients."""
         free, beside = self.free_places, np.zeros_like(self.beside_samples)
@@ -232,10 +244,8 @@ class FrameFit:
         thinned[rows[few]] = True
         samples = self.samples.only(thinned)
         try:
-            flow = samples.measured_l_per_min
-            return error_budget(
-                self.motor, samples.conditions, flow, self.tolerances, at
-            ).of_sensors()
+            flow, seen = samples.measured_l_per_min, samples.conditions
+            return error_budget(self.motor, seen, flow, self.tolerances, at).of_sensors()
         except LeakageError:
             return ErrorBudget(())
 
@@ -359,7 +369,7 @@ class FrameFit:
         speed_rpm: float | None = None,
         ax: Axes | None = None,
     ) -> Axes:
-        """Leakage by path over pressure, with the 95 % band of the sum; at the means by default."""
+        """Leakage by path over pressure, with the total ± of the sum; at the means by default."""
         from leakage import frame_plots
 
         return frame_plots.plot_leakage(self, temperature_c, speed_rpm, ax)

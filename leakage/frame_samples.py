@@ -99,7 +99,8 @@ class FrameSamples:
     @property
     def index(self) -> NDArray[np.int64]:
         """Place of each sample on an even time base, increasing, shape (n,)."""
-        place = np.round((self.time_us - self.time_us[0]) / self.period_us).astype(np.int64)
+        period_us = self.period_us
+        place = (self.time_us - self.time_us[0] + period_us // 2) // period_us
         # Two samples that are closer than half a period still are two.
         later = np.arange(len(place))
         index: NDArray[np.int64] = np.maximum.accumulate(place - later) + later

@@ -22,7 +22,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -141,13 +140,14 @@ def lagged_products(
     needed = np.maximum(chunks.seen, chunks.owned + np.minimum(longest_lag, chunks.seen - 1))
     lengths = np.maximum(2 ** np.ceil(np.log2(needed)).astype(np.int64), SHORTEST_TRANSFORM)
     sums = np.zeros((len(pairs), longest_lag + 1))
-    for length in np.unique(lengths).tolist():
-        spectrum = _cross_spectrum(
-            series, chunks.only(np.flatnonzero(lengths == length)), length, pairs
-        )
+    whole = chunks.owned == chunks.seen
+    for kind in np.unique(np.where(whole, lengths, -lengths)).tolist():
+        length, is_whole = abs(kind), kind > 0
+        chosen = np.flatnonzero((lengths == length) & (whole == is_whole))
+        spectrum = _spectra(series, chunks.only(chosen), length, pairs, are_whole=is_whole)
         # Beyond half of a short transform stand the sums at negative lags.
         lags = min(longest_lag, (length - 1) // 2) + 1
-        sums[:, :lags] += irfft(spectrum, length)[:, :lags]
+        sums[:, :lags] += np.fft.irfft(spectrum, length)[:, :lags]
     return sums
 
 
@@ -163,12 +163,22 @@ def _cut(segments: Segments, longest_lag: int, longest: int) -> _Chunks:
     )
 
 
-def _cross_spectrum(
-    series: Array, chunks: _Chunks, length: int, pairs: Sequence[tuple[int, int]]
+def _spectra(
+    series: Array,
+    chunks: _Chunks,
+    length: int,
+    pairs: Sequence[tuple[int, int]],
+    *,
+    are_whole: bool,
 ) -> NDArray[np.complex128]:
-    """Sum over chunks of conj(A) B, for each pair of series; shape (p, length // 2 + 1)."""
+    """Sum over chunks of conj(A) B, for each pair of series; shape (p, length // 2 + 1).
+
+    A chunk that is a whole segment owns all that it sees: one transform of it is enough, and (b, a)
+    is (a, b) conjugated.
+    """
     place = np.arange(length)
-    spectrum = np.zeros((len(pairs), length // 2 + 1), dtype=np.complex128)
+    unique = [pair for at, pair in enumerate(pairs) if not (are_whole and pair[::-1] in pairs[:at])]
+    sums = {pair: np.zeros(length // 2 + 1, dtype=np.complex128) for pair in unique}
     step = max(1, BATCH_POINTS // length)
     for first in range(0, len(chunks.begins), step):
         batch = chunks.only(slice(first, first + step))
@@ -180,9 +190,10 @@ def _cross_spectrum(
         for one in series:
             values = one.take(places, mode="clip")
             values[unseen] = 0.0
-            seen.append(rfft(values))
-            values[not_owned] = 0.0
-            owned.append(rfft(values).conj())
-        for row, (a, b) in enumerate(pairs):
-            spectrum[row] += (owned[a] * seen[b]).sum(axis=0)
-    return spectrum
+            seen.append(np.fft.rfft(values))
+            if not are_whole:
+                values[not_owned] = 0.0
+            owned.append((seen[-1] if are_whole else np.fft.rfft(values)).conj())
+        for (a, b), spectrum in sums.items():
+            spectrum += (owned[a] * seen[b]).sum(axis=0)
+    return np.stack([sums[pair] if pair in sums else sums[pair[::-1]].conj() for pair in pairs])

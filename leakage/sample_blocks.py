@@ -209,9 +209,10 @@ def short_means(z: Array, short: Sequence[Block], stored: Sequence[Block]) -> Sh
     if len(short) == len(stored):
         return (None,) * len(stored)
     first = np.array([block.first_row for block in short])
-    ones = z[:, -3]
-    n = np.add.reduceat(ones * ones, first)
-    means = np.add.reduceat(z * ones[:, None], first) / n[:, None]
+    rows = (slice(block.first_row, block.end_row) for block in short)
+    sums = np.stack([z[part, -3] @ z[part] for part in rows])
+    n = sums[:, -3]
+    means = sums / n[:, None]
     owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
     start_us = np.array([block.start_us for block in short])
     length_us = short[0].end_us - short[0].start_us

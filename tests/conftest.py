@@ -55,12 +55,16 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def demo_folder(shared_folder: Path) -> Path:
-    """The demo fleet, 3 nights of 60 minutes; only to be read."""
+    """The demo fleet, 3 nights of 60 minutes, each with the search; only to be read."""
 
     def make(folder: Path) -> None:
         from pipeline.demo import write_demo
 
         write_demo(folder, nights=DEMO_NIGHTS, minutes=DEMO_MINUTES, workers=1)
+        fleet = folder / "configs" / "fleet.toml"
+        text = fleet.read_text("utf-8")
+        text = text.replace("[estimation]\n", "[estimation]\nsearch_every_nights = 1\n")
+        fleet.write_text(text, "utf-8")
 
     return made_once(shared_folder / "demo", make)
 
@@ -72,12 +76,10 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
         from pipeline.run.fleet import RunRequest, run_fleet
-        from tests.pipeline.simulated import with_search
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})
-        fleet = replace(with_search(fleet), execution=execution, output=folder)
-        run_fleet(RunRequest(fleet))
+        run_fleet(RunRequest(replace(fleet, execution=execution, output=folder)))
 
     return made_once(shared_folder / "fitted", make)
 

@@ -95,8 +95,9 @@ def check(
         _print_checks(checks)
     there_are_logs = any(one.n_files for one in checks)
     if not there_are_logs:
-        where = fleet.log_url or fleet.log_root
-        message = f"no log of any motor is below {where}; correct folders.logs, or logs.files"
+        message = (
+            f"no log of any motor is below {fleet.log_place}; correct folders.logs, or logs.files"
+        )
         fault = UsageError("no_logs", message)
         line = error_line(fault.code, fault.message, EXIT_MOTORS_FAILED, as_json=as_json)
         say(line, err=True)

@@ -58,9 +58,8 @@ def look(
         from pipeline.look.look import look_at_fleet
 
         fleet = load(config, output, None)
-        if fleet.log_url:
-            raise UsageError("look_logs", "logs in an object store cannot be looked at yet")
         wanted = known_motors(motors.split(), fleet)
+        _require_files(fleet, wanted)
         due = time.monotonic()
         while pause_s:
             try:
@@ -74,6 +73,17 @@ def look(
         _print(found, as_json=as_json)
         _measure(fleet)
     raise typer.Exit(EXIT_MOTORS_FAILED if any(one.fault for one in found) else EXIT_OK)
+
+
+def _require_files(fleet: Fleet, wanted: Sequence[str]) -> None:
+    """Refuse motors whose logs are no files of a folder."""
+    if fleet.log_url:
+        raise UsageError("look_logs", "logs in an object store cannot be looked at yet")
+    asked = [spec for spec in fleet.motors if not wanted or spec.motor_id in wanted]
+    if there := [spec.motor_id for spec in asked if spec.file.logs.database]:
+        names = ", ".join(there)
+        message = f"logs in a database cannot be looked at yet: leave out {names} with --motors"
+        raise UsageError("look_logs", message)
 
 
 def _measure(fleet: Fleet) -> None:

@@ -20,7 +20,14 @@ COLUMNS = ("motor", "channel", "in the log", "unit", "quality", "first values")
 
 
 def init(
-    source: Annotated[Path, typer.Argument(metavar="SOURCE", help="A log, or a folder of logs.")],
+    source: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A log, a folder of logs, or sql:NAME, the database whose address is in the "
+            "environment variable NAME.",
+        ),
+    ],
     to: Annotated[Path, typer.Option(metavar="FOLDER", help="Folder of the new config.")] = Path(
         "fleet"
     ),
@@ -28,6 +35,13 @@ def init(
         list[str] | None,
         typer.Option(metavar="KEY=VALUE", help="Answer to a question; may come several times."),
     ] = None,
+    query: Annotated[
+        str,
+        typer.Option(
+            metavar="SQL",
+            help="Of a database: the query of the samples, with {start} and {end}; else a table.",
+        ),
+    ] = "",
     write: Annotated[
         bool, typer.Option("--write", help="Write the files; else they are only shown.")
     ] = False,
@@ -36,21 +50,22 @@ def init(
 
     Example: motor-leakage init demo/logs --to my-fleet
 
+    Example: motor-leakage init sql:PLANT_DATABASE --to my-fleet
+
     Exit code 0: all is known; 1: questions are open, or a log cannot be read, and nothing is
     written; 2: wrong usage, or a file is there already.
     """
     from pipeline.demo import shipped_configs
     from pipeline.setup.fleet_files import fleet_files, write_fleet
-    from pipeline.setup.plant import propose
 
     answers = dict(map(_answer, answer or ()))
-    proposal = propose(source, answers)
+    proposal = _proposed(source, query, answers)
     shipped = shipped_configs()
     while questions := [*proposal.questions, *_of_the_machine(shipped, answers)]:
         if not sys.stdin.isatty():
             break
         answers |= dict(map(_asked, questions))
-        proposal = propose(source, answers)
+        proposal = _proposed(source, query, answers)
     _print(proposal)
     for one in questions:
         choices = f" ({', '.join(one.choices)})" if one.choices else ""
@@ -68,6 +83,26 @@ def init(
             typer.echo(f"\n# {to / name}\n{text}", nl=False)
         typer.echo("\nnothing is written without --write")
     raise typer.Exit(EXIT_MOTORS_FAILED if proposal.faults else EXIT_OK)
+
+
+def _proposed(source: Path, query: str, answers: dict[str, str]) -> Proposal:
+    from pipeline.setup.plant import propose
+
+    kind, _, variable = str(source).partition(":")
+    if kind in ("postgresql", "postgres"):
+        # Not quoted: it may hold a password, and so does the shell's history by now.
+        message = (
+            "put the address into an environment variable, such as PLANT_DATABASE, and name it: "
+            "motor-leakage init sql:PLANT_DATABASE"
+        )
+        raise UsageError("source", message)
+    if kind == "sql":
+        from pipeline.setup.database_look import propose_from_database
+
+        return propose_from_database(f"${{{variable}}}", query, answers)
+    if query:
+        raise UsageError("source", "--query is of a database: name it as sql:NAME")
+    return propose(source, answers)
 
 
 def _answer(text: str) -> tuple[str, str]:

@@ -15,7 +15,7 @@ from pipeline.errors import MotorLeakageError, one_line
 KEY_MARK = "[key]"
 LONGEST_QUOTE = 80
 # Keys whose values may hold a secret: nothing of them is quoted.
-UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret", "password"})
+UNQUOTED = frozenset({"webhook_url", "webhook_headers", "webhook_secret", "password", "connection"})
 OPENINGS = {
     "Input should be ": "expected ",
     "String should match pattern ": "expected text that matches ",

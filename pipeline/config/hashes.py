@@ -32,6 +32,8 @@ WORDS_AND_TOLERANCES = {
     "offset_tolerance",
     "gain_tolerance_percent",
 }
+# Keys of logs that say nothing of what is read: another query shows in the nights' content.
+NOT_OF_CONTENT = {"settle_s", "database"}
 # Where a channel stands in its log, which says nothing of its values.
 WHERE_IT_STANDS = {"field", "value_column"}
 # Raise it when the code makes other figures of the same statistics: every night is then refitted.
@@ -126,7 +128,7 @@ def _document(spec: MotorSpec) -> dict[str, Any]:
                 "override": True,
                 "events": {"__all__": {"note"}},
                 "oil_samples": {"__all__": {"note"}},
-                "logs": {"settle_s"},
+                "logs": NOT_OF_CONTENT,
             },
         ),
         "type": spec.motor_type.model_dump(mode="json"),
@@ -156,7 +158,7 @@ def reading_hash(spec: MotorSpec) -> str:
     return hash_of(
         {
             "version": READING_VERSION,
-            "logs": spec.file.logs.model_dump(mode="json", exclude={"files", "settle_s"}),
+            "logs": spec.file.logs.model_dump(mode="json", exclude=NOT_OF_CONTENT | {"files"}),
             "channels": {
                 name: channel.model_dump(mode="json", exclude=TOLERANCES)
                 for name, channel in spec.file.channels.items()

@@ -19,7 +19,7 @@ from leakage.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.defaults import at_their_place, completed
 from pipeline.config.faults import ConfigError, Fault, Place, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
-from pipeline.config.motors import MotorFile, channel_faults
+from pipeline.config.motors import LANDED, MotorFile, channel_faults
 from pipeline.config.oil_samples import FURTHEST, OilCircuitFile, OilSample, Walther, measured_curve
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
 
@@ -36,7 +36,8 @@ Document = Mapping[str, Any]
 LOW_SIDE = frozenset(("charge_pressure", "low_port_pressure"))
 
 # Folders of the output that a run writes or empties.
-OWN_FOLDERS = ("tables", "manifest", "ledger", "history", "staging", "report")
+LANDED_FOLDER = "landed"
+OWN_FOLDERS = ("tables", "manifest", "ledger", "history", "staging", "report", LANDED_FOLDER)
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,9 +63,10 @@ class Folder(Generic[Model]):
 class MotorSpec:
     """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
 
-    Its logs lie below `log_root`, or below `log_url` where that is not empty. `roller_is_free`: the
-    scale of the rollers' curve is estimated, as the motor's own nights decide. `circuit_samples`
-    are those of its oil circuit's file.
+    Its logs lie below `log_root`, or below `log_url` where that is not empty; those of a database
+    are written below `log_root`, a folder of the output. `roller_is_free`: the scale of the
+    rollers' curve is estimated, as the motor's own nights decide. `circuit_samples` are those of
+    its oil circuit's file.
     """
 
     file: MotorFile
@@ -75,6 +77,12 @@ class MotorSpec:
     log_url: str = ""
     roller_is_free: bool = False
     circuit_samples: tuple[OilSample, ...] = ()
+
+    def at_output(self, output: Path) -> MotorSpec:
+        """The motor with the nights of its database, if it has one, below an output folder."""
+        if self.file.logs.database is None:
+            return self
+        return replace(self, log_root=output / LANDED_FOLDER / self.motor_id, log_url="")
 
     @property
     def stated(self) -> MotorSpec:
@@ -146,7 +154,23 @@ class Fleet:
     @property
     def log_url(self) -> str:
         """URL of the logs; empty where they lie in a folder."""
-        return self.motors[0].log_url if self.motors else ""
+        return next((spec.log_url for spec in self.motors if spec.log_url), "")
+
+    @property
+    def has_log_folder(self) -> bool:
+        """True if any motor has logs in the folder of the logs."""
+        return any(not (spec.log_url or spec.file.logs.database) for spec in self.motors)
+
+    @property
+    def log_place(self) -> str:
+        """Where the logs lie, for messages."""
+        folder = self.log_root if self.has_log_folder else self.output / LANDED_FOLDER
+        return self.log_url or str(folder)
+
+    def at_output(self, output: Path) -> Fleet:
+        """The fleet with another output folder, which goes into no object store."""
+        motors = tuple(spec.at_output(output) for spec in self.motors)
+        return replace(self, output=output, motors=motors, object_store="")
 
 
 def load_fleet(path: Path) -> Fleet:
@@ -198,7 +222,7 @@ def load_fleet(path: Path) -> Fleet:
     log_url = folders.logs if is_url(folders.logs) else ""
     found = Fleet(
         name=fleet.name,
-        motors=tuple(replace(spec, log_url=log_url) for spec in specs),
+        motors=tuple(replace(spec, log_url=log_url).at_output(places["output"]) for spec in specs),
         execution=fleet.execution,
         retention=fleet.retention,
         log_root=log_root,
@@ -220,7 +244,7 @@ def overlap(fleet: Fleet) -> str | None:
     A run would read its own tables as logs, or write into the logs, or remove them.
     """
     logs, output = fleet.log_root, fleet.output
-    if fleet.log_url:
+    if not fleet.has_log_folder:
         return None
     if output == logs:
         return f"expected another folder than that of the logs, {logs}"
@@ -315,6 +339,9 @@ def _resolve(
     two_sided = settings.model.is_two_sided(is_logged=not LOW_SIDE.isdisjoint(motor.channels))
     model = settings.model.model_copy(update={"two_sided": two_sided})
     settings = settings.model_copy(update={"model": model})
+    if motor.logs.database is not None:
+        logs = motor.logs.model_copy(update={"files": LANDED})
+        motor = motor.model_copy(update={"logs": logs})
     spec = MotorSpec(motor, motor_type, oils.parsed, settings, log_root)
     faults += _impossible(file, spec)
     return spec

@@ -12,6 +12,7 @@ from pydantic import AwareDatetime, Field, field_validator, model_validator
 
 from leakage import Constant, Parameter
 from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH
+from pipeline.config.databases import Database
 from pipeline.config.faults import Place, refuse
 from pipeline.config.field_paths import field_path
 from pipeline.config.oil_samples import OilSample, order_faults
@@ -51,6 +52,8 @@ COUNTED: Final = "leakage_flow"
 OF_A_CONSTANT = {"constant", "unit", "offset_tolerance", "gain_tolerance_percent"}
 # Channels that differ from sample to sample, or say nothing.
 NEVER_CONSTANT = (COUNTED, "running_hours")
+# Files into which the nights of a database are written.
+LANDED = ("*.parquet",)
 # Bytes of a pattern of logs; S3 takes no longer names, and most systems 255 bytes a part.
 LONGEST_PATTERN, LONGEST_NAME = 1024, 255
 FALLBACK_VALID_RANGE: dict[str, tuple[float, float]] = {
@@ -253,19 +256,21 @@ def _sampling_faults(channel: Channel) -> Iterator[tuple[Place, str, object]]:
 
 
 class Logs(Section):
-    """The motor's log files and their dialect."""
+    """The motor's log files and their dialect, or the database that has its samples."""
 
     format: str = Field(
-        description="`csv`, `parquet`, `mcap`, or a format that an installed package reads "
-        "([readers](readers.md))"
+        description="`csv`, `parquet`, `mcap`, `sql` (a database), or a format that an installed "
+        "package reads ([readers](readers.md))"
     )
     options: dict[str, Any] = Field(
         default_factory=dict, description="Options of an installed package's reader"
     )
     files: tuple[str, ...] = Field(
-        min_length=1,
-        description="Paths or globs below the log root; a path named and absent is an error",
+        (),
+        description="Paths or globs below the log root; a path named and absent is an error. "
+        "Needed without a `database`",
     )
+    database: Database | None = Field(None, description="With `sql`: where the samples are")
     time: str = Field(
         "time", description="Column of the time; MCAP: `log_time` or `publish_time` of the message"
     )
@@ -365,11 +370,25 @@ class Logs(Section):
 
     @model_validator(mode="after")
     def _marks_apart(self) -> Logs:
-        refuse("logs", _mark_faults(self))
+        refuse("logs", chain(_mark_faults(self), _source_faults(self)))
         if bool(self.motor_column) != bool(self.motor_name):
             message = "expected motor_column and motor_name together"
             refuse("logs", [(("motor_name",), message, self.motor_name)])
         return self
+
+
+def _source_faults(logs: Logs) -> Iterator[tuple[Place, str, object]]:
+    """Files and a database where the format has the other."""
+    is_sql = logs.format == "sql"
+    if is_sql != (logs.database is not None):
+        yield ("database",), 'expected together with format = "sql", and only then', None
+    if is_sql == bool(logs.files):
+        message = "expected at least one path or glob"
+        if is_sql:
+            message = 'expected no files with format = "sql"'
+        yield ("files",), message, logs.files
+    if is_sql and logs.layout == "file_per_channel":
+        yield ("layout",), 'expected "wide" or "long" with format = "sql"', logs.layout
 
 
 def _mark_faults(logs: Logs) -> Iterator[tuple[Place, str, object]]:

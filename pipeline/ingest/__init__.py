@@ -24,6 +24,7 @@ __all__ = [
     "Reader",
     "Samples",
     "can_grow",
+    "header_units",
     "log_of_samples",
     "read_log",
     "read_piece",
@@ -138,6 +139,20 @@ def time_span(
         if reader.span is None:
             return span_of_log(path, checked(file, called(file, reader.read)))
         return checked_span(file, called(file, reader.span))
+
+
+def header_units(path: Path, logs: Logs, channels: Channels) -> dict[str, str]:
+    """Units that a log's header states, as written, by channel.
+
+    Raises
+    ------
+    LogError
+        As `read_log`.
+    """
+    with readable(path):
+        reader, file = _opened(path, logs, channels, None)
+        units = called(file, reader.units)
+        return {name: units.get(one.source, "") for name, one in file.channels.items()}
 
 
 def _opened(

@@ -170,6 +170,10 @@ def _never(_file: LogFile) -> bool:
     return False
 
 
+def _no_units(_file: LogFile) -> Mapping[str, str]:
+    return {}
+
+
 def _no_piece(_file: LogFile, place: Place, _most_bytes: int) -> tuple[RawLog | None, Place]:
     return None, place
 
@@ -187,6 +191,8 @@ class Reader:
         the log is read for them.
     options
         Keys that ``[logs.options]`` may have, with their defaults; `LogFile.logs` has them all.
+    units
+        Units that the header states beside its columns, as written, by column.
     can_grow
         True for a log to which rows are appended, and which is then read by `piece`.
     piece
@@ -196,6 +202,7 @@ class Reader:
     read: Callable[[LogFile], RawLog]
     span: Callable[[LogFile], tuple[int, int]] | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+    units: Callable[[LogFile], Mapping[str, str]] = _no_units
     can_grow: Callable[[LogFile], bool] = _never
     piece: Callable[[LogFile, Place, int], tuple[RawLog | None, Place]] = _no_piece
 

@@ -1,6 +1,8 @@
-"""Sources of a motor's logs: a folder, or an object store, with a copy of each log that is read.
+"""Sources of a motor's logs: a folder, a database, or an object store.
 
-A listing gives size, tag and last change of every object: a known one is not opened.
+The nights of a database are files of a folder once they are landed. Of an object store each log
+that is read is copied; a listing gives size, tag and last change of every object: a known one is
+not opened.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from pipeline.logs.files import (
     legible,
     without_match,
 )
+from pipeline.logs.landing import land_nights
 from pipeline.logs.ledger import FileRecord
 from pipeline.store.atomic_files import remove_all, scratch
 from pipeline.store.object_store import ObjectChangedError, ObjectStore, StoredObject
@@ -104,6 +107,45 @@ class FolderLogs:
     def unmatched(self) -> tuple[str, ...]:
         """As `LogSource`."""
         return without_match(self._spec)
+
+
+class DatabaseLogs(FolderLogs):
+    """Nights of a database, landed as files.
+
+    Parameters
+    ----------
+    spec, latest_us, silent
+        As of `FolderLogs`.
+    ask
+        False for what another task of the run has asked for.
+
+    Raises
+    ------
+    StoreError
+        ``store_write``: a night cannot be written.
+    """
+
+    def __init__(
+        self,
+        spec: MotorSpec,
+        latest_us: int | None = None,
+        silent: Collection[str] = (),
+        *,
+        ask: bool = True,
+    ) -> None:
+        self._faults = land_nights(spec, latest_us, silent) if ask else {}
+        super().__init__(spec, latest_us, silent)
+        self.names = tuple(sorted({*self.names, *self._faults}))
+
+    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+        """As `LogSource`; of a night without an answer, its error."""
+        if name in self._faults:
+            return failed(FileRecord(name, 0, 0, None), self._faults[name])
+        return super().look_at(name, before)
+
+    def unmatched(self) -> tuple[str, ...]:
+        """Nothing: a database may have no rows yet."""
+        return ()
 
 
 class StoredLogs:
@@ -271,7 +313,13 @@ def _translated(part: str) -> str:
 
 
 def logs_of(
-    spec: MotorSpec, latest_us: int | None = None, silent: Collection[str] = ()
+    spec: MotorSpec,
+    latest_us: int | None = None,
+    silent: Collection[str] = (),
+    *,
+    ask: bool = True,
 ) -> LogSource:
-    """A motor's logs at the place in its config."""
+    """A motor's logs at the place in its config; a database is asked only if that is wanted."""
+    if spec.file.logs.database is not None:
+        return DatabaseLogs(spec, latest_us, silent, ask=ask)
     return StoredLogs(spec, latest_us) if spec.log_url else FolderLogs(spec, latest_us, silent)

@@ -14,7 +14,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
 from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
-from pipeline.ingest import RawLog, read_log
+from pipeline.ingest import RawLog, header_units, read_log
 from pipeline.logs.files import (
     PlausibleNights,
     covered,
@@ -81,7 +81,7 @@ class LogShelf:
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
         self._silent = silent
-        self._source = logs_of(spec, latest_us, silent)
+        self._source = logs_of(spec, latest_us, silent, ask=looked_at is None)
         self.absent = self._source.absent
         self.unmatched = self._source.unmatched
         found = self._look() if looked_at is None else looked_at
@@ -91,6 +91,7 @@ class LogShelf:
         self.files = place_failed(found, self.before, spec, self.plausible)
         self.read: set[str] = set()
         self._open: OrderedDict[str, RawLog] = OrderedDict()
+        self._units: dict[str, Mapping[str, str]] = {}
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
 
@@ -203,7 +204,7 @@ class LogShelf:
             require_answer(name, path)
             with reading(name):
                 content = read_log(path, file.logs, file.channels, self._latest_us)
-            found = covered(record, content, self._spec)
+            found = self._with_change_of_units(covered(record, content, self._spec))
         except LogError as error:
             found, content = failed(record, error), None
             if error.code == "log_column_missing":
@@ -221,17 +222,53 @@ class LogShelf:
             self._open.popitem(last=False)
         return content
 
+    def _with_change_of_units(self, record: FileRecord) -> FileRecord:
+        """The record of a log, with a remark where its header has other units than the one before.
+
+        Logs of an object store, which would have to be copied for it, have none.
+        """
+        before = self._log_before(record)
+        if before is None or self._spec.log_url:
+            return record
+        now, then = self._header_units(record.path), self._header_units(before.path)
+        label = max(labels_of(before))
+        changes = [
+            f"the header gives {name} in {unit!r}, that of {before.path}, of {label.day} "
+            f"{label:%B %Y}, in {then[name]!r}"
+            for name, unit in now.items()
+            if then.get(name, unit) != unit
+        ]
+        words = "; ".join(filter(None, [record.message, *changes]))
+        return replace(record, message=words or None)
+
+    def _header_units(self, name: str) -> Mapping[str, str]:
+        """Units in a log's header; none where it cannot be read."""
+        if name not in self._units and name not in self._silent:
+            file = self._spec.file
+            try:
+                with reading(name):
+                    path = self._source.path(name)
+                    self._units[name] = header_units(path, file.logs, file.channels)
+            except LogError:
+                self._units[name] = {}
+        return self._units.get(name, {})
+
+    def _log_before(self, record: FileRecord) -> FileRecord | None:
+        """The last log that ends before this one begins and can be read."""
+        first_us = record.first_us
+        earlier = [
+            (one.last_us, name)
+            for name, one in self.files.items()
+            if one.status == "ok" and one.last_us is not None
+            if first_us is not None and one.last_us < first_us
+        ]
+        return self.files[max(earlier)[1]] if earlier else None
+
     def _last_read(self, record: FileRecord) -> str:
         """The last log before this one that was read, which had all columns, in words."""
-        earlier = [
-            (one.last_us, one)
-            for one in self.files.values()
-            if one.rows is not None and one.last_us is not None
-            if record.first_us is not None and one.last_us < record.first_us
-        ]
-        if not earlier:
+        last = self._log_before(record)
+        if last is None or last.rows is None:
             return ""
-        last = max(earlier, key=lambda pair: pair[0])[1]
         label = max(labels_of(last))
         return f"; {last.path}, of {label.day} {label:%B %Y}, was the last log that had them all"
 

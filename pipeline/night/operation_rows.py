@@ -96,5 +96,10 @@ def coarse_histogram(values: Array, edges: tuple[float, ...]) -> list[int]:
     >>> coarse_histogram(np.array([-3.0, 1.0, 2.5, 99.0]), (0.0, 2.0, 4.0))
     [2, 2]
     """
-    below = [int(np.count_nonzero(values < edge)) for edge in edges[1:-1]]
-    return [end - begin for begin, end in pairwise((0, *below, len(values)))]
+    lowest, highest = values.min(initial=np.inf), values.max(initial=-np.inf)
+    # Most edges have nothing, or everything, below them: only those between are counted.
+    below = [
+        0 if edge <= lowest else len(values) if edge > highest else np.count_nonzero(values < edge)
+        for edge in edges[1:-1]
+    ]
+    return [int(end - begin) for begin, end in pairwise((0, *below, len(values)))]

@@ -11,6 +11,7 @@ from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.sample_blocks import TRAINING, VALIDATION
 from leakage.smoothing import smooth
 from leakage.validation import lag_one_autocorrelation
+from pipeline.arrays import chosen_rows
 from pipeline.config import Smoothing
 from pipeline.night.statistics import NightStatistics
 
@@ -68,7 +69,7 @@ def night_residuals(
     for smoothed, z, seen in columns:
         error = z @ error_of
         for part in (TRAINING, VALIDATION):
-            rows = statistics.rows_of(part)
+            rows = chosen_rows(statistics.rows_of(part))
             chosen, index = error[rows], samples.index[rows]
             by_name = dict(zip(INPUTS, seen[:, rows], strict=True))
             analysis = analyse_residuals(chosen, by_name, index, memory, rounding)

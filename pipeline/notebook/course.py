@@ -15,10 +15,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 GAP_CHANGE = "gap_change_"
+LEVELS = {"warning": "--", "alarm": ":"}
 
 
 def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
-    """Change of each gap of a motor over the nights, with 95 % intervals.
+    """Change of each gap of a motor over the nights, with 95 % intervals and levels of its state.
+
+    The levels of a loss factor K are drawn as those of its gap, K ∝ h³.
 
     Raises
     ------
@@ -46,6 +49,14 @@ def plot_course(tables: Tables, motor_id: str, ax: Axes | None = None) -> Axes:
         axes.fill_between(
             known["night"], known["lower"], known["upper"], color=colour, alpha=0.15, lw=0
         )
+        levels = trends.filter(indicator=f"K_{name}").drop_nulls("baseline_mean")
+        for level, dashes in LEVELS.items():
+            share = levels[f"{level}_limit"] / levels["baseline_mean"]
+            percent = 100.0 * (share.cbrt() - 1.0)
+            axes.plot(levels["night"], percent, dashes, lw=1.0, color=colour)
+    for level, dashes in LEVELS.items():
+        axes.plot([], [], dashes, lw=1.0, color="black", label=f"level of {level}")
+    axes.axhline(0.0, color="0.7", lw=0.8)
     axes.tick_params(axis="x", rotation=30)
-    axes.legend(fontsize="small")
+    axes.legend(fontsize="small", loc="center left", bbox_to_anchor=(1.0, 0.5))
     return axes

@@ -22,6 +22,7 @@ from pipeline.clock import latest_us, now
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
+from pipeline.config.loading import LANDED_FOLDER
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.files import legible
 from pipeline.logs.ledger import as_published, read_settings
@@ -89,6 +90,8 @@ MOTOR_STAGES = (
     "refit_s",
     "store_s",
 )
+# Folders of the output in which a killed run leaves temporary files.
+WRITTEN_FOLDERS = ("tables", "ledger", "manifest", "history", LANDED_FOLDER)
 STAGES = ("motors_s", "publish_s", "trends_s")
 PUT_ASIDE_LATE = "it is not what was published, and was put aside when its night was published"
 
@@ -253,11 +256,11 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
         Heartbeat(output, len(request.specs), _last_good_run(output)) as heartbeat,
     ):
         remove_leftovers([output], below=False)
-        remove_leftovers([output / name for name in ("tables", "ledger", "manifest", "history")])
+        remove_leftovers([output / name for name in WRITTEN_FOLDERS])
         with working_copy(fleet.object_store, output) as restore, staging_folder(output) as staging:
             if fleet.object_store:
                 heartbeat.say(last_good_run=_last_good_run(output))
-            folders = (staging,) if fleet.log_url else (fleet.log_root, staging)
+            folders = (fleet.log_root, staging) if fleet.has_log_folder else (staging,)
             stores = (fleet.log_url,) if fleet.log_url else ()
             open_outbox(output, [one.name for one in receivers], fleet.name)
             with open_engine(fleet.execution, folders, stores) as run_tasks:
@@ -265,8 +268,8 @@ def _run_once(request: RunRequest, progress: Progress, *, first: bool) -> RunRes
                 result = _run(request, staging, progress, heartbeat, run_tasks, damage, first=first)
             _take_up(fleet)
         if not result.files:
-            where = fleet.log_url or fleet.log_root
-            log.warning("no log of any motor is below %s: is the folder mounted?", where)
+            place = fleet.log_place
+            log.warning("no log of any motor is below %s: is the folder mounted?", place)
         # What was said before may not be published: now it is.
         heartbeat.finished(result.run_id, good=not result.interrupted)
         _tell(fleet, receivers)

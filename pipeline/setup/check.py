@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from pipeline.config import Fleet, MotorSpec
 from pipeline.config.motor_types import OilFile
 from pipeline.config.motors import COUNTED
 from pipeline.errors import LogError
+from pipeline.logs.database import DatabaseError
 from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned
+from pipeline.logs.landing import land_newest
 from pipeline.logs.ledger import FileRecord
 from pipeline.logs.locations import LogSource, logs_of
 from pipeline.setup.channel_check import ChannelCheck, check_channels
@@ -39,14 +43,32 @@ class MotorCheck:
 def check_motor(spec: MotorSpec) -> MotorCheck:
     """Look at the ends of each of a motor's logs, and into the newest; nothing is written.
 
-    Of logs in an object store, which have to be copied for it, the first and the last few by name.
+    Of logs in an object store, which have to be copied for it, the first and the last few by name;
+    of a database the newest nights that have rows.
 
     Raises
     ------
     StoreError
         If an object store cannot be read.
     """
-    logs = logs_of(spec)
+    if spec.file.logs.database is None:
+        return _checked(spec, logs_of(spec))
+    with TemporaryDirectory(prefix="motor-leakage-nights-") as folder:
+        here = replace(spec, log_root=Path(folder))
+        faults, notes = list[str](), (f"the newest nights with rows were read, at most {OPENED}",)
+        try:
+            if not land_newest(here, OPENED):
+                first = spec.file.logs.database.begin
+                faults.append(f"database_empty: there are no rows from the night {first} on")
+        except DatabaseError as error:
+            faults.append(f"{error.code}: {error.message}")
+        found = _checked(here, logs_of(here, ask=False))
+    return replace(
+        found, faults=(*faults, *found.faults), notes=(*found.notes, *notes * bool(found.n_files))
+    )
+
+
+def _checked(spec: MotorSpec, logs: LogSource) -> MotorCheck:
     names = _some(logs.names) if spec.log_url else logs.names
     records = {name: _looked_at(name, logs, spec) for name in names}
     nights = {label for record in records.values() for label in labels_of(record)}
@@ -132,7 +154,8 @@ def _claimed_twice(motors: Sequence[MotorSpec]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for spec in motors:
         flow, logs = spec.file.channels[COUNTED], spec.file.logs
-        place = (logs.files, logs.motor_name, flow.source, flow.field)
+        query = logs.database and (logs.database.connection, logs.database.query)
+        place = (query or logs.files, logs.motor_name, flow.source, flow.field)
         other = first.setdefault(place, spec.motor_id)
         if other != spec.motor_id:
             found[spec.motor_id] = [

@@ -12,6 +12,7 @@ from pipeline.logs.ledger import FileRecord
 from pipeline.setup.unit_look import columns_of
 
 _SHOWN = 5
+_MOST = 8
 
 
 def column_changes(
@@ -19,8 +20,8 @@ def column_changes(
 ) -> tuple[str, ...]:
     """Faults of channels whose column is not in all logs, or changes its unit, with the date.
 
-    The first and the last log are compared; where they differ, the first that does is looked for
-    by halves, so that a few of many headers are read.
+    The first and the last log are compared; where they differ, each change between them is looked
+    for by halves, so that a few of many headers are read.
     """
     dated = sorted((min(labels_of(one)), name) for name, one in records.items() if one.nights)
     if len(dated) < 2:
@@ -36,16 +37,21 @@ def column_changes(
     def wanted(at: int) -> dict[str, str]:
         return {name: unit for name, unit in columns(at).items() if name in sources}
 
-    low, high = 0, len(dated) - 1
-    if not columns(low) or not columns(high) or wanted(low) == wanted(high):
+    last = len(dated) - 1
+    if not columns(0) or not columns(last):
         return ()
-    before = wanted(low)
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (middle, high) if wanted(middle) == before else (low, middle)
-    label, name = dated[high]
-    day = f"{label.day} {label:%B %Y}"
-    return tuple(_differences(columns(low), columns(high), sources, f"the log of {day} ({name})"))
+    found: list[str] = []
+    begin = 0
+    while wanted(begin) != wanted(last) and len(found) < _MOST:
+        low, high = begin, last
+        while high - low > 1:
+            middle = (low + high) // 2
+            low, high = (middle, high) if wanted(middle) == wanted(begin) else (low, middle)
+        label, name = dated[high]
+        log = f"the log of {label.day} {label:%B %Y} ({name})"
+        found += _differences(columns(low), columns(high), sources, log)
+        begin = high
+    return tuple(found[:_MOST])
 
 
 def _differences(
@@ -57,7 +63,9 @@ def _differences(
             also = f", but {', '.join(new[:_SHOWN])}, new since then" if new else ""
             yield f"column_gone: {log} has no column {source!r}{also}"
         elif source in now and source not in before:
-            yield f"column_gone: no log before {log} has column {source!r}"
+            old = [repr(one) for one in before if one not in now]
+            also = f", without {', '.join(old[:_SHOWN])} of the logs before" if old else ""
+            yield f"column_gone: {log} is the first with column {source!r}{also}"
         elif before.get(source) != now.get(source):
             units = f"{now[source] or 'no unit'!r}; the log before has {before[source]!r}"
             yield f"unit_changed: {log} gives {source!r} in {units}"

@@ -27,11 +27,14 @@ def fleet_files(proposal: Proposal, folder: Path, motor_type: str, oil: str) -> 
         for one in proposal.motors
     }
     shared = _common(list(marked.values()))
-    logs = os.path.relpath(proposal.log_root, folder.resolve())
+    folders = {"output": "out"}
+    if "files" in proposal.motors[0].logs:
+        logs = Path(os.path.relpath(proposal.log_root, folder.resolve()))
+        folders = {"logs": logs.as_posix()} | folders
     zone = proposal.motors[0].logs.get("time_zone", "UTC")
     fleet: Document = {
         "name": proposal.log_root.name,
-        "folders": {"logs": Path(logs).as_posix(), "output": "out"},
+        "folders": folders,
         "nights": {"time_zone": zone},
         "defaults": shared,
     }
@@ -91,7 +94,9 @@ def _document(motor: ProposedMotor, motor_type: str, oil: str) -> Document:
 def _marked(value: Any, name: str) -> Any:
     """Texts with the mark in the place of a motor's name."""
     if isinstance(value, dict):
-        return {key: _marked(inner, name) for key, inner in value.items()}
+        # A query is of all motors.
+        own = ("database",)
+        return {key: one if key in own else _marked(one, name) for key, one in value.items()}
     if isinstance(value, list):
         return [_marked(inner, name) for inner in value]
     return value.replace(name, NAME_MARK) if isinstance(value, str) else value

@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import pipeline.logs.database
 from tests.pipeline.dask_processes import Processes, scheduler_with
+from tests.pipeline.plant_database import VARIABLE as ADDRESS_VARIABLE
+from tests.pipeline.postgres_server import PostgresServer, postgres_server
 
 VARIABLE = "MOTOR_LEAKAGE_TEST_DATA"
 DEFAULT = Path(__file__).parents[3] / "shared" / "data"
@@ -34,3 +37,20 @@ def two_workers(_cluster: Processes) -> Processes:
     """Two workers; their nannies start them again where a test before has killed one."""
     _cluster.wait_for(2)
     return _cluster
+
+
+@pytest.fixture(scope="session")
+def postgres() -> Iterator[PostgresServer]:
+    """A database server; each test makes tables of its own."""
+    with postgres_server() as server:
+        yield server
+
+
+@pytest.fixture
+def database(postgres: PostgresServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[PostgresServer]:
+    """The server without any table of a test before, and the environment that leads to it."""
+    postgres.run("DROP SCHEMA public CASCADE", "CREATE SCHEMA public")
+    monkeypatch.setenv(ADDRESS_VARIABLE, postgres.address())
+    monkeypatch.setattr(pipeline.logs.database, "WAITS_S", (0.0,))
+    yield postgres
+    postgres.end_connections()

@@ -38,6 +38,16 @@ def read_csv_log(file: LogFile) -> RawLog:
     return reader.log()
 
 
+def csv_units(file: LogFile) -> dict[str, str]:
+    """Units in the line below the header, by column; none without such a line."""
+    if not file.logs.unit_rows:
+        return {}
+    data = next(read_lines(file.path, file.logs.encoding, _SPAN_PIECE)).data
+    header = Header(file.path, file.logs, ())
+    below = data[header.take_first(data) :].splitlines()[:1]
+    return dict(zip(header.names, *map(header.cells, below), strict=False)) if below else {}
+
+
 def csv_can_grow(file: LogFile) -> bool:
     """True for plain text, to which rows are appended."""
     return is_utf8(file.logs.encoding) and not is_packed(file.path)

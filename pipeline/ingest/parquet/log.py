@@ -41,6 +41,13 @@ def read_parquet_log(log: LogFile) -> RawLog:
     return table.log({})
 
 
+def parquet_units(log: LogFile) -> dict[str, str]:
+    """Units in the metadata of columns."""
+    with opened(log.path) as file:
+        told = {one.name: (one.metadata or {}).get(b"unit", b"") for one in file.schema_arrow}
+    return {name: unit.decode(errors="replace") for name, unit in told.items()}
+
+
 def parquet_time_span(log: LogFile) -> tuple[int, int]:
     """First and last time stamp, from the time column alone."""
     # Not from the statistics of row groups: to ask PyArrow 26 for those of a column whose metadata

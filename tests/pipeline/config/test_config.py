@@ -267,10 +267,10 @@ FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
             'format = "csv"',
             'format = "xlsx"',
             "logs.format",
-            ": csv, mcap, parquet",
+            ": csv, mcap, parquet, sql",
         ),
         ('["CB400-01/*.csv"]', '"CB400-01/*.csv"', "logs.files", "valid array"),
-        ('["CB400-01/*.csv"]', "[]", "logs.files", "at least 1"),
+        ('["CB400-01/*.csv"]', "[]", "logs.files", "at least one"),
         ("[logs]", "[[logs]]", "logs", "expected an object"),
     ],
     TYPE: [

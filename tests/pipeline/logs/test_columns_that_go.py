@@ -1,4 +1,4 @@
-"""A column that is not in a log any more: the run says which log was the last that had it."""
+"""A column that is gone, or has another unit in the header: the run says since when."""
 
 from __future__ import annotations
 
@@ -26,3 +26,21 @@ def test_the_last_log_that_had_it_is_named_with_its_date(tmp_path: Path) -> None
     assert failed.message.endswith(
         "; M1/14.parquet, of 14 March 2026, was the last log that had them all"
     )
+
+
+def test_a_unit_that_changes_in_the_header_is_remarked_with_the_date(tmp_path: Path) -> None:
+    text = motor_toml("M1", files='"*.csv"').replace('"parquet"', '"csv"\nunit_rows = 1')
+    spec = load_motor(tmp_path, text)
+    header = "time,pressure_difference,oil_temperature,speed,leakage_flow\n,{},degC,rpm,l/min\n"
+    for day, unit in ((13, "bar"), (14, "psi"), (15, "psi")):
+        rows = [f"2026-03-{day}T20:00:0{i}Z,150.{i},50.5,30.5,1.2\n" for i in range(9)]
+        log = tmp_path / "logs" / f"{day}.csv"
+        log.write_text(header.format(unit) + "".join(rows), "utf-8")
+    shelf = LogShelf(spec, {}, latest_us(), {})
+    names = sorted(shelf.files)
+    assert all(shelf.content(name) for name in names)
+    assert [shelf.files[name].message for name in names] == [
+        None,
+        "the header gives pressure_difference in 'psi', that of 13.csv, of 14 March 2026, in 'bar'",
+        None,
+    ]

@@ -41,6 +41,9 @@ def tables(tmp_path: Path) -> Tables:
             for mode in ("none", "fixed")
         ]
         courses = [trend(night, "gap_change_ring", 2.0 * at), trend(night, "drain_flow", 1.0)]
+        # Levels of K ∝ h³: a gap 10 % and 20 % higher.
+        levels = {"baseline_mean": 1.0, "warning_limit": 1.1**3, "alarm_limit": 1.2**3}
+        courses.append(trend(night, "K_ring", 1.0) | levels)
         for table, rows in ((FITS, fits), (TRENDS, courses)):
             path = night_file(tmp_path, table, night)
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -87,9 +90,12 @@ def test_a_changed_file_is_found_where_that_is_asked_for(tables: Tables) -> None
         open_tables(tables.output, verify=True)
 
 
-def test_the_course_of_each_gap_is_plotted(tables: Tables) -> None:
+def test_the_course_of_each_gap_is_plotted_with_its_levels(tables: Tables) -> None:
     mpl.use("agg")
     axes = plot_course(tables, "M1")
-    (line,) = axes.get_lines()
+    line, warning, alarm, *_ = axes.get_lines()
     assert list(line.get_ydata()) == [0.0, 2.0, 4.0, 6.0]
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["ring"]
+    assert list(warning.get_ydata()) == pytest.approx([10.0] * 4)
+    assert list(alarm.get_ydata()) == pytest.approx([20.0] * 4)
+    told = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert told == ["ring", "level of warning", "level of alarm"]

@@ -345,6 +345,20 @@ def test_a_column_that_is_renamed_is_told_with_the_date(tmp_path: Path) -> None:
     ]
 
 
+def test_each_change_is_told_by_itself_and_the_column_before_is_named(tmp_path: Path) -> None:
+    def header_of(day: int) -> str:
+        old = COLUMNS if day >= 17 else COLUMNS.replace("speed", "n_motor")
+        return old if day >= 12 else old.replace("leakage_flow", "q")
+
+    faults = checks_of(daily_logs(tmp_path, header_of))["M1"].faults
+    assert [one for one in faults if one.startswith("column_gone")] == [
+        "column_gone: the log of 13 March 2026 (2026-03-12.csv) is the first with column "
+        "'leakage_flow', without 'q' of the logs before",
+        "column_gone: the log of 18 March 2026 (2026-03-17.csv) is the first with column "
+        "'speed', without 'n_motor' of the logs before",
+    ]
+
+
 def test_a_unit_that_changes_is_told_with_the_date(tmp_path: Path) -> None:
     other = COLUMNS.replace(",bar,", ",psi,")
     fleet = daily_logs(tmp_path, lambda day: COLUMNS if day < 17 else other)

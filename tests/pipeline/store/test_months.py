@@ -110,7 +110,7 @@ def test_a_month_is_one_file_and_every_reader_sees_the_same(output: Path) -> Non
     assert everything(output) == before
     pattern = (table_folder(output, QUALITY) / "**" / "*.parquet").as_posix()
     with duckdb.connect() as analyst:
-        query = f"SELECT motor_id, night FROM '{pattern}' ORDER BY ALL"  # noqa: S608
+        query = f"SELECT motor_id, night FROM '{pattern}' ORDER BY ALL"
         assert analyst.sql(query).fetchall() == [one[:2] for one in before[0]]
     assert list(nights_back(output, QUALITY)) == nights
     assert night_stamps(output, QUALITY, MONTH).keys() == {str(night) for night in NIGHTS}

@@ -1,0 +1,63 @@
+"""`[logs.database]` of a motor's file: the query of its samples, and when it is asked."""
+
+from __future__ import annotations
+
+import datetime as dt
+
+from pydantic import Field, field_validator
+
+from pipeline.config.receivers import require_variable
+from pipeline.config.settings import Section
+
+START, END = "{start}", "{end}"
+"""Stand in a query for the borders of a night, half open."""
+
+
+class Database(Section):
+    """A query in a PostgreSQL database, asked night by night."""
+
+    query: str = Field(
+        description="One `SELECT` with the marks `{start}` and `{end}`, which become time stamps "
+        "with a zone (`timestamptz`): `SELECT * FROM log WHERE time >= {start} AND time < {end}`. "
+        "Only the columns, the motor and the tags that this file names are fetched of it"
+    )
+    connection: str = Field(
+        "${MOTOR_LEAKAGE_DATABASE}",
+        min_length=1,
+        description="`${NAME}` of the environment variable that holds the address, "
+        "`postgresql://user:password@host/database?sslmode=verify-full`; the address itself "
+        "belongs into no config file",
+    )
+    begin: dt.date = Field(description="First night that is asked for")
+    look_back_days: int = Field(
+        3,
+        ge=0,
+        le=366,
+        description="Nights before the newest that every run asks for again, for rows that came "
+        "late or were corrected; shorter than the time for which the database keeps its rows",
+    )
+    statement_timeout_s: float = Field(
+        600.0,
+        gt=0.0,
+        le=86_400.0,
+        allow_inf_nan=False,
+        description="Longest time for the query of one night; the server ends it then",
+    )
+    connect_timeout_s: int = Field(
+        10, ge=2, le=600, description="Longest time for one attempt to connect"
+    )
+
+    @field_validator("connection")
+    @classmethod
+    def _is_variable(cls, connection: str) -> str:
+        return require_variable(connection)
+
+    @field_validator("query")
+    @classmethod
+    def _asks_for_a_night(cls, query: str) -> str:
+        if START not in query or END not in query:
+            raise ValueError(f"expected the marks {START} and {END} in it")
+        query = query.strip().removesuffix(";").rstrip()
+        if query.partition(" ")[0].partition("\n")[0].upper() not in ("SELECT", "WITH"):
+            raise ValueError("expected a query that begins with SELECT or WITH")
+        return query

@@ -1,0 +1,277 @@
+"""A connection to a PostgreSQL database, from which the rows of a query come in Arrow batches."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from types import TracebackType
+from typing import Any, TypeVar
+from urllib.parse import unquote
+
+import pyarrow as pa
+
+from pipeline.config.databases import Database
+from pipeline.config.receivers import VARIABLE
+from pipeline.errors import StoreError, one_line
+from pipeline.workers.process import still_alive
+
+Taken = TypeVar("Taken")
+
+UNREACHABLE = "database_unreachable"
+SLOW = "database_slow"
+# Waits before another attempt after the connection failed [s].
+WAITS_S = (1.0, 4.0, 15.0)
+# Of a batch: what a task holds of a result, however large that is.
+BATCH_BYTES = 4 << 20
+# A server whose machine vanished is noticed within a minute.
+KEEPALIVE = {"keepalives_idle": 30, "keepalives_interval": 10, "keepalives_count": 3}
+# SQLSTATE of a lost connection, a server that goes down or comes up, and one that is full.
+OF_CONNECTION = re.compile(r"08|57P|53300")
+# Said by a server that refuses now and may not later.
+REFUSED_NOW = re.compile(r"too many|starting up|shutting down|recovery mode|not yet accepting")
+REFUSED = re.compile(r"FATAL|password|pg_hba")
+NO_SERVER = re.compile(r"connection to server|could not translate host|could not connect")
+
+
+class DatabaseError(StoreError):
+    """A database that cannot be asked, or refuses a query."""
+
+
+class Connection:
+    """A connection that is made when it is needed, and made anew where it was lost.
+
+    Parameters
+    ----------
+    database
+        As configured.
+    time_zone
+        Zone of time stamps that state none.
+    """
+
+    def __init__(self, database: Database, time_zone: str) -> None:
+        self._database = database
+        self._time_zone = time_zone
+        self._open: Any = None
+
+    def __enter__(self) -> Connection:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._close()
+
+    def ask(self, sql: str, take: Callable[[Iterator[pa.RecordBatch], pa.Schema], Taken]) -> Taken:
+        """Give the rows of a query to a function, batch by batch; again, if the connection fails.
+
+        Raises
+        ------
+        DatabaseError
+            If there is no answer.
+        """
+        for wait_s in (*WAITS_S, None):
+            try:
+                return self._once(sql, take)
+            except DatabaseError as error:
+                if error.code != UNREACHABLE or wait_s is None:
+                    raise
+            still_alive()
+            time.sleep(wait_s)
+        raise AssertionError("the last attempt returns or raises")
+
+    def _once(
+        self, sql: str, take: Callable[[Iterator[pa.RecordBatch], pa.Schema], Taken]
+    ) -> Taken:
+        begin = time.monotonic()
+        if self._open is None:
+            self._connect()
+        with _cursor(self._open) as cursor:
+            with self._coded(begin):
+                cursor.adbc_statement.set_options(
+                    **{"adbc.postgresql.batch_size_hint_bytes": str(BATCH_BYTES)}
+                )
+                cursor.execute(sql)
+                reader = cursor.fetch_record_batch()
+            return take(self._batches(reader, begin), reader.schema)
+
+    def _batches(self, reader: pa.RecordBatchReader, begin: float) -> Iterator[pa.RecordBatch]:
+        while True:
+            with self._coded(begin):
+                try:
+                    batch = reader.read_next_batch()
+                except StopIteration:
+                    return
+            still_alive()
+            yield batch
+
+    @contextmanager
+    def _coded(self, begin: float) -> Iterator[None]:
+        """Errors of the driver become those of this program, without a secret in them."""
+        try:
+            yield
+        except Exception as error:
+            found = self._fault(error, time.monotonic() - begin)
+            if found.code == UNREACHABLE:
+                self._close()
+            raise found from None
+
+    def _fault(self, error: Exception, seconds: float) -> DatabaseError:
+        state = getattr(error, "sqlstate", None)
+        if state is None:  # the driver says none in the middle of a result
+            if not self._is_alive():
+                state = "08006"
+            elif seconds >= self._database.statement_timeout_s:
+                state = "57014"
+        code = _code_of(state or "")
+        words = _words(str(error))
+        if code == SLOW:
+            words += (
+                f"; logs.database.statement_timeout_s is {self._database.statement_timeout_s:g}"
+            )
+        return DatabaseError(code, one_line(f"{self._name}: {words}"))
+
+    def _is_alive(self) -> bool:
+        with suppress(Exception), _cursor(self._open) as cursor:
+            cursor.execute("SELECT 1")
+            return True
+        return False
+
+    def _connect(self) -> None:
+        try:
+            from adbc_driver_postgresql import dbapi
+        except ImportError as error:
+            raise DatabaseError(
+                "database_missing",
+                f"a database needs the extra `sql` ({error}): pip install 'motor-leakage[sql]'",
+            ) from error
+        options = KEEPALIVE | {"connect_timeout": self._database.connect_timeout_s}
+        try:
+            connection = dbapi.connect(with_options(self._address(), options), autocommit=True)
+        except dbapi.Error as error:
+            raise self._refusal(_words(str(error))) from None
+        self._open = connection
+        try:
+            self._set_up()
+        except BaseException:
+            self._close()
+            raise
+
+    def _set_up(self) -> None:
+        settings = {
+            "TIME ZONE": f"'{self._time_zone}'",
+            "default_transaction_read_only =": "on",
+            "statement_timeout =": f"{self._database.statement_timeout_s * 1000:.0f}",
+        }
+        with _cursor(self._open) as cursor, self._coded(time.monotonic()):
+            for name, value in settings.items():
+                cursor.execute(f"SET {name} {value}")
+
+    def _refusal(self, words: str) -> DatabaseError:
+        """The error of an attempt to connect, whose words may quote the address."""
+        if REFUSED.search(words) and not REFUSED_NOW.search(words):
+            code = "database_refused"
+        else:
+            code = "database_unreachable" if NO_SERVER.search(words) else "database_address"
+        if any(word in words for word in secrets_of(self._address())):
+            words = (
+                "no connection; the reason is not shown, as it quotes a part of the password: "
+                "write special characters in it as %XX"
+            )
+        return DatabaseError(code, one_line(f"{self._name}: {words}"))
+
+    @property
+    def _name(self) -> str:
+        return f"database of {self._database.connection}"
+
+    def _address(self) -> str:
+        address = os.environ.get(VARIABLE.sub(r"\1", self._database.connection), "").strip()
+        if not address:
+            raise DatabaseError(
+                "database_address",
+                f"{self._name}: the environment has no such variable; "
+                "expected postgresql://user:password@host/database in it",
+            )
+        return address
+
+    def _close(self) -> None:
+        if self._open is not None:
+            with suppress(Exception):  # it is lost already
+                self._open.close()
+            self._open = None
+
+
+@contextmanager
+def _cursor(connection: Any) -> Iterator[Any]:
+    cursor = connection.cursor()
+    try:
+        yield cursor
+    finally:
+        with suppress(Exception):  # its connection is lost
+            cursor.close()
+
+
+def with_options(address: str, options: Mapping[str, int]) -> str:
+    """An address with options of libpq that it does not have yet.
+
+    Examples
+    --------
+    >>> with_options("postgresql://host/db?connect_timeout=3", {"connect_timeout": 9, "x": 1})
+    'postgresql://host/db?connect_timeout=3&x=1'
+    >>> with_options("host=h dbname=d", {"x": 1})
+    'host=h dbname=d x=1'
+    """
+    for name, value in options.items():
+        if f"{name}=" not in address:
+            mark = " " if "://" not in address else "&" if "?" in address else "?"
+            address += f"{mark}{name}={value}"
+    return address
+
+
+def secrets_of(address: str) -> set[str]:
+    """Words of an address that may be of its password, however it is to be read.
+
+    Examples
+    --------
+    >>> sorted(secrets_of("postgresql://me:se/cr%40t@host/db"))
+    ['40t', 'cr', 'se', 't']
+    >>> secrets_of("host=h user=me password='s3 cret'") == {"s3", "cret"}
+    True
+    >>> secrets_of("postgresql://me@host/db")
+    set()
+    """
+    user = address.partition("://")[2].rpartition("@")[0]
+    found = re.findall(r"password\s*=\s*('(?:[^'\\]|\\.)*'|[^\s&]+)", address)
+    found.append(user.partition(":")[2])
+    forms = (form for one in found for form in (one, unquote(one)))
+    return {word for form in forms for word in re.split(r"[\s/:?#&'\\@%]+", form)} - {""}
+
+
+def _code_of(state: str) -> str:
+    """Code of an error by the server's SQLSTATE."""
+    code = "database_query"
+    if OF_CONNECTION.match(state):
+        code = "database_unreachable"
+    elif state == "57014":
+        code = "database_slow"
+    elif state == "42501":
+        code = "database_denied"
+    elif state == "42703":
+        code = "log_column_missing"
+    elif state.startswith("22"):  # a value that cannot be converted
+        code = "database_rows"
+    return code
+
+
+def _words(text: str) -> str:
+    """The server's own words in a message of the driver."""
+    text = text.partition("\n\nQuery was")[0].partition(". SQLSTATE")[0]
+    text = re.sub(r"\nLINE \d+:.*\n.*\^", "", text)
+    text = re.sub(r"^.*?(Failed to connect|Execution error \[\w+\]|query):\s*", "", text)
+    text = text.removeprefix("could not begin COPY: ")
+    return "; ".join(line.strip() for line in text.splitlines() if line.strip())

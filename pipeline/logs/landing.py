@@ -1,0 +1,319 @@
+"""Nights of a database as Parquet files, from which they are then read as any log is.
+
+A night is a file, written as its rows come and put in its place whole. A file is never replaced by
+the same rows, so that a night is made anew only if its rows changed.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import filecmp
+import json
+import logging
+from bisect import bisect_left
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pipeline.clock import EPOCH, FARTHEST_AHEAD, MICROSECOND, latest_us
+from pipeline.config import MotorSpec
+from pipeline.config.databases import END, START, Database
+from pipeline.config.motors import Logs
+from pipeline.config.nights import DAY, Night, night, night_of, nights_between
+from pipeline.errors import LogError
+from pipeline.ingest import LogFile
+from pipeline.ingest.table import wanted_columns
+from pipeline.logs.database import SLOW, Connection, DatabaseError
+from pipeline.store.atomic_files import prepare, put
+from pipeline.workers.process import reading
+
+log = logging.getLogger(__name__)
+
+# What is known of a motor's nights, beside them.
+RECORD = "landed.json"
+# Codes that are of one night; after another the next would fail as well.
+OF_A_NIGHT = (SLOW, "database_rows")
+
+
+@dataclass(frozen=True, slots=True)
+class _Landed:
+    """Nights of a motor that were asked for.
+
+    Attributes
+    ----------
+    source
+        What they came of; that of another source is asked for again.
+    until
+        Label of the newest.
+    left
+        Labels up to it that had no answer.
+    """
+
+    source: Mapping[str, Any]
+    until: str = ""
+    left: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, folder: Path, source: Mapping[str, Any]) -> _Landed:
+        """The record in a folder; an empty one where there is none of the source."""
+        try:
+            found = json.loads((folder / RECORD).read_bytes())
+            if found["source"] == source:
+                return cls(source, found["until"], tuple(found["left"]))
+        except (OSError, ValueError, TypeError, KeyError):
+            pass  # without one all nights are asked for, and files with the same rows stay
+        return cls(source)
+
+    def due(self, database: Database, last: dt.date) -> list[dt.date]:
+        """Nights to ask for, up to the last one: those without an answer so far come first."""
+        first = database.begin
+        if self.until:
+            known = dt.date.fromisoformat(self.until)
+            first = max(first, min(known + DAY, last - database.look_back_days * DAY))
+        left = {label for label in map(dt.date.fromisoformat, self.left) if label < first}
+        labels = left.union(nights_between(first, last))
+        return sorted(labels, key=lambda label: (self.knows(label), label))
+
+    def knows(self, label: dt.date) -> bool:
+        """True for a night that had an answer."""
+        day = label.isoformat()
+        return day <= self.until and day not in self.left
+
+    def asked(self, label: dt.date, *, has_answer: bool) -> _Landed:
+        """The record after a night was asked for."""
+        day = label.isoformat()
+        left = set(self.left) - {day} if has_answer else {*self.left, day}
+        return replace(self, until=max(self.until, day), left=tuple(sorted(left)))
+
+    def keep(self, folder: Path) -> None:
+        """Write it."""
+        record = {"source": self.source, "until": self.until, "left": self.left}
+        put(folder / RECORD, json.dumps(record, indent=1).encode())
+
+
+def land_nights(
+    spec: MotorSpec, latest: int | None = None, silent: Collection[str] = ()
+) -> dict[str, LogError]:
+    """Ask for the nights of a motor that are over and due, and write each to a file.
+
+    Parameters
+    ----------
+    spec
+        The motor, of a database.
+    latest
+        As `FolderLogs` takes it.
+    silent
+        Files of nights whose query did not end in time; they end the asking.
+
+    Returns
+    -------
+    dict
+        Errors of nights that had no answer yet, by name of the file that is missing.
+
+    Raises
+    ------
+    StoreError
+        ``store_write``: a file cannot be written.
+    """
+    database = _database(spec)
+    record = _Landed.of(spec.log_root, _source(spec))
+    labels = record.due(database, _last_over(spec, latest))
+    if not labels:
+        return {}
+    faults: dict[str, LogError] = {}
+    with Connection(database, spec.file.logs.time_zone) as connection:
+        for label in labels:
+            fault = _fault_of(connection, spec, label, silent)
+            if fault is not None and record.knows(label):
+                words = "%s: %s; what was read of this night before stays"
+                log.warning(words, spec.motor_id, fault.message)
+                break
+            if fault is not None:
+                faults[file_name(label)] = fault
+                if fault.code not in OF_A_NIGHT:
+                    break
+            after = record.asked(label, has_answer=fault is None)
+            if after != record:
+                after.keep(spec.log_root)
+            record = after
+    return faults
+
+
+def _fault_of(
+    connection: Connection, spec: MotorSpec, label: dt.date, silent: Collection[str]
+) -> LogError | None:
+    """Land a night; its fault, where it had no answer."""
+    name = file_name(label)
+    if name in silent:
+        return LogError("log_no_answer", Path(name), "its query did not end in time")
+    try:
+        with reading(name):
+            _land(connection, spec, label)
+    except DatabaseError as error:
+        return LogError(error.code, Path(name), error.message)
+    return None
+
+
+def land_newest(spec: MotorSpec, most: int) -> bool:
+    """Write the newest nights with rows, the present one too; False where there are none.
+
+    Raises
+    ------
+    StoreError
+        If a file cannot be written; a `DatabaseError` without an answer.
+    """
+    database, nights = _database(spec), spec.settings.nights
+    with Connection(database, spec.file.logs.time_zone) as connection:
+        labels = nights_between(database.begin, night_of(latest_us(), nights))
+        windows = [night(label, nights) for label in labels]
+        there = nights_with_rows(connection, nightly_query(spec), windows)
+        for place in there[-most:]:
+            _land(connection, spec, labels[place])
+    return bool(there)
+
+
+def nights_with_rows(connection: Connection, sql: str, nights: Sequence[Night]) -> range:
+    """Places of the first night of a query that has rows, to the last; an empty range: none has."""
+
+    def later(place: int) -> bool:
+        return has_rows(connection, sql, nights[place].start_us, nights[-1].end_us)
+
+    def until(place: int) -> bool:
+        return has_rows(connection, sql, nights[0].start_us, nights[place].end_us)
+
+    places = range(len(nights))
+    end = bisect_left(places, True, key=lambda place: not later(place))
+    return range(bisect_left(places[:end], True, key=until), end)
+
+
+def has_rows(connection: Connection, sql: str, start_us: int, end_us: int) -> bool:
+    """True if a query has rows between two times [µs since 1970]."""
+    asked = f"SELECT EXISTS (SELECT FROM (\n{between(sql, start_us, end_us)}\n) AS log)"  # noqa: S608
+    return connection.ask(asked, lambda batches, _: any(one[0][0].as_py() for one in batches))
+
+
+def file_name(label: dt.date) -> str:
+    """Name of a night's file."""
+    return f"{label}.parquet"
+
+
+def nightly_query(spec: MotorSpec) -> str:
+    """The query of a motor: its columns, rows and tags of the config's one, in order of time."""
+    logs = spec.file.logs
+    channels = {name: one for name, one in spec.file.channels.items() if one.constant is None}
+    columns = wanted_columns(LogFile(Path(), logs, channels)).all
+    order = ", ".join(str(place) for place in range(1, len(columns) + 1))
+    return (
+        f"SELECT {', '.join(map(identifier, columns))} FROM (\n{_database(spec).query}\n) AS log"  # noqa: S608
+        f"{_rows_of(logs, [one.source for one in channels.values()])} ORDER BY {order}"
+    )
+
+
+def _rows_of(logs: Logs, tags: Sequence[str]) -> str:
+    """Condition on the rows of a long table: those of the motor, and of tags that are used."""
+    if logs.layout != "long":
+        return ""
+    texts = ", ".join(map(_text, dict.fromkeys(tags)))
+    own = f" WHERE {identifier(logs.channel_column)} IN ({texts})"
+    if logs.motor_column:
+        own += f" AND {identifier(logs.motor_column)} = {_text(logs.motor_name)}"
+    return own
+
+
+def identifier(name: str) -> str:
+    """A name in a query."""
+    return '"' + name.replace('"', '""') + '"'
+
+
+def _text(value: str) -> str:
+    """A text in a query; a backslash is no escape in it."""
+    return "'" + value.replace("'", "''") + "'"
+
+
+def between(sql: str, start_us: int, end_us: int) -> str:
+    """A query with the borders of a night in the place of the marks."""
+    return sql.replace(START, _stamp(start_us)).replace(END, _stamp(end_us))
+
+
+def _stamp(time_us: int) -> str:
+    return f"TIMESTAMPTZ '{EPOCH + time_us * MICROSECOND}'"
+
+
+def _database(spec: MotorSpec) -> Database:
+    database = spec.file.logs.database
+    assert database is not None
+    return database
+
+
+def _source(spec: MotorSpec) -> dict[str, Any]:
+    """All that says which rows are those of a night."""
+    return {
+        "query": nightly_query(spec),
+        "begin": _database(spec).begin.isoformat(),
+        "time_zone": spec.file.logs.time_zone,
+        "nights": spec.settings.nights.model_dump(mode="json"),
+    }
+
+
+def _last_over(spec: MotorSpec, latest: int | None) -> dt.date:
+    """Label of the newest night that is over by the run's clock."""
+    now_us = (latest_us() if latest is None else latest) - FARTHEST_AHEAD // MICROSECOND
+    return night_of(now_us, spec.settings.nights) - DAY
+
+
+def _land(connection: Connection, spec: MotorSpec, label: dt.date) -> None:
+    """Write a night's rows to its file, unless it holds them already, or there are none."""
+    here, path = night(label, spec.settings.nights), spec.log_root / file_name(label)
+
+    def write(batches: Iterator[pa.RecordBatch], schema: pa.Schema) -> None:
+        rows = 0
+
+        def write_to(stream: BinaryIO) -> None:
+            nonlocal rows
+            rows = write_parquet(batches, schema, stream)
+
+        found = prepare(path, write_to)
+        if rows == 0 or (path.exists() and filecmp.cmp(found.temporary, path, shallow=False)):
+            found.drop()
+        else:
+            found.land()
+
+    connection.ask(between(nightly_query(spec), here.start_us, here.end_us), write)
+
+
+def write_parquet(batches: Iterator[pa.RecordBatch], schema: pa.Schema, stream: BinaryIO) -> int:
+    """Write rows of a database as Parquet, a row group a batch; returns how many there are."""
+    rows = 0
+    fields = [pa.field(field.name, _required_type(field)) for field in schema]
+    with pq.ParquetWriter(stream, pa.schema(fields), compression="zstd") as file:
+        for batch in batches:
+            columns = map(_stored, batch.columns, file.schema.types)
+            file.write_batch(pa.record_batch(list(columns), file.schema))
+            rows += batch.num_rows
+    return rows
+
+
+def _required_type(field: pa.Field) -> pa.DataType:
+    kind = stored_type(field.type)
+    if kind is None:
+        message = f"column {field.name!r} is of type {field.type}: convert it in the query"
+        raise DatabaseError("database_rows", message)
+    return kind
+
+
+def stored_type(kind: pa.DataType) -> pa.DataType | None:
+    """Type of a column in the file; None for one that no log has.
+
+    PostgreSQL's `numeric` comes as text, and is a number.
+    """
+    if isinstance(kind, pa.OpaqueType):
+        return pa.float64() if kind.type_name == "numeric" else None
+    return None if pa.types.is_interval(kind) or pa.types.is_nested(kind) else kind
+
+
+def _stored(column: pa.Array, kind: pa.DataType) -> pa.Array:
+    return column if column.type == kind else column.storage.cast(kind)

@@ -1,0 +1,57 @@
+"""The notebooks of the docs, executed: by their test, and for the docs site.
+
+`python -m tests.notebooks DEMO` executes them where the demo lies, writes their figures to
+`docs/pictures/` and the executed notebooks to `out/notebooks/` there, of which the docs site takes
+the text of the outputs.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import nbformat
+from nbclient import NotebookClient
+from PIL import Image
+
+DOCS = Path(__file__).parent.parent / "docs"
+NAMES = ("one_motor", "fleet_year")
+COLOURS = 64
+
+
+def executed(names: Sequence[str], folder: Path) -> dict[str, Any]:
+    """Notebooks by name, executed in a folder one after the other by one kernel."""
+    notebooks = {name: nbformat.read(DOCS / "notebooks" / f"{name}.ipynb", 4) for name in names}
+    together = nbformat.v4.new_notebook(
+        cells=[cell for one in notebooks.values() for cell in one.cells]
+    )
+    where = {"metadata": {"path": str(folder)}}
+    NotebookClient(together, timeout=120, kernel_name="python3", resources=where).execute()
+    return notebooks
+
+
+def figures(name: str, notebook: Any) -> Iterator[tuple[str, str]]:
+    """Name of the picture of each figure of an executed notebook, and its PNG in base 64."""
+    for at, cell in enumerate(notebook.cells):
+        for output in cell.get("outputs", ()):
+            if png := output.get("data", {}).get("image/png"):
+                yield f"{name}_{at}.png", png
+
+
+def main(folder: Path) -> None:
+    """Execute the notebooks and write what the docs show of them."""
+    kept = folder / "out" / "notebooks"
+    kept.mkdir(parents=True, exist_ok=True)
+    for name, notebook in executed(NAMES, folder).items():
+        nbformat.write(notebook, kept / f"{name}.ipynb")
+        for picture, png in figures(name, notebook):
+            image = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
+            image.quantize(COLOURS).save(DOCS / "pictures" / picture, optimize=True)
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))
