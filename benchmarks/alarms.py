@@ -34,7 +34,7 @@ Array = NDArray[np.float64]
 RATE_PER_MOTOR = 0.1
 YEAR = 365
 MOTORS, WORN_MOTORS = 1000, 200
-BASELINE, PROVISIONAL = BaselineSettings().nights, BaselineSettings().provisional_nights
+PROVISIONAL = BaselineSettings().provisional_nights
 RING, PISTON, SLEEVE = range(PATHS)
 RAISED = ("warning", "alarm")
 KINDS = (
@@ -139,7 +139,7 @@ def false_alarms() -> Part:
 
 def _false_alarm_row(kind: Kind) -> list[str]:
     healthy = np.ones((PROVISIONAL + YEAR, PATHS))
-    values, _ = fleet(night_errors(kind), healthy, MOTORS, np.random.default_rng(2))
+    values = fleet(night_errors(kind), healthy, MOTORS, np.random.default_rng(2))
     counts = np.array([[len(one) for one in raised(values[:, motor])] for motor in range(MOTORS)])
     nights = values.reshape(-1, len(INDICATORS))
     known = 100 * np.isfinite(nights).mean(axis=0)
@@ -171,7 +171,7 @@ def detection() -> Part:
 
 def _nights_to_detect(errors: NightErrors, wear: Wear) -> str:
     generator = np.random.default_rng([3, wear.path])
-    values, _ = fleet(errors, wear.growth(), WORN_MOTORS, generator)
+    values = fleet(errors, wear.growth(), WORN_MOTORS, generator)
     firsts = np.array(
         [
             [
@@ -185,53 +185,13 @@ def _nights_to_detect(errors: NightErrors, wear: Wear) -> str:
     return f"{quantiles(since[:, wear.path])}; {quantiles(since.min(axis=1))}"
 
 
-def raw_flow() -> Part:
-    """A fixed threshold on the night's mean drain flow, on the same fleets."""
-    errors = night_errors(USUAL)
-    generator = np.random.default_rng(4)
-    _, healthy = fleet(errors, np.ones((BASELINE + YEAR, PATHS)), MOTORS, generator)
-    ratio = healthy / healthy[:BASELINE].mean(axis=0)
-    rows = []
-    for threshold in (0.3, _threshold_at(ratio, int(RATE_PER_MOTOR * MOTORS))):
-        cells = []
-        for wear in WEARS:
-            _, flow = fleet(errors, wear.growth(), WORN_MOTORS, generator)
-            above = flow > (1.0 + threshold) * flow[:PROVISIONAL].mean(axis=0)
-            above[:PROVISIONAL] = False
-            above[: wear.first] = False
-            nights = np.where(above.any(axis=0), above.argmax(axis=0) - wear.first + 1, np.inf)
-            cells.append(quantiles(nights))
-        rate = _crossings(ratio, threshold) / MOTORS
-        rows.append([f"+{100 * threshold:.0f} %", f"{rate:.2f}", *cells])
-    return Part(
-        "A fixed threshold on raw drain flow",
-        f"Nights of {USUAL.minutes:g} minutes; the night's mean drain flow over the mean of "
-        "the motor's first nights, alarm on a single night above. A threshold that is "
-        "often wrong is often early by chance.",
-        ("threshold", "false alarms a motor-year", *(wear.words for wear in WEARS)),
-        rows,
-    )
-
-
-def _threshold_at(ratio: Array, crossings: int) -> float:
-    """Lowest threshold, in steps of a thousandth, that is crossed no more often."""
-    steps = np.arange(0.01, 2.0, 0.001)
-    return float(next(one for one in steps if _crossings(ratio, float(one)) <= crossings))
-
-
-def _crossings(ratio: Array, threshold: float) -> int:
-    """How often nights after the baseline come to lie above, from below."""
-    above = ratio[BASELINE:] > 1.0 + threshold
-    return int((above[1:] & ~above[:-1]).sum() + above[0].sum())
-
-
 def slopes() -> Part:
     """Coverage of slope intervals of motors that do not wear."""
     errors, rows = night_errors(USUAL), []
     for length in (60, 120, 365):
         for wanders in (False, True):
             generator = np.random.default_rng([6, length, int(wanders)])
-            values, _ = fleet(errors, np.ones((length, PATHS)), MOTORS, generator, wanders)
+            values = fleet(errors, np.ones((length, PATHS)), MOTORS, generator, wanders)
             held = np.zeros(len(WATCHED_SLOPES))
             for motor in range(MOTORS):
                 for place, indicator in enumerate(WATCHED_SLOPES):
@@ -253,7 +213,6 @@ def slopes() -> Part:
 PARTS: dict[str, Callable[[], Part]] = {
     "false_alarms": false_alarms,
     "detection": detection,
-    "raw_flow": raw_flow,
     "slopes": slopes,
 }
 

@@ -14,13 +14,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.model_verdict import VG46, SensorFaults
 from benchmarks.other_duty import false_alarms, model_watched, wear_told
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
 from leakage.hypotheses import Blocks, Growth, Posterior, growth, mean_factor, weigh
 from leakage.oil import Oil
-from leakage.walther import walther_coefficients
 from pipeline.demo import noise
 
 Array = NDArray[np.float64]
@@ -38,12 +38,11 @@ SEED = 180
 
 
 @dataclass(frozen=True)
-class Change:
+class Change(SensorFaults):
     """What is otherwise now.
 
     Factors on viscosity, gain and K; errors of the temperature sensor [°C] and of the meter's zero
-    [l/min]; the oil; lags of the temperature sensor and of the drain, which begin then; the flow
-    below which the meter stands still; and the highest pressure and speed.
+    [l/min]; the oil; faults of sensors, which begin then; and the highest pressure and speed.
     """
 
     viscosity: float = 1.0
@@ -52,9 +51,6 @@ class Change:
     paths: Mapping[str, float] = field(default_factory=dict)
     oil: Oil | None = None
     zero_l_per_min: float = 0.0
-    temperature_lag_s: float = 0.0
-    drain_lag_s: float = 0.0
-    dead_below_l_per_min: float = 0.0
     top_bar: float = 300.0
     top_rpm: float = 110.0
 
@@ -64,19 +60,13 @@ class Change:
         return (self.viscosity, self.gain, self.reads_low_c, self.oil) != (1.0, 1.0, 0.0, None)
 
 
-def vg46() -> Oil:
-    """The oil of the next lower grade, with the density of the one in the motor."""
-    a, b = walther_coefficients(40.0, 46.0, 100.0, 6.8)
-    return replace(MOTOR.oil, name="VG 46", walther_a=a, walther_b=b)
-
-
 CHANGES = {
     "none": Change(),
     "oil −5.5 %": Change(viscosity=0.945),
     "oil −10 %": Change(viscosity=0.9),
     "oil −20 %": Change(viscosity=0.8),
     "oil +25 %": Change(viscosity=1.25),
-    "VG 46 for VG 68": Change(oil=vg46()),
+    "VG 46 for VG 68": Change(oil=VG46),
     "meter +3 %": Change(gain=1.03),
     "meter +6 %": Change(gain=1.06),
     "temperature −1 °C": Change(reads_low_c=1.0),

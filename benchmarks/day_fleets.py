@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from pipeline.demo import writing
 from pipeline.demo.fleet import Plan
@@ -75,6 +76,19 @@ def logs_of(config: Path) -> list[Path]:
     return sorted(
         path for path in (config.parent.parent / "demo" / "logs").rglob("*") if path.is_file()
     )
+
+
+def add_nights(config: Path, n: int) -> None:
+    """Give each motor of a fleet with Parquet logs the log of its day on n later days, too."""
+    logs = config.parent.parent / "demo" / "logs"
+    whole = pq.read_table(logs_of(config)[0])
+    for number in range(1, n + 1):
+        for place, motor in enumerate(sorted(logs.iterdir())):
+            path = motor / f"later{number:04}.parquet"
+            if not place:
+                pq.write_table(later(whole, number), first := path)
+            else:
+                os.link(first, path)
 
 
 def later(table: pa.Table, days: int) -> pa.Table:

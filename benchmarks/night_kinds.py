@@ -86,6 +86,8 @@ class SimulatedNights:
 
     def flow(self, kind: Kind) -> Array:
         """Drain flow as the log has it, shape (n, NIGHTS_A_DUTY) [l/min]."""
+        if kind.errors == RECORDED:
+            return self.clean_flow + ERRORS[RECORDED](self)
         short = self.level * noise.autoregression(self.white(), kind.phi)
         return self.clean_flow + short + ERRORS[kind.errors](self)
 
@@ -117,7 +119,13 @@ def wander(of: SimulatedNights) -> Array:
     return np.hstack(shifted) + of.clean_flow * found.gain
 
 
-# Beside the short errors, which all nights have.
+def as_recorded(of: SimulatedNights) -> Array:
+    """As large as on a real record, short ones and slow ones."""
+    return of.clean_flow * noise.as_recorded(of.generator, of.white().shape)
+
+
+RECORDED = "as recorded"
+# Beside the short errors, which all nights have but those as recorded.
 ERRORS: dict[str, Callable[[SimulatedNights], Array | float]] = {
     "–": lambda _: 0.0,
     "slow, 5 min": partial(slow, minutes=5.0),
@@ -131,6 +139,7 @@ ERRORS: dict[str, Callable[[SimulatedNights], Array | float]] = {
     "heat 10 min late": partial(late_heat, minutes=10.0),
     "heavy tails": lambda of: of.level * noise.heavy_tailed(of.generator, of.white().shape),
     "wander": wander,
+    RECORDED: as_recorded,
 }
 
 

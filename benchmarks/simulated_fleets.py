@@ -35,7 +35,7 @@ INDICATORS = (
     "baseline_deviation",
 )
 PATHS = 3
-REFERENCE_LEAKAGE, DEVIATION = 3, 4
+REFERENCE_LEAKAGE = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,20 +53,17 @@ class NightErrors:
         Share of ring, piston and sleeve in each night's flow, shape (nights, 3).
     reference_shares
         The same of the reference leakage, shape (3,).
-    mean_flow
-        Of each night, without errors [l/min], shape (nights,).
     """
 
     errors: Array
     answers: Array
     shares: Array
     reference_shares: Array
-    mean_flow: Array
 
 
 def night_errors(kind: Kind) -> NightErrors:
     """Simulate and fit nights of one kind."""
-    errors, answers, shares, mean_flow = [], [], [], []
+    errors, answers, shares = [], [], []
     with threadpool_limits(1):
         for seed in range(DUTIES):
             nights = SimulatedNights.of(kind, seed)
@@ -77,14 +74,12 @@ def night_errors(kind: Kind) -> NightErrors:
                 errors.append([*known, float(mean / means.sum()) - 1.0])
             answers += [answers_to_wander(nights)] * NIGHTS_A_DUTY
             shares += [means[:PATHS] / means.sum()] * NIGHTS_A_DUTY
-            mean_flow += [means.sum()] * NIGHTS_A_DUTY
     row = regressors(nights.motor, REFERENCE)[0] * np.append(nights.theta, 1.0)
     return NightErrors(
         np.array(errors),
         np.array(answers),
         np.array(shares),
         row[:PATHS] / row.sum(),
-        np.array(mean_flow),
     )
 
 
@@ -122,11 +117,10 @@ def fleet(
     motors: int,
     generator: np.random.Generator,
     wanders: bool = True,
-) -> tuple[Array, Array]:
-    """Indicators of motors over their values as built, and the mean drain flow [l/min].
+) -> Array:
+    """Indicators of motors over their values as built, shape (nights, motors, 5); nan: unknown.
 
-    Shapes (nights, motors, 5), nan where unknown, and (nights, motors). `growth` is K of ring,
-    piston and sleeve over those of the first night, shape (nights, 3).
+    `growth` is K of ring, piston and sleeve over those of the first night, shape (nights, 3).
     """
     shape = (len(growth), motors)
     drawn = generator.integers(len(of.errors), size=shape)
@@ -139,5 +133,5 @@ def fleet(
     reference = 1.0 + (grown - 1.0) @ of.reference_shares
     deviation = 1.0 + np.einsum("nmi,nmi->nm", grown - 1.0, of.shares[drawn])
     indicators = np.concatenate([grown, reference[..., None], deviation[..., None]], axis=-1)
-    indicators *= 1.0 + errors
-    return indicators, indicators[..., DEVIATION] * of.mean_flow[drawn]
+    result: Array = indicators * (1.0 + errors)
+    return result

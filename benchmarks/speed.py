@@ -23,6 +23,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,7 @@ import pyarrow.parquet as pq
 from benchmarks.day_fleets import (
     DAY_MINUTES,
     MOTORS,
+    add_nights,
     later,
     log_of,
     logs_of,
@@ -43,6 +45,7 @@ from benchmarks.whole_runs import (
     Cost,
     elapsed,
     first_night,
+    fit_command,
     interleaved,
     reading,
     until_first_byte,
@@ -62,6 +65,9 @@ SAMPLES = (100_000, 1_000_000, 8_640_000)
 DAYS = 12
 FLEETS = (1, 10, 100, 1000)
 SMALL_MINUTES = 20.0
+SMALL_NIGHTS = 840
+NIGHTS = (10, 100, 1000)
+BARE = "import numpy, polars, pyarrow, scipy.special, pydantic"
 USER_STARTS, TIMED_STARTS = 50, 3
 
 
@@ -203,29 +209,56 @@ def fast(asked: Asked) -> Part:
     return Part("100 Hz", text, ("what", "elapsed", "processor", "largest worker"), rows)
 
 
+def small(asked: Asked) -> Part:
+    """The first load of many short nights."""
+    day = asked.folder / "day"
+    write_day(day, 90.0, 1.0, "parquet")
+    config = make_fleet(day, asked.folder / "fleet", "parquet", 12)
+    add_nights(config, SMALL_NIGHTS // 12 - 1)
+    cases = {f"{n} worker{'s' * (n > 1)}": partial(first_night, config, n) for n in (1, 2)}
+    costs = interleaved(cases, min(asked.repeats, 3))
+    rows = [
+        [what, *_seconds(cost), *(f"{1000 * s / SMALL_NIGHTS:.0f} ms" for s in _both(cost))]
+        for what, cost in costs.items()
+    ]
+    text = (
+        f"{SMALL_NIGHTS} nights of 12 motors, 90 min at 1 Hz each, Parquet, a first load. Goals a "
+        "night, everything included: 60 ms of processor time (least to land: 90), 35 ms elapsed "
+        "with two workers (55)."
+    )
+    header = ("workers", "elapsed", "processor", "elapsed a night", "processor a night")
+    return Part("Small nights", text, header, rows)
+
+
 def start(asked: Asked) -> Part:
-    """Start of the command."""
+    """Start of the command, and runs with nothing new."""
     day = asked.folder / "day"
     write_day(day, SMALL_MINUTES, 1.0, "parquet")
-    config = make_fleet(day, asked.folder / "fleet", "parquet", 2)
-    python = sys.executable
+    new = make_fleet(day, asked.folder / "new", "parquet", 2)
+    known = {n: make_fleet(day, asked.folder / str(n), "parquet", n) for n in (6, 100)}
+    for config in known.values():
+        first_night(config, 2)
+    python = [sys.executable]
+    status = ["-m", "pipeline.cli", "status", str(known[6])]
     costs = interleaved(
         {
-            "help": lambda: elapsed([python, "-m", "pipeline.cli", "--help"]),
-            "first byte": lambda: until_first_byte(config),
-            "interpreter": lambda: elapsed([python, "-c", "import pyarrow.parquet"]),
+            BARE: lambda: elapsed([*python, "-c", BARE]),
+            "`status`, 6 motors (goal: 1.3)": lambda: elapsed([*python, *status]),
+            **{
+                f"nothing new, {n} motors (goal: {goal})": partial(elapsed, fit_command(config, 2))
+                for (n, config), goal in zip(known.items(), (1.8, 2.5), strict=True)
+            },
+            "`--help` (goal: 0.3 s)": lambda: elapsed([*python, "-m", "pipeline.cli", "--help"]),
+            "`fit-fleet` to the first byte read of a log (goal: 1.5 s)": lambda: until_first_byte(
+                new
+            ),
         },
         asked.repeats,
     )
-    rows = [
-        ["`--help` (goal: 0.3 s)", f"{costs['help'].elapsed_s:.2f} s"],
-        [
-            "`fit-fleet` to the first byte read of a log (goal: 1.5 s)",
-            f"{costs['first byte'].elapsed_s:.2f} s",
-        ],
-        ["Python with PyArrow, for comparison", f"{costs['interpreter'].elapsed_s:.2f} s"],
-    ]
-    return Part("Start", f"Medians of {asked.repeats}.", ("what", "elapsed"), rows)
+    bare = costs[BARE].elapsed_s
+    rows = [[what, *_seconds(cost), f"{cost.elapsed_s / bare:.2f}"] for what, cost in costs.items()]
+    text = f"Medians of {asked.repeats}, two workers; times: elapsed, over that of the bare import."
+    return Part("Start", text, ("what", "elapsed", "processor", "times"), rows)
 
 
 def user(asked: Asked) -> Part:
@@ -292,6 +325,14 @@ def growth(asked: Asked) -> Part:
         parent = f"parent {cost.parent_mib:.0f} MiB"
         rows.append([f"{n} motors of {SMALL_MINUTES:g} min", *_seconds(cost), parent])
     rows[-1][-1] += f", {_slope(taken)}"
+    taken = []
+    for n in NIGHTS:
+        config = make_fleet(day, asked.folder / "fleet", "parquet", 1)
+        add_nights(config, n - 1)
+        cost = first_night(config, 1, look_at_parent=True)
+        taken.append((n, cost.processor_s))
+        rows.append([f"{n} nights of 20 min", *_seconds(cost), f"parent {cost.parent_mib:.0f} MiB"])
+    rows[-1][-1] += f", {_slope(taken)}"
     text = (
         "Samples of one motor in Parquet (a day at 100 Hz, thinned; several days), one worker; "
         "motors with a short log, two workers. "
@@ -330,6 +371,10 @@ def _nights() -> str:
     )
 
 
+def _both(cost: Cost) -> tuple[float, float]:
+    return cost.elapsed_s, cost.processor_s
+
+
 def _seconds(cost: Cost) -> tuple[str, str]:
     return f"{cost.elapsed_s:.2f} s", f"{cost.processor_s:.2f} s"
 
@@ -338,6 +383,7 @@ PARTS: dict[str, Callable[[Asked], Part]] = {
     "formats": formats,
     "hundred": hundred,
     "fast": fast,
+    "small": small,
     "user": user,
     "start": start,
     "growth": growth,

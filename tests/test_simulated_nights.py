@@ -67,12 +67,10 @@ def test_worn_paths_show_in_all_indicators_by_their_shares() -> None:
         answers=np.zeros((1, 5, 3)),
         shares=np.array([[0.1, 0.2, 0.3]]),
         reference_shares=np.array([0.0, 0.25, 0.35]),
-        mean_flow=np.array([1.5]),
     )
     growth = np.ones((50, 3))
     growth[25:, 2] = 1.4
-    values, flow = fleet(nothing, growth, 400, np.random.default_rng(5))
+    values = fleet(nothing, growth, 400, np.random.default_rng(5))
     rise = values[25:].mean(axis=(0, 1)) / values[:25].mean(axis=(0, 1)) - 1.0
     assert rise == pytest.approx([0.0, 0.0, 0.4, 0.14, 0.12], abs=1e-3)
-    assert flow[25:].mean() == pytest.approx(1.5 * 1.12, rel=1e-3)
     assert values[:25, :, 0].std() == pytest.approx(SCATTER_OF_K, rel=0.05)

@@ -31,6 +31,11 @@ VARIANTS = {
     ),
     "held-out": ("meter reads", ""),
     "held-out-warm": ("meter reads, 48 °C and above", ""),
+    "held-out-late-warm": (
+        "the same, temperature 15 s earlier",
+        "[channels.oil_temperature]\nsource = 'Temperature - leak line'\n"
+        "unit = 'degC'\ntime_offset_s = -15.0\n",
+    ),
 }
 
 
@@ -79,8 +84,6 @@ def growth(course: str, number: int, plan: Plan) -> float:
 def add_nights(fleet: Path, record: Record, tables: Tables, plan: Plan) -> None:
     """The same nights without wear, and with each kind and course of it."""
     nights = windows(record.warm(), plan.length, plan.nights)
-    if not nights:
-        return
     add_motor(fleet, f"{record.name}-steady", nights)
     mixed = np.random.default_rng(1).permutation(len(nights))
     add_motor(fleet, f"{record.name}-mixed", [nights[number] for number in mixed])

@@ -32,7 +32,7 @@ from validation.cuts import (
 )
 from validation.fleet import DAY, fitted, label, new_fleet
 from validation.pictures import draw
-from validation.record import FLOW, PRESSURE, TEMPERATURE, Record, read_records
+from validation.record import FLOW, PRESSURE, TEMPERATURE, Record, read_records, windows
 from validation.tables import NONE, Row, Table
 
 Fit = dict[str, Any]
@@ -49,13 +49,14 @@ def judge(
     for record in records:
         add_cuts(fleet, record)
     cuts = fitted(fleet)
-    fleet = new_fleet("pump_rig", work / "nights")
     known = [record for record in records if labelled(cuts, record)]
-    for record in known:
+    long = [record for record in known if windows(record.warm(), plan.length, plan.nights)]
+    fleet = new_fleet("pump_rig", work / "nights")
+    for record in long:
         add_nights(fleet, record, cuts, plan)
-    nights = fitted(fleet)
-    for record in known:
-        if pictures:
+    nights = fitted(fleet) if long else cuts
+    if pictures:
+        for record in long:
             law, coefficients = law_of(fleet, cuts, record)
             flow = total_flow_l_per_min(law, conditions(record.warm()), coefficients)
             draw(record, pl.Series(flow), cuts, nights, pictures)
@@ -66,7 +67,7 @@ def judge(
         Table("labels", [_label(cuts, record) for record in rising]),
         Table("stability", [row for record in records for row in _quarters(cuts, record)]),
         Table("coverage", [row for record in records for row in _coverage(cuts, record)]),
-        Table("alarms", [row for record in known for row in _alarms(nights, record, plan)]),
+        Table("alarms", [row for record in long for row in _alarms(nights, record, plan)]),
     ]
 
 

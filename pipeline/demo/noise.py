@@ -20,6 +20,12 @@ WANDER_PHI: Final = 0.6
 WANDER_TEMPERATURE_C: Final = 0.3
 WANDER_GAIN: Final = 0.003
 WANDER_PRESSURE_BAR: Final = 0.3
+# Errors of a drain flow over the flow as on a real record (`benchmarks/results/noise.md`): short
+# ones and their φ at 1 Hz, and slow ones with the time over which they forget.
+RECORDED_SHORT: Final = 0.013
+RECORDED_PHI: Final = 0.4
+RECORDED_SLOW: Final = 0.0145
+RECORDED_SLOW_S: Final = 600.0
 
 
 def phi_of(step_s: float, time_constant_s: float) -> float:
@@ -74,6 +80,13 @@ def heavy_tailed(
     """White noise of unit variance with the tails of Student's t; `freedom` above 2."""
     drawn = generator.standard_t(freedom, shape)
     return np.asarray(drawn * np.sqrt((freedom - 2.0) / freedom), dtype=np.float64)
+
+
+def as_recorded(generator: np.random.Generator, shape: tuple[int, ...]) -> FloatArray:
+    """Errors at 1 Hz of a drain flow over the flow, as on a real record; of the shape given."""
+    short = autoregression(generator.standard_normal(shape), RECORDED_PHI)
+    slow = autoregression(generator.standard_normal(shape), phi_of(1.0, RECORDED_SLOW_S))
+    return RECORDED_SHORT * short + RECORDED_SLOW * slow
 
 
 def random_walk(white: FloatArray, step_s: float, after_an_hour: float = 1.0) -> FloatArray:

@@ -7,6 +7,7 @@ import logging
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
+from math import ceil
 from pathlib import Path
 from typing import Any
 
@@ -51,7 +52,7 @@ from pipeline.workers.process import Loss
 
 log = logging.getLogger(__name__)
 
-# A task of trends reads the tables of all its motors at once.
+# A task of trends reads the tables of all its motors at once; it has fewer where workers wait.
 MOTORS_A_TREND_TASK = 32
 
 
@@ -111,7 +112,7 @@ def publish_trends(
         changed,
         tonight,
         decisions,
-        MOTORS_A_TREND_TASK,
+        min(MOTORS_A_TREND_TASK, ceil(len(changed) / fleet.execution.workers)),
     )
     made: list[TrendOutcome] = []
     try:

@@ -14,7 +14,7 @@ import io
 import os
 import secrets
 import stat
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,8 +81,8 @@ class Prepared:
     sha256: str
     durable: bool = True
 
-    def land(self) -> None:
-        """Rename it to its place.
+    def land(self, *, flush: bool = True) -> None:
+        """Rename it to its place; not to `flush` its folder is for one who does so later.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class Prepared:
             except BaseException:
                 self.drop()
                 raise
-            if self.durable:
+            if self.durable and flush:
                 flush_folder(self.path.parent)
 
     def drop(self) -> None:
@@ -306,6 +306,19 @@ def flush_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def flush_folders(folders: Collection[Path]) -> None:
+    """Flush the names in some folders.
+
+    Raises
+    ------
+    StoreError
+        If they cannot be flushed.
+    """
+    for folder in sorted(folders):
+        with _store_errors(folder):
+            flush_folder(folder)
 
 
 def flush_all() -> None:

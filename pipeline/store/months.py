@@ -191,7 +191,7 @@ def _joined(output: Path, staging: Path, table: Table, month: str, files: Sequen
             yield name, published_rows(output, path, table, [name])
 
     made = staging / ASIDE / table.name / f"{month}{ENDING}"
-    put(made, lambda stream: write_parts(stream, table.schema, parts()), durable=False)
+    put(made, lambda stream: write_parts(stream, parts()), durable=False)
     with pq.ParquetFile(made, page_checksum_verification=True) as file:
         for place, group in enumerate(row_groups(rows for _, rows in parts())):
             found = pl.from_arrow(file.read_row_group(place, use_threads=False))

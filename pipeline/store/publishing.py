@@ -15,8 +15,9 @@ import polars as pl
 
 from pipeline.errors import StoreError
 from pipeline.schema import Table, frame
-from pipeline.store.atomic_files import move
+from pipeline.store.atomic_files import flush_folders, move
 from pipeline.store.manifest import (
+    Key,
     Manifest,
     announce,
     manifest_key,
@@ -26,11 +27,14 @@ from pipeline.store.manifest import (
 from pipeline.store.months import part_month
 from pipeline.store.tables import (
     PUT_ASIDE,
+    NewRows,
     NightFile,
     StagedRows,
     days_of,
     encode_table,
     month_file,
+    new_rows,
+    night_file,
     prepare_file,
     prepare_night,
     read_rows,
@@ -42,7 +46,8 @@ from pipeline.store.tables import (
 Finish = Callable[[pl.DataFrame, Sequence[str]], pl.DataFrame]
 # Lets the next run make nights anew for all motors but some.
 Forget = Callable[[Path, Collection[dt.date], Collection[str]], object]
-Rows = Mapping[str, pl.DataFrame]
+# Nights of motors that are prepared together.
+NIGHTS_AT_ONCE = 400
 
 
 @dataclass(slots=True)
@@ -108,10 +113,12 @@ class Publisher:
         for table, motors in staged.items():
             if "night" not in table.key:
                 self._vacate(table, motors, forget)
-        for night in sorted(nights):
-            # One table at a time: all rows of a large fleet would fill the memory.
-            here = {table: partial(_of_night, some, night) for table, some in staged.items()}
-            self._night(night, here, forget, finish or {})
+        # Rows of one table at a time, and of so many nights: all would fill the memory.
+        size = max(1, NIGHTS_AT_ONCE // max(1, *map(len, staged.values())))
+        ordered = sorted(nights)
+        for some in (ordered[at : at + size] for at in range(0, len(ordered), size)):
+            new = {table: partial(new_rows, motors, some) for table, motors in staged.items()}
+            self._publish(new, forget, finish or {})
 
     def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
         """Staged rows of a table by motor, of those that have some."""
@@ -140,12 +147,11 @@ class Publisher:
         """
         key = list(table.key)
         places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
-        for rows in staged.values():
-            for night in rows.nights:
-                found = rows.rows(night)
-                if found is not None and found.height:
-                    places[night].append(found.select(key))
-        for night in sorted({night for rows in staged.values() for night in rows.nights}):
+        nights = {night for rows in staged.values() for night in rows.nights}
+        for night, new in new_rows(staged, nights).items():
+            if new.rows.height:
+                places[night].append(new.rows.select(key))
+        for night in sorted(nights):
             earlier = [keys for other, some in places.items() if other < night for keys in some]
             if not earlier:
                 continue
@@ -155,39 +161,36 @@ class Publisher:
                 continue  # nobody can read it, and it is replaced
             kept = present.join(pl.concat(earlier), on=key, how="anti", maintain_order="left")
             if kept.height < present.height:
-                left = present.join(kept, on=key, how="anti")["motor_id"].unique().sort()
-                rows_of = {
-                    motor_id: kept.filter(pl.col("motor_id") == motor_id).drop("run_id")
-                    for motor_id in left
-                }
-                self._night(night, {table: partial(dict, rows_of)}, forget, {})
+                left = present.join(kept, on=key, how="anti")["motor_id"].unique()
+                rows = kept.filter(pl.col("motor_id").is_in(left.implode())).drop("run_id")
+                without = {night: NewRows(tuple(left), rows)}
+                self._publish({table: partial(dict, without)}, forget, {})
 
-    def _night(
+    def _publish(
         self,
-        night: dt.date,
-        new: Mapping[Table, Callable[[], Rows]],
+        new: Mapping[Table, Callable[[], Mapping[dt.date, NewRows]]],
         forget: Forget,
         finish: Mapping[str, Finish],
     ) -> None:
-        """Prepare all files of a night, announce them, and put them into their places."""
-        manifest = read_manifest(self.output, f"{night:%Y-%m}", night.isoformat()) or Manifest()
+        """Prepare all files of some nights, announce them, and put them into their places."""
         files: list[NightFile] = []
         with ExitStack() as undone:
             for table, rows_of in new.items():
-                if not (motors := rows_of()):
-                    continue
-                last = partial(_finished, finish.get(table.name), list(motors))
-                name = f"{table.name}/month={night:%Y-%m}/{night}.parquet"
-                file = prepare_night(
-                    self.output, table, night, motors, self.run_id, last, manifest.accepted(name)
-                )
-                undone.callback(file.drop)
-                files.append(file)
-                if file.lost_rows:
-                    if file.before is not None:
-                        self.damaged.append(name)
-                    self.lost.setdefault(night, set()).update(motors)
-                    forget(self.output, (night,), set(motors))
+                for night, rows in rows_of().items():
+                    last = partial(_finished, finish.get(table.name), rows.motor_ids)
+                    path = night_file(self.output, table, night)
+                    name = path.relative_to(self.output / "tables").as_posix()
+                    manifest = read_manifest(self.output, *manifest_key(name)) or Manifest()
+                    file = prepare_night(
+                        self.output, table, night, rows, self.run_id, last, manifest.accepted(name)
+                    )
+                    undone.callback(file.drop)
+                    files.append(file)
+                    if file.lost_rows:
+                        if file.before is not None:
+                            self.damaged.append(name)
+                        self.lost.setdefault(night, set()).update(rows.motor_ids)
+                        forget(self.output, (night,), set(rows.motor_ids))
             self._land(files)
             undone.pop_all()
 
@@ -216,23 +219,24 @@ class Publisher:
             undone.pop_all()
 
     def _land(self, files: Sequence[NightFile]) -> None:
-        """Put files of one manifest into their places; it lists old and new ones meanwhile."""
+        """Put files into their places; their manifests list old and new ones meanwhile."""
         root = self.output / "tables"
-        by_name = {file.path.relative_to(root).as_posix(): file for file in files}
-        key = manifest_key(next(iter(by_name)))
-        # The digest of a damaged file is not accepted.
-        before = {name: None if file.lost_rows else file.before for name, file in by_name.items()}
-        after = {name: file.after for name, file in by_name.items()}
-        announce(self.output, *key, {name: (before[name], after[name]) for name in by_name})
+        by_manifest: defaultdict[Key, dict[str, NightFile]] = defaultdict(dict)
+        for file in files:
+            name = file.path.relative_to(root).as_posix()
+            by_manifest[manifest_key(name)][name] = file
+        for key, some in sorted(by_manifest.items()):
+            # The digest of a damaged file is not accepted.
+            changes = {
+                name: (None if file.lost_rows else file.before, file.after)
+                for name, file in some.items()
+            }
+            announce(self.output, *key, changes)
         for file in files:
             file.land()
-        update_manifest(self.output, *key, after)
-
-
-def _of_night(staged: Mapping[str, StagedRows], night: dt.date) -> Rows:
-    """New rows of a night, by motor that has done it."""
-    found = {motor_id: rows.rows(night) for motor_id, rows in staged.items()}
-    return {motor_id: rows for motor_id, rows in found.items() if rows is not None}
+        flush_folders({file.path.parent for file in files if file.prepared is not None})
+        for key, some in sorted(by_manifest.items()):
+            update_manifest(self.output, *key, {name: file.after for name, file in some.items()})
 
 
 def _finished(finish: Finish | None, motor_ids: Sequence[str], rows: pl.DataFrame) -> pl.DataFrame:

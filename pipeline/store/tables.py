@@ -16,11 +16,12 @@ import os
 import re
 from bisect import bisect_right
 from calendar import monthrange
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum
-from itertools import accumulate
+from itertools import accumulate, chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -254,15 +255,12 @@ def _as_parquet(rows: pl.DataFrame, version: int, parts: Mapping[str, int] | Non
         for begin, (name, count) in zip(begins, (parts or {}).items(), strict=False)
     ]
     stream = pa.BufferOutputStream()
-    write_parts(stream, rows.schema, named or [("", rows)], version)
+    write_parts(stream, named or [("", rows)], version)
     return bytes(stream.getvalue())
 
 
 def write_parts(
-    stream: Any,
-    schema: Mapping[str, pl.DataType | type[pl.DataType]],
-    parts: Iterable[tuple[str, pl.DataFrame]],
-    version: int = SCHEMA_VERSION,
+    stream: Any, parts: Iterable[tuple[str, pl.DataFrame]], version: int = SCHEMA_VERSION
 ) -> None:
     """Write a file of the rows of named nights to a stream; an empty name is not noted."""
     counts: list[tuple[str, int]] = []
@@ -272,17 +270,13 @@ def write_parts(
             counts.append((name, rows.height))
             yield rows
 
-    oldest = pl.CompatLevel.oldest()
+    groups = (one.to_arrow(compat_level=pl.CompatLevel.oldest()) for one in row_groups(counted()))
+    first = next(groups)
     with pq.ParquetWriter(
-        stream,
-        pl.DataFrame(schema=schema).to_arrow(compat_level=oldest).schema,
-        compression="zstd",
-        write_page_checksum=True,
-        store_schema=False,
+        stream, first.schema, compression="zstd", write_page_checksum=True, store_schema=False
     ) as table:
-        for group in row_groups(counted()):
-            content = group.to_arrow(compat_level=oldest)
-            table.write_table(content, row_group_size=max(group.height, 1))
+        for group in chain([first], groups):
+            table.write_table(group, row_group_size=max(group.num_rows, 1))
         # Metadata of the schema would be left out with it.
         told = {VERSION_KEY: str(version)}
         if any(name for name, _ in counts):
@@ -559,15 +553,37 @@ class StagedRows:
         with pa.memory_map(str(self._path)) as content, pa.ipc.open_file(content) as file:
             yield file
 
-    def rows(self, night: dt.date) -> pl.DataFrame | None:
-        """Rows of a night; None if it was not staged."""
-        if night not in self.nights:
-            return None
+    def batches(self, nights: Collection[dt.date]) -> dict[dt.date, pa.RecordBatch]:
+        """Rows of those of some nights that were staged."""
+        places = {night: place for place, night in enumerate(self.nights) if night in nights}
+        if not places:
+            return {}
         with self._opened() as file:
-            batch = file.get_batch(self.nights.index(night))
-            rows = pl.from_arrow(pa.Table.from_batches([batch]))
+            return {night: file.get_batch(place) for night, place in places.items()}
+
+
+@dataclass(frozen=True, slots=True)
+class NewRows:
+    """Rows that a run has made of a night, and the motors that they are of; some have none."""
+
+    motor_ids: tuple[str, ...]
+    rows: pl.DataFrame
+
+
+def new_rows(
+    staged: Mapping[str, StagedRows], nights: Collection[dt.date]
+) -> dict[dt.date, NewRows]:
+    """Staged rows of some nights, by night; those that no motor has done are left out."""
+    found: defaultdict[dt.date, dict[str, pa.RecordBatch]] = defaultdict(dict)
+    for motor_id, own in staged.items():
+        for night, batch in own.batches(nights).items():
+            found[night][motor_id] = batch
+    made = {}
+    for night, batches in found.items():
+        rows = pl.from_arrow(pa.Table.from_batches(batches.values()))
         assert isinstance(rows, pl.DataFrame)
-        return rows
+        made[night] = NewRows(tuple(batches), rows)
+    return made
 
 
 def stage(
@@ -580,17 +596,17 @@ def stage(
     StoreError
         If they cannot be written.
     """
-    frames = [frame(table, rows, without="run_id").to_arrow() for _, rows in sorted(nights.items())]
-    label = " ".join(night.isoformat() for night in sorted(nights))
-    schema = frames[0].schema.with_metadata({b"nights": label.encode()})
+    of_nights = {night: list(rows) for night, rows in sorted(nights.items())}
+    every = frame(table, chain.from_iterable(of_nights.values()), without="run_id").to_arrow()
+    label = " ".join(map(str, of_nights))
+    schema = every.schema.with_metadata({b"nights": label.encode()})
+    # A night without rows needs a batch, too.
+    (whole,) = every.combine_chunks().to_batches() or [pa.RecordBatch.from_pylist([], every.schema)]
+    begins = accumulate(map(len, of_nights.values()), initial=0)
     try:
         with scratch(path) as stream, pa.ipc.new_file(stream, schema) as staged:
-            for rows in frames:
-                # A night without rows needs a batch, too.
-                whole = rows.combine_chunks().to_batches() or [
-                    pa.RecordBatch.from_pylist([], schema=rows.schema)
-                ]
-                staged.write_batch(whole[0])
+            for begin, rows in zip(begins, of_nights.values(), strict=False):
+                staged.write_batch(whole.slice(begin, len(rows)))
     except OSError as error:
         raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 
@@ -621,11 +637,14 @@ class NightFile:
     prepared: Prepared | None = None
 
     def land(self) -> None:
-        """Put it into its place, and a damaged file there aside; raises as `Prepared.land`."""
+        """Put it into its place, and a damaged file there aside; raises as `Prepared.land`.
+
+        That survives a power cut once its folder is flushed.
+        """
         if self.lost_rows and self.before is not None:
             move(self.path, self.path.with_suffix(PUT_ASIDE))
         if self.prepared is not None:
-            self.prepared.land()
+            self.prepared.land(flush=False)
 
     def drop(self) -> None:
         """Remove the new file; the present one stays."""
@@ -637,7 +656,7 @@ def prepare_night(
     output: Path,
     table: Table,
     night: dt.date,
-    staged: Mapping[str, pl.DataFrame],
+    new: NewRows,
     run_id: str,
     finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
     accepted: Collection[str | None] = (),
@@ -653,14 +672,11 @@ def prepare_night(
     before, rows_before = _present(path, table, accepted)
     gone = before is None and bool(accepted) and None not in accepted
     lost_rows = gone or (before is not None and rows_before is None)
-    parts = [frame(table, [])]
+    rows = new.rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys())
     if rows_before is not None:
-        parts.append(rows_before.filter(~pl.col("motor_id").is_in(list(staged))))
-    parts += [
-        rows.with_columns(pl.lit(run_id).alias("run_id")).select(table.schema.keys())
-        for rows in staged.values()
-    ]
-    rows = finish(pl.concat(parts).sort(table.key))
+        kept = rows_before.filter(~pl.col("motor_id").is_in(new.motor_ids))
+        rows = pl.concat([kept, rows])
+    rows = finish(rows.sort(table.key))
     if before is None and not rows.height:
         return NightFile(path, None, None, lost_rows)
     content = encode_table(path.name, rows)

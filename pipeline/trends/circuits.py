@@ -83,6 +83,11 @@ class Circuit:
         late = [night for night in touched if night is not None]
         return found | {motor_id: min([night, *late]) for motor_id, night in settled.items()}
 
+    def is_due(self, changed_from: Mapping[str, dt.date | None], tonight: Tonight) -> bool:
+        """True where a motor may have a night whose trends are to be made."""
+        first = self.first_nights(changed_from, tonight)
+        return any(night <= tonight.of(motor_id) for motor_id, night in first.items())
+
     def nights_to_do(
         self,
         changed_from: Mapping[str, dt.date | None],

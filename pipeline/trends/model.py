@@ -5,6 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,7 +50,18 @@ def _misfit_at(records: NDArray[np.void], part: Segment, place: int) -> Structur
     rows = records[max(part.first, place - 3 * NIGHTS_TOGETHER) : place + 1]
     told = np.isfinite(rows["misfit"]).all(axis=1) & (rows["model"] == rows["model"][-1])
     known = rows["misfit"][told][-NIGHTS_TOGETHER:]
-    return structured_misfit([Misfit.of(row) for row in known]) if len(known) else None
+    return _misfit_of(tuple(row.tobytes() for row in known)) if len(known) else None
+
+
+# A night is among the last ten of ten nights, and each of these is asked for again.
+@lru_cache(maxsize=1024)
+def _misfit_of(nights: tuple[bytes, ...]) -> StructuredMisfit:
+    return structured_misfit([_misfit_of_night(one) for one in nights])
+
+
+@lru_cache(maxsize=2 * NIGHTS_TOGETHER)
+def _misfit_of_night(numbers: bytes) -> Misfit:
+    return Misfit.of(np.frombuffer(numbers))
 
 
 @dataclass(frozen=True, slots=True)

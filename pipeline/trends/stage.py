@@ -124,9 +124,12 @@ def trend_tasks(
     decisions: tuple[Decision, ...],
     motors_a_task: int,
 ) -> list[TrendTask]:
-    """Tasks of whole circuits, a motor without one on its own, of about so many motors each."""
+    """Tasks of whole circuits with nights to be made, of about so many motors each."""
     wanted = [
-        group for group in circuits_of(specs) if any(one.motor_id in changed_from for one in group)
+        group
+        for group in circuits_of(specs)
+        if any(one.motor_id in changed_from for one in group)
+        and _circuit(output, group, decisions).is_due(changed_from, tonight)
     ]
     batches: list[list[MotorSpec]] = [[]]
     for group in wanted:
@@ -143,9 +146,11 @@ def trend_tasks(
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with threadpool_limits(1):
-        specs = [as_published(task.output, one) for one in task.specs]
+        circuits = [
+            _circuit(task.output, group, task.decisions) for group in circuits_of(task.specs)
+        ]
+        specs = [spec for circuit in circuits for spec in circuit.specs]
         said = decisions_of(specs, task.decisions)
-        circuits = [Circuit.of(task.output, group, said) for group in circuits_of(specs)]
         first = [circuit.first_nights(task.changed_from, task.tonight) for circuit in circuits]
         since = {motor_id: night for one in first for motor_id, night in one.items()}
         try:
@@ -159,6 +164,11 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         for motor_id, one in nights.items():
             one.keep(motor_id, done.filtered.get(motor_id))
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
+
+
+def _circuit(output: Path, specs: Sequence[MotorSpec], decisions: Sequence[Decision]) -> Circuit:
+    published = [as_published(output, one) for one in specs]
+    return Circuit.of(output, published, decisions_of(published, decisions))
 
 
 @dataclass(slots=True)

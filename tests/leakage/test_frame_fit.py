@@ -165,14 +165,22 @@ def changed(**columns: Any) -> Mapping[str, Any]:
         (changed(time=np.full(600, np.nan)), "time_missing", "drop such rows"),
         (changed(speed_rpm=np.full(600, np.nan)), "no_samples", "speed_rpm has no values"),
         (changed(speed_rpm=np.array(["fast"] * 600)), "column_type", "speed_rpm holds no numbers"),
-        (changed(speed_rpm=np.zeros(3)), "shape", "differ in length"),
-        (3, "frame_type", "int is no frame"),
     ],
 )
-def test_a_bad_frame_is_refused_with_what_to_do(frame: Any, code: str, words: str) -> None:
+@pytest.mark.parametrize("kind", [dict, pd.DataFrame, pl.DataFrame, pa.table])
+def test_a_bad_frame_is_refused_with_what_to_do(
+    kind: Any, frame: Samples, code: str, words: str
+) -> None:
     with pytest.raises((ShapeError, StatisticsError), match=words) as caught:
-        fit_frame(frame, MOTOR)
+        fit_frame(kind(frame), MOTOR)
     assert caught.value.code == code
+
+
+def test_columns_of_other_lengths_and_what_is_no_frame_are_refused() -> None:
+    with pytest.raises(ShapeError, match="differ in length"):
+        fit_frame(changed(speed_rpm=np.zeros(3)), MOTOR)
+    with pytest.raises(ShapeError, match="int is no frame"):
+        fit_frame(3, MOTOR)
 
 
 def test_another_unit_by_its_name_is_refused_and_another_name_is_taken(found: FrameFit) -> None:

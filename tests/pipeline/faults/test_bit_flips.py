@@ -16,7 +16,7 @@ import pytest
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, read_manifest
-from pipeline.store.tables import night_file, prepare_night
+from pipeline.store.tables import NewRows, night_file, prepare_night
 from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.trends.kept_nights import whole_table
 from tests.pipeline.faults.disk import Disk, Killed, on
@@ -139,7 +139,7 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
     manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
     assert manifest is not None
     accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
-    new = {"M3": frame(QUALITY, [], without="run_id")}
+    new = NewRows(("M3",), frame(QUALITY, [], without="run_id"))
     sound = prepare_night(output, QUALITY, NIGHT, new, "run", lambda rows: rows, accepted)
     assert not sound.lost_rows
     bits = np.arange(8 * len(whole))

@@ -196,8 +196,8 @@ def test_a_file_that_moves_to_another_night_never_stands_in_two(
 
     land = Prepared.land
 
-    def watched(prepared: Prepared) -> None:
-        land(prepared)
+    def watched(prepared: Prepared, *, flush: bool = True) -> None:
+        land(prepared, flush=flush)
         rows = with_polars(pattern_of(output, INPUT_FILES))
         assert rows.select(INPUT_FILES.key).is_unique().all()
         seen.append(rows.filter(pl.col("motor_id") == "M1").select("path", "night").rows())

@@ -33,9 +33,11 @@ from pipeline.schema import (
 from pipeline.store import tables as store
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
 from pipeline.store.tables import (
+    NewRows,
     NightFile,
     StagedRows,
     month_stamps,
+    new_rows,
     night_file,
     night_paths,
     night_stamps,
@@ -74,9 +76,12 @@ def new(*some: Row) -> pl.DataFrame:
     return frame(QUALITY, some, without="run_id")
 
 
-def publish_night(output: Path, *arguments: Any) -> NightFile:
+def publish_night(
+    output: Path, table: Table, night: dt.date, some: Mapping[str, pl.DataFrame], *more: Any
+) -> NightFile:
     """Prepare a night's file, and put it there."""
-    file = prepare_night(output, *arguments)
+    rows = pl.concat([frame(table, [], without="run_id"), *some.values()])
+    file = prepare_night(output, table, night, NewRows(tuple(some), rows), *more)
     file.land()
     return file
 
@@ -478,6 +483,12 @@ class TestPublish:
         assert [read_table(path, RUNS)["run_id"].to_list() for path in files] == [["r"], ["r"]]
 
 
+def rows_of(staged: StagedRows, night: dt.date) -> pl.DataFrame | None:
+    """Staged rows of a motor's night; None where it was not staged."""
+    found = new_rows({"A": staged}, [night]).get(night)
+    return None if found is None else found.rows
+
+
 class TestStaged:
     def staged(
         self, tmp_path: Path, nights: Mapping[dt.date, list[Row]], table: Table = QUALITY
@@ -505,7 +516,7 @@ class TestStaged:
         staged = self.staged(tmp_path_factory.mktemp("staged"), nights)
         assert staged.nights == sorted(sizes)
         for night, expected in nights.items():
-            found = staged.rows(night)
+            found = rows_of(staged, night)
             assert found is not None
             assert_frame_equal(found, frame(QUALITY, expected, without="run_id"))
 
@@ -519,20 +530,20 @@ class TestStaged:
         staged = self.staged(tmp_path, {NIGHT: [row("A")]})
         before = len(list(Path("/proc/self/fd").iterdir()))
         kept = [StagedRows(tmp_path / "staging" / "quality" / "A.arrow") for _ in range(5)]
-        found = [one.rows(NIGHT) for one in kept]
+        found = [rows_of(one, NIGHT) for one in kept]
         assert len(list(Path("/proc/self/fd").iterdir())) == before
         for one in found:
             assert one is not None
-            assert_frame_equal(one, staged.rows(NIGHT))
+            assert_frame_equal(one, rows_of(staged, NIGHT))
 
     def test_night_that_was_not_done(self, tmp_path: Path) -> None:
-        assert self.staged(tmp_path, {NIGHT: []}).rows(LATER) is None
+        assert rows_of(self.staged(tmp_path, {NIGHT: []}), LATER) is None
 
     @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
     def test_every_type_survives_to_the_table(self, tmp_path: Path, table: Table) -> None:
         one = {name: value for name, value in example(table).items() if name != "run_id"}
         staged = self.staged(tmp_path, {NIGHT: [one], LATER: []}, table)
-        found, empty = staged.rows(NIGHT), staged.rows(LATER)
+        found, empty = rows_of(staged, NIGHT), rows_of(staged, LATER)
         assert found is not None
         assert empty is not None
         publish_night(tmp_path, table, NIGHT, {"A": found, "B": empty}, "run")
@@ -542,7 +553,7 @@ class TestStaged:
     def test_rows_outlive_the_staging_folder(self, tmp_path: Path) -> None:
         """They are read lazily from a map of the file, which the run removes at its end."""
         staged = self.staged(tmp_path, {NIGHT: [row("A"), row("A", "spike")]})
-        found = staged.rows(NIGHT)
+        found = rows_of(staged, NIGHT)
         (tmp_path / "staging" / "quality" / "A.arrow").unlink()
         assert found is not None
         assert found["reason"].to_list() == ["gap", "spike"]
@@ -559,6 +570,6 @@ class TestStaged:
             }
             for number in range(96)
         ]
-        found = self.staged(tmp_path, {NIGHT: blocks}, BLOCK_STATISTICS).rows(NIGHT)
+        found = rows_of(self.staged(tmp_path, {NIGHT: blocks}, BLOCK_STATISTICS), NIGHT)
         assert found is not None
         assert found["statistics"].to_list() == [block["statistics"] for block in blocks]
