@@ -99,7 +99,3 @@ def nights_of_history() -> str:
         f"{found.group(1)} times the processor time of night 2, the trend stage aside "
         "(`night_cost.md`)."
     )
-
-
-def _both(cost: Cost) -> tuple[float, float]:
-    return cost.elapsed_s, cost.processor_s

@@ -375,6 +375,10 @@ def _slope(taken: Sequence[tuple[int, float]]) -> str:
     return f"slope {slope:.2f}, {1e6 * (s1 - s0) / (n1 - n0):.3g} µs each"
 
 
+def _both(cost: Cost) -> tuple[float, float]:
+    return cost.elapsed_s, cost.processor_s
+
+
 def _seconds(cost: Cost) -> tuple[str, str]:
     return f"{cost.elapsed_s:.2f} s", f"{cost.processor_s:.2f} s"
 
