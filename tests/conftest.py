@@ -56,6 +56,12 @@ def demo_folder(shared_folder: Path) -> Path:
         from pipeline.demo import write_demo
 
         write_demo(folder, nights=DEMO_NIGHTS, minutes=DEMO_MINUTES, workers=1)
+        # Every night is searched from all starts.
+        fleet = folder / "configs" / "fleet.toml"
+        text = fleet.read_text("utf-8")
+        fleet.write_text(
+            text.replace("[estimation]", "[estimation]\nsearch_every_nights = 1"), "utf-8"
+        )
 
     return made_once(shared_folder / "demo", make)
 
@@ -67,11 +73,10 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
         from pipeline.run.fleet import RunRequest, run_fleet
-        from tests.pipeline.simulated import with_search
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})
-        fleet = replace(with_search(fleet), execution=execution, output=folder)
+        fleet = replace(fleet, execution=execution, output=folder)
         run_fleet(RunRequest(fleet))
 
     return made_once(shared_folder / "fitted", make)
