@@ -19,26 +19,27 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.clock import latest_us, now
-from pipeline.config import Fleet, MotorSpec
+from pipeline.config import Execution, Fleet, MotorSpec
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
 from pipeline.config.loading import LANDED_FOLDER
 from pipeline.errors import EngineError, LockedError, StoreError
-from pipeline.logs.files import legible
+from pipeline.logs.finding import legible
 from pipeline.logs.ledger import as_published, read_settings
 from pipeline.logs.motor_logs import FATES
 from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.metrics import metrics_text, write_metrics
-from pipeline.run.motor_task import plan_motor, run_motor
+from pipeline.run.motor_nights import plan_motor
 from pipeline.run.publishing import (
     fleets_tonight,
     publish_latest,
     publish_motors,
     publish_trends,
 )
-from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost, run_motor
+from pipeline.run.unchanged import unchanged_motors
 from pipeline.schema import (
     MOTOR_OUTCOMES,
     RUNS,
@@ -427,7 +428,7 @@ def _run(
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _motors(run_tasks, tasks, first=first):
+        for outcome in _motors(run_tasks, tasks, fleet.execution, first=first):
             if outcome.chunk:
                 progress(outcome)
                 continue
@@ -513,12 +514,15 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
 
 
 def _motors(
-    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool = False
 ) -> Iterator[MotorOutcome]:
     """Outcomes of motors and chunks; a motor for which no engine is left has failed."""
     left = {task.spec.motor_id: task for task in tasks}
+    for outcome in unchanged_motors(tasks, execution):
+        del left[outcome.motor_id]
+        yield outcome
     try:
-        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
+        for outcome in run_motors(run_tasks, run_motor, list(left.values()), first=first):
             if not outcome.chunk:
                 del left[outcome.motor_id]
             yield outcome
