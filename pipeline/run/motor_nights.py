@@ -11,7 +11,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -161,17 +161,15 @@ class MotorNights:
         present, found = self.logs.present(), {}
         if self.task.force:
             return dict.fromkeys(present, Step(Work.READ, "asked for"))
-        before = read_settings(self.task.output, self.spec.motor_id)
-        why = why_anew(before, settings_of(self.form))
         for label, record in self.before.nights.items():
             if not record.statistics_hash:
                 continue
             if record.statistics_hash != self.hashes.statistics(label):
                 # Where the logs are gone, what is published stays.
                 if label in present:
-                    found[label] = Step(Work.READ, why)
+                    found[label] = Step(Work.READ, self._why_anew)
             elif record.figures_hash != self.hashes.figures(label):
-                found[label] = Step(Work.REFIT if record.model else Work.READ, why)
+                found[label] = Step(Work.REFIT if record.model else Work.READ, self._why_anew)
         if self.task.with_starts:
             for label in (
                 _refitted(self.task.output, self.spec.motor_id)
@@ -179,6 +177,12 @@ class MotorNights:
             ):
                 found[label] = Step(Work.REFIT, "its starts are asked for")
         return found
+
+    @cached_property
+    def _why_anew(self) -> str:
+        """Settings that changed since the last run, in words."""
+        before = read_settings(self.task.output, self.spec.motor_id)
+        return why_anew(before, settings_of(self.form))
 
     def open_nights(self) -> dict[dt.date, Step]:
         """Nights still to do within the asked-for range."""
