@@ -9,7 +9,7 @@ import datetime as dt
 import resource
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from contextlib import contextmanager, suppress
 from functools import cached_property, lru_cache
 from itertools import pairwise
@@ -72,9 +72,9 @@ def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
     return hash_of(dict(items))
 
 
-def _still_published(ledger: Ledger, output: Path) -> Ledger:
+def _still_published(ledger: Ledger, published: Set[dt.date]) -> Ledger:
     """A ledger without the nights whose tables somebody removed: they are to be made anew."""
-    gone = ledger.nights.keys() - set(nights_back(output, FITS))
+    gone = ledger.nights.keys() - published
     return Ledger(
         files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
         nights={label: one for label, one in ledger.nights.items() if label not in gone},
@@ -103,15 +103,25 @@ def _refitted(output: Path, motor_id: str) -> set[dt.date]:
 
 
 class MotorNights:
-    """The nights of a motor during its task."""
+    """The nights of a motor during its task.
 
-    def __init__(self, task: MotorTask) -> None:
+    Parameters
+    ----------
+    task
+        The task.
+    published
+        Nights of the table `fits`; None: they are listed.
+    """
+
+    def __init__(self, task: MotorTask, published: Set[dt.date] | None = None) -> None:
         self.task = task
         self.spec = task.spec
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self.memory_of_chunks_mib = 0.0
         self.remembered = read_ledger(task.output, task.spec.motor_id)
-        self.before = _still_published(self.remembered, task.output)
+        if published is None:
+            published = set(nights_back(task.output, FITS))
+        self.before = _still_published(self.remembered, published)
         if task.retry:
             self.before = _without_failures(self.before)
         with self.timed("read_s"):

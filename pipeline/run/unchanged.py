@@ -6,9 +6,10 @@ mount that hangs; what it does not tell is left to the motors' tasks.
 
 from __future__ import annotations
 
+import datetime as dt
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import Pipe
@@ -21,6 +22,8 @@ from pipeline.logs.finding import State, states_of
 from pipeline.logs.ledger import SeenLogs, ledger_folder, read_ledger
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask
+from pipeline.schema import FITS
+from pipeline.store.tables import nights_back
 from pipeline.workers.process import SignOfLife
 
 # So long its end is waited for [s]: in a call to a disk that hangs no process ends.
@@ -30,9 +33,15 @@ GRACE_S = 1.0
 def unchanged_motors(tasks: Sequence[MotorTask], execution: Execution) -> Iterator[MotorOutcome]:
     """Outcomes of the motors with nothing to be done."""
     asked = [task for task in tasks if _is_quick(task, execution)]
+    if not asked:
+        return
+    try:
+        published = set(nights_back(asked[0].output, FITS))
+    except StoreError:  # which the tasks tell
+        return
     # Without an answer, this and all further ones are left.
     for task, states in zip(asked, _states(asked, execution), strict=False):
-        outcome = None if states is None else _outcome(task, states)
+        outcome = None if states is None else _outcome(task, states, published)
         if outcome is not None:
             yield outcome
 
@@ -48,7 +57,9 @@ def _is_quick(task: MotorTask, execution: Execution) -> bool:
     )
 
 
-def _outcome(task: MotorTask, states: Mapping[str, State]) -> MotorOutcome | None:
+def _outcome(
+    task: MotorTask, states: Mapping[str, State], published: Set[dt.date]
+) -> MotorOutcome | None:
     """The outcome of a motor whose logs are as the last run left them; None: there is work."""
     known = read_ledger(task.output, task.spec.motor_id).files
     read_with = reading_hash(task.spec)
@@ -62,7 +73,7 @@ def _outcome(task: MotorTask, states: Mapping[str, State]) -> MotorOutcome | Non
         return None
     seen = SeenLogs({name: known[name] for name in states})
     try:
-        nights = MotorNights(replace(task, looked_at=seen))
+        nights = MotorNights(replace(task, looked_at=seen), published)
         return nights.outcome() if nights.is_quiet else None
     except StoreError:  # which the task tells
         return None
@@ -72,8 +83,6 @@ def _states(
     tasks: Sequence[MotorTask], execution: Execution
 ) -> Iterator[Mapping[str, State] | None]:
     """States of each motor's logs, None where one cannot be told; ends early where one hangs."""
-    if not tasks:
-        return
     asked = [(one.spec.log_root, one.spec.file.logs.files) for one in tasks]
     if execution.backend == "sequential":
         yield from (states_of(root, patterns) for root, patterns in asked)
