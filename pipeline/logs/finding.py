@@ -86,9 +86,9 @@ def legible(text: str) -> str:
 
 def states_of(root: Path, patterns: Iterable[str]) -> dict[str, State] | None:
     """State of each log, by relative path; None where one is absent or no readable file."""
-    paths, absent = find(root, patterns)
     found = {}
     try:
+        paths, absent = find(root, patterns)
         for name, path in told_alive(paths.items()):
             state = path.stat()
             if not stat.S_ISREG(state.st_mode):

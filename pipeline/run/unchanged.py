@@ -13,13 +13,17 @@ from collections.abc import Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import Pipe
+from pathlib import Path
 from typing import cast
+
+from polars.exceptions import PanicException
 
 from pipeline.config import Execution
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import StoreError
+from pipeline.logs import finding
 from pipeline.logs.finding import State, states_of
-from pipeline.logs.ledger import SeenLogs, ledger_folder, read_ledger
+from pipeline.logs.ledger import FileRecord, SeenLogs, ledger_folder, read_ledger
 from pipeline.run.motor_nights import MotorNights
 from pipeline.run.tasks import MotorOutcome, MotorTask
 from pipeline.schema import FITS
@@ -61,22 +65,28 @@ def _outcome(
     task: MotorTask, states: Mapping[str, State], published: Set[dt.date]
 ) -> MotorOutcome | None:
     """The outcome of a motor whose logs are as the last run left them; None: there is work."""
-    known = read_ledger(task.output, task.spec.motor_id).files
-    read_with = reading_hash(task.spec)
-    for name, state in states.items():
-        one = known.get(name)
-        if one is None or one.sha256 is None or one.read_with != read_with:
-            return None
-        if (one.size, one.modified_ns, one.inode) != state:
-            return None
-    if not states:
-        return None
-    seen = SeenLogs({name: known[name] for name in states})
     try:
+        known = read_ledger(task.output, task.spec.motor_id).files
+        if not states or not _are_known(states, known, reading_hash(task.spec)):
+            return None
+        seen = SeenLogs({name: known[name] for name in states})
         nights = MotorNights(replace(task, looked_at=seen), published)
         return nights.outcome() if nights.is_quiet else None
-    except StoreError:  # which the task tells
+    except (Exception, PanicException):
         return None
+
+
+def _are_known(
+    states: Mapping[str, State], known: Mapping[str, FileRecord], read_with: str
+) -> bool:
+    """True where each log has a record of the same file, read with the same settings."""
+    return all(
+        (one := known.get(name)) is not None
+        and one.sha256 is not None
+        and one.read_with == read_with
+        and (one.size, one.modified_ns, one.inode) == state
+        for name, state in states.items()
+    )
 
 
 def _states(
@@ -89,7 +99,9 @@ def _states(
         return
     connection, theirs = Pipe()
     end = theirs.fileno()
-    program = f"from pipeline.logs import finding; finding.answer({end})"
+    source = str(Path(finding.__file__).parents[2])
+    program = f"import sys; sys.path.insert(0, {source!r}); from pipeline.logs import finding; "
+    program += f"finding.answer({end})"
     looker = subprocess.Popen(  # noqa: S603 - it is this program
         [sys.executable, "-P", "-c", program], pass_fds=[end], start_new_session=True
     )
