@@ -29,7 +29,7 @@ def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
     duty = standing.history.records["duty"][place]
     if duty == OUTSIDE:
         return duty_words(standing.history, standing.era(place), place)
-    if found.verdict == "common":
+    if found.verdict == "common" or found.taken_back:
         return ""
     if standing.model.state[place] == "warning" and not _is_of_factor(standing, place, found):
         return f"no path is named: {standing.model.words(place)}"

@@ -14,15 +14,8 @@ import pytest
 
 from leakage import Motor, OperatingConditions, regressors
 from leakage.errors import ShapeError
-from leakage.hypotheses import (
-    Blocks,
-    CommonFactor,
-    Growth,
-    Posterior,
-    growth,
-    mean_factor,
-    weigh,
-)
+from leakage.growth import Blocks, Growth, growth
+from leakage.hypotheses import CommonFactor, Posterior, mean_factor, weigh
 from pipeline.demo import noise
 from tests.leakage.made_samples import true_coefficients
 from tests.leakage.placeholders import placeholder_motor
