@@ -138,7 +138,7 @@ def _taken_back(shift: Shift) -> str:
     """What the gaps and the flushing did against each other, what may do so, what would tell."""
     gaps, flushing = 1.96 * np.sqrt(np.diag(shift.covariance))
     return (
-        f"the gaps' part {100.0 * shift.gaps:+.0f} ± {100.0 * gaps:.0f} % and the flushing "
+        f"the gaps' part {100.0 * shift.gaps:+.1f} ± {100.0 * gaps:.1f} % and the flushing "
         f"{shift.flow * shift.flushing:+.2f} ± {shift.flow * flushing:.2f} l/min, which no oil "
         f"does: {MAY_TAKE_BACK}"
     )
