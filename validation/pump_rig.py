@@ -187,10 +187,9 @@ def _alarms(tables: Tables, record: Record, plan: Plan) -> list[Row]:
     found: dict[str, list[dict[str, Any]]] = {}
     for one in raised:
         found.setdefault(one["motor_id"], []).append(one)
-    told_of_all = tables.table(TRENDS.name).filter(pl.col("common_factor").is_not_null()).collect()
-    as_oil = (
-        told_of_all.group_by("motor_id").agg(pl.col("night").n_unique()).rows_by_key("motor_id")
-    )
+    told = tables.table(TRENDS.name).filter(pl.col("common_factor").is_not_null())
+    by_motor = told.group_by("motor_id").agg(pl.col("night").n_unique())
+    as_oil = dict(by_motor.collect().iter_rows())
     cases = [("none", order, 0, None) for order in ("steady", "mixed")] + [
         (kind, course, plan.healthy, course) for kind in plan.kinds for course in plan.courses
     ]
@@ -204,7 +203,7 @@ def _alarms(tables: Tables, record: Record, plan: Plan) -> list[Row]:
                 "wear": wear,
                 "course": words,
                 **_told(found.get(name, []), begin, grows, plan),
-                "nights told as oil": str(as_oil.get(name, [0])[0]),
+                "nights told as oil": str(as_oil.get(name, 0)),
             }
         )
     return rows
