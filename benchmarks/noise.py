@@ -22,6 +22,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from benchmarks.model_verdict import VG46
 from benchmarks.night_kinds import CYCLES_S, ERRORS, Kind, SimulatedNights
 from benchmarks.results_file import Part, write_parts
 from leakage import Constant, Laminar, Motor, OperatingConditions, Parameter, regressors
@@ -31,7 +32,7 @@ from leakage.correlation import autocorrelation
 from leakage.identifiability import Excitation
 from leakage.model_verdict import structured_misfit
 from leakage.multi_start import SearchSettings
-from leakage.oil import FilmPressure, Oil
+from leakage.oil import FilmPressure
 from leakage.robust import MAD_TO_SD
 from leakage.slow_errors import short_blocks
 from leakage.temperature_correction import temperature_correction
@@ -218,20 +219,10 @@ def of_any_function(seen: Seen) -> Character:
 
 
 def pump(record: Record) -> Motor:
-    """One gap for all, and what leaves the case at no pressure, as `validation/pump_rig` has it."""
-    oil = Oil.from_reference_viscosities(
-        "VG 46, assumed",
-        temperature_1_c=40.0,
-        viscosity_1_mm2_per_s=46.0,
-        temperature_2_c=100.0,
-        viscosity_2_mm2_per_s=6.8,
-        density_15_c_kg_per_m3=876.0,
-        thermal_expansion_per_k=7.0e-4,
-        pressure_viscosity_per_pa=2.0e-8,
-    )
+    """One gap for all and an offset, as in `validation/pump_rig`; the oil is assumed."""
     gap = Laminar("all_gaps", 1, Parameter("C_all", "m3", 5e-14, 1e-16, 1e-11))
     drain = Constant("case", Parameter("C_f", "l_per_min", 0.5, 0.0, 20.0))
-    return Motor(record.name, (gap, drain), oil, FilmPressure(share=0.0))
+    return Motor(record.name, (gap, drain), VG46, FilmPressure(share=0.0))
 
 
 def of_record(record: Record) -> Seen:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import platform
+import re
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -81,3 +82,20 @@ def _write(name: str, title: str, body: Sequence[str]) -> None:
     text = "\n".join(lines)
     (RESULTS / f"{name}.md").write_text(text, "utf-8")
     sys.stdout.write(text)
+
+
+def nights_of_history() -> str:
+    """What the benchmark of history found."""
+    path = RESULTS / "night_cost.md"
+    if not path.exists():
+        return ""
+    found = re.search(
+        r"\| processor time \|.*\| ([\d.]+) \|$", path.read_text("utf-8"), re.MULTILINE
+    )
+    if found is None:
+        return ""
+    return (
+        "Nights of history: night 365 takes "
+        f"{found.group(1)} times the processor time of night 2, the trend stage aside "
+        "(`night_cost.md`)."
+    )

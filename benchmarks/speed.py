@@ -15,7 +15,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import re
 import shutil
 import statistics
 import sys
@@ -40,7 +39,7 @@ from benchmarks.day_fleets import (
     make_fleet,
     write_day,
 )
-from benchmarks.results_file import RESULTS, Part, write_parts
+from benchmarks.results_file import RESULTS, Part, nights_of_history, write_parts
 from benchmarks.whole_runs import (
     Cost,
     elapsed,
@@ -160,6 +159,28 @@ def _rows_of_format(name: str, n: int, costs: dict[str, Cost]) -> list[list[str]
             ]
         )
     return rows
+
+
+def motor_day(asked: Asked) -> Part:
+    """Processor time of one more motor-day: without the start of the processes."""
+    rows = []
+    write_day(asked.folder / "day", DAY_MINUTES, 10.0, *MOTORS)
+    for name in MOTORS:
+        configs = {
+            n: make_fleet(asked.folder / "day", asked.folder / str(n), name, n, linked=True)
+            for n in (1, asked.motors)
+        }
+        costs = interleaved(
+            {str(n): lambda config=config: first_night(config, 1) for n, config in configs.items()},
+            asked.repeats,
+        )
+        more = costs[str(asked.motors)].processor_s - costs["1"].processor_s
+        rows.append([name, f"{1000 * more / (asked.motors - 1):.0f} ms"])
+    text = (
+        f"24 h × 10 Hz, one worker: a run over {asked.motors} motors less one over one, a motor; "
+        f"medians of {asked.repeats} passes. Goal from Parquet: 250 ms."
+    )
+    return Part("A motor-day", text, ("format", "processor time"), rows)
 
 
 def hundred(asked: Asked) -> Part:
@@ -337,7 +358,7 @@ def growth(asked: Asked) -> Part:
         "Samples of one motor in Parquet (a day at 100 Hz, thinned; several days), one worker; "
         "motors with a short log, two workers. "
         "A slope of 1 on logarithmic axes is growth in proportion; what does not grow (the start "
-        "of the processes) is below it. " + _nights()
+        "of the processes) is below it. " + nights_of_history()
     )
     return Part("Growth", text, ("what", "elapsed", "processor", "slope"), rows)
 
@@ -354,23 +375,6 @@ def _slope(taken: Sequence[tuple[int, float]]) -> str:
     return f"slope {slope:.2f}, {1e6 * (s1 - s0) / (n1 - n0):.3g} µs each"
 
 
-def _nights() -> str:
-    """What the benchmark of history found."""
-    path = RESULTS / "night_cost.md"
-    if not path.exists():
-        return ""
-    found = re.search(
-        r"\| processor time \|.*\| ([\d.]+) \|$", path.read_text("utf-8"), re.MULTILINE
-    )
-    if found is None:
-        return ""
-    return (
-        "Nights of history: night 365 takes "
-        f"{found.group(1)} times the processor time of night 2, the trend stage aside "
-        "(`night_cost.md`)."
-    )
-
-
 def _both(cost: Cost) -> tuple[float, float]:
     return cost.elapsed_s, cost.processor_s
 
@@ -381,6 +385,7 @@ def _seconds(cost: Cost) -> tuple[str, str]:
 
 PARTS: dict[str, Callable[[Asked], Part]] = {
     "formats": formats,
+    "motor_day": motor_day,
     "hundred": hundred,
     "fast": fast,
     "small": small,

@@ -61,10 +61,10 @@ class CompressedSamples:
         chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
         return np.repeat(chosen, [block.n for block in self.blocks])
 
-    def error_of(self, part: str, coefficients: Array) -> Array:
-        """Prediction errors of the samples of a part [l/min], shape (n,)."""
+    def error_of(self, coefficients: Array) -> Array:
+        """Prediction errors of the samples [l/min], shape (n,)."""
         error: Array = self.z @ -np.concatenate([coefficients, (1.0, -1.0)])
-        return error[self.rows_of(part)]
+        return error
 
 
 def compress(

@@ -171,7 +171,7 @@ def fit_frame(
         structured=None if estimate.misfit is None else structured_misfit([estimate.misfit]),
         block_s=windows.block_s,
         memory_s=memory_s(
-            made.error_of(TRAINING, theta),
+            made.error_of(theta)[made.rows_of(TRAINING)],
             index[made.rows_of(TRAINING)],
             period_us / SECOND_US,
             samples.rounding_l_per_min,

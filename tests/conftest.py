@@ -17,7 +17,7 @@ from hypothesis import settings
 
 # A busy machine is no fault of the code: speed is for `benchmarks/`.
 settings.register_profile("patient", deadline=None)
-settings.load_profile("patient")
+settings.register_profile("quick", deadline=None, max_examples=40)
 
 # No test cuts the power, so nothing waits for a disk: folders of tests lie in memory where there is
 # enough of it.
@@ -35,6 +35,11 @@ DEMO_NIGHTS = 3
 DEMO_MINUTES = 60.0
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """`make test-full`, which selects nothing, draws more examples."""
+    settings.load_profile("quick" if config.option.markexpr else "patient")
+
+
 class OwnFleet(Protocol):
     """Copies motors of the demo into a folder of the test's own; returns its fleet file."""
 
@@ -50,12 +55,16 @@ def shared_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def demo_folder(shared_folder: Path) -> Path:
-    """The demo fleet, 3 nights of 60 minutes; only to be read."""
+    """The demo fleet, 3 nights of 60 minutes, each with the search; only to be read."""
 
     def make(folder: Path) -> None:
         from pipeline.demo import write_demo
 
         write_demo(folder, nights=DEMO_NIGHTS, minutes=DEMO_MINUTES, workers=1)
+        fleet = folder / "configs" / "fleet.toml"
+        text = fleet.read_text("utf-8")
+        text = text.replace("[estimation]\n", "[estimation]\nsearch_every_nights = 1\n")
+        fleet.write_text(text, "utf-8")
 
     return made_once(shared_folder / "demo", make)
 
@@ -67,12 +76,10 @@ def fitted_output(shared_folder: Path, demo_folder: Path) -> Path:
     def make(folder: Path) -> None:
         from pipeline.config import load_fleet
         from pipeline.run.fleet import RunRequest, run_fleet
-        from tests.pipeline.simulated import with_search
 
         fleet = load_fleet(demo_folder / "configs" / "fleet.toml")
         execution = fleet.execution.model_copy(update={"backend": "sequential"})
-        fleet = replace(with_search(fleet), execution=execution, output=folder)
-        run_fleet(RunRequest(fleet))
+        run_fleet(RunRequest(replace(fleet, execution=execution, output=folder)))
 
     return made_once(shared_folder / "fitted", make)
 

@@ -53,7 +53,7 @@ def init(
     Example: motor-leakage init sql:PLANT_DATABASE --to my-fleet
 
     Exit code 0: all is known; 1: questions are open, or a log cannot be read, and nothing is
-    written; 2: wrong usage, or a file is there already.
+    written; 2: wrong usage, or a file is there already; 4: a database does not answer.
     """
     from pipeline.demo import shipped_configs
     from pipeline.setup.fleet_files import fleet_files, write_fleet

@@ -13,6 +13,7 @@ from leakage import LeakageError, Motor, OperatingConditions, regressors
 from leakage.correlation import memory_s
 from leakage.sample_blocks import TRAINING
 from leakage.sensitivities import ErrorBudget, error_budget
+from pipeline.arrays import chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks
 from pipeline.night.parameter_rows import Row, sensitivity_rows
@@ -47,8 +48,9 @@ def fit_modes(
         found = fit_stored_blocks(
             spec, night, mode, blocks, charge_bar, statistics.inflation, sensitivities
         )
-        memory_s = _memory_s(statistics, found.training.coefficients)
-        fits.append(replace(found, memory_s=memory_s))
+        error = statistics.error_of(found.training.coefficients)
+        memory_s = _memory_s(statistics, error)
+        fits.append(replace(found, memory_s=memory_s, prediction_error=error))
         rows += [{"flushing_mode": mode} | row for row in sensitivities]
     return tuple(fits), rows
 
@@ -64,6 +66,7 @@ def with_residuals(
             residuals=night_residuals(
                 statistics,
                 mode.training.coefficients,
+                mode.prediction_error,
                 mode.memory_s,
                 smoothing,
             ),
@@ -72,12 +75,12 @@ def with_residuals(
     )
 
 
-def _memory_s(statistics: NightStatistics, coefficients: Array) -> float:
+def _memory_s(statistics: NightStatistics, error: Array) -> float:
     """Time over which the prediction errors of the training samples forget [s]."""
-    samples = statistics.samples
+    samples, rows = statistics.samples, chosen_rows(statistics.rows_of(TRAINING))
     return memory_s(
-        statistics.error_of(TRAINING, coefficients),
-        samples.index[statistics.rows_of(TRAINING)],
+        error[rows],
+        samples.index[rows],
         samples.period_us / 1e6,
         ROUNDING * float(np.abs(samples.leakage_l_per_min).max()),
     )

@@ -47,12 +47,15 @@ class PartResiduals:
 def night_residuals(
     statistics: NightStatistics,
     coefficients: Array,
+    fitted_error: Array,
     correlation_time_s: float,
     smoothing: Smoothing,
 ) -> tuple[PartResiduals, ...]:
-    """Residual analyses of a fit: of training and validation, unsmoothed and, if any, smoothed."""
+    """Residual analyses of a fit: of training and validation, unsmoothed and, if any, smoothed.
+
+    `fitted_error` are the errors of all samples in the columns that were fitted.
+    """
     samples = statistics.samples
-    error_of = -np.concatenate([coefficients, (1.0, -1.0)])
     inputs = np.stack(
         [
             np.abs(samples.pressure_difference_bar),
@@ -60,14 +63,15 @@ def night_residuals(
             np.abs(samples.speed_rpm),
         ]
     )
-    columns = [(False, statistics.unsmoothed, inputs)]
+    columns = [(False, fitted_error, inputs)]
     if statistics.z is not statistics.unsmoothed:
-        columns.append((True, statistics.z, _smoothed(inputs, statistics, smoothing)))
+        unsmoothed = statistics.unsmoothed @ -np.concatenate([coefficients, (1.0, -1.0)])
+        columns = [(False, unsmoothed, inputs)]
+        columns.append((True, fitted_error, _smoothed(inputs, statistics, smoothing)))
     memory = correlation_time_s * 1e6 / samples.period_us
     rounding = ROUNDING * float(np.abs(samples.leakage_l_per_min).max())
     found = []
-    for smoothed, z, seen in columns:
-        error = z @ error_of
+    for smoothed, error, seen in columns:
         for part in (TRAINING, VALIDATION):
             rows = chosen_rows(statistics.rows_of(part))
             chosen, index = error[rows], samples.index[rows]

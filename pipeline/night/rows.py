@@ -23,7 +23,7 @@ from leakage.validation import (
     effective_sample_count,
     lag_one_autocorrelation,
 )
-from pipeline.arrays import utc
+from pipeline.arrays import chosen_rows, utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
 from pipeline.night.fit import transport_delays_s
@@ -223,9 +223,9 @@ def _mode_columns(
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
-    chosen = statistics.rows_of(TRAINING)
+    chosen = chosen_rows(statistics.rows_of(TRAINING))
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
-    error = statistics.error_of(TRAINING, mode.training.coefficients)
+    error = mode.prediction_error[chosen]
     phi = lag_one_autocorrelation(error, consecutive)
     configured_delay, estimated_delay = transport_delays_s(spec, statistics, mode)
     return {

@@ -327,7 +327,8 @@ def bring_together(
     found += [
         Quality("time_base", reason, len(grid), int(mask.sum())) for reason, mask in masks.items()
     ]
-    kept = ~refused
+    # By their places, which takes a third of the time that a mask does.
+    kept = np.flatnonzero(~refused)
     pressure, temperature, speed, leakage = (values[name][kept] for name in INPUTS)
     return (
         Samples(

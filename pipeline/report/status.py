@@ -21,13 +21,8 @@ from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
 from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.motor_states import (
-    CHANGED,
-    SENSORS,
-    MotorState,
-    published_states,
-    urgency,
-)
+from pipeline.trends.latest_states import published_states
+from pipeline.trends.motor_states import CHANGED, SENSORS, MotorState, urgency
 from pipeline.trends.words import name_of
 
 # States that an inspection can confirm, and those that can be acknowledged.

@@ -15,7 +15,8 @@ from pipeline.report.tables import ReportTables, by_motor
 from pipeline.report.words import plain
 from pipeline.schema import ALARMS, TRENDS, frame
 from pipeline.thinning import keep_extremes
-from pipeline.trends.motor_states import ORDER, LookStanding, MotorState, motor_state
+from pipeline.trends.latest_states import motor_state
+from pipeline.trends.motor_states import ORDER, LookStanding, MotorState
 from pipeline.trends.words import limit_dates, name_of
 
 Payload = dict[str, Any]

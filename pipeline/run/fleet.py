@@ -67,7 +67,8 @@ from pipeline.telling.outbox import add_summary, backlogs, is_waiting, open_outb
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import decisions_of
 from pipeline.trends.decisions import read_decisions
-from pipeline.trends.motor_states import published_states, urgency
+from pipeline.trends.latest_states import published_states
+from pipeline.trends.motor_states import urgency
 from pipeline.trends.record import (
     read_record,
     trend_hash,

@@ -36,7 +36,8 @@ from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
 from pipeline.trends.decisions import journal_file, read_decisions
-from pipeline.trends.motor_states import latest_rows, latest_states
+from pipeline.trends.latest_states import latest_states
+from pipeline.trends.motor_states import latest_rows
 from pipeline.trends.record import forget_records, note_touched, write_record
 from pipeline.trends.stage import (
     TrendOutcome,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import ssl
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -76,8 +77,12 @@ class Receiver(Protocol):
         """
 
 
-def talk(to_server: Callable[[], str], deadline_s: float) -> None:
+def talk(
+    to_server: Callable[[], str], words: Callable[[Exception], str], deadline_s: float
+) -> None:
     """Talk to a server, which returns a fault or an empty text, within a deadline.
+
+    What it raises is a fault in the words given, as others may quote addresses.
 
     A thread does that and is abandoned at the deadline: neither the look-up of a name nor an
     answer that comes byte by byte has a time limit of its own.
@@ -88,13 +93,29 @@ def talk(to_server: Callable[[], str], deadline_s: float) -> None:
         With the fault, or at the deadline.
     """
     answers: list[str] = []
-    thread = threading.Thread(target=lambda: answers.append(to_server()), daemon=True)
+
+    def ask() -> None:
+        try:
+            answers.append(to_server())
+        except Exception as error:  # the edge of the thread
+            answers.append(words(error))
+
+    thread = threading.Thread(target=ask, daemon=True)
     thread.start()
     thread.join(deadline_s)
     if not answers:
         raise UndeliveredError(f"no answer within {deadline_s:g} s", hung=True)
     if answers[0]:
         raise UndeliveredError(one_line(answers[0]))
+
+
+def fault_words(reason: object) -> str:
+    """A fault of a connection in words that quote nothing."""
+    if isinstance(reason, ssl.SSLCertVerificationError):
+        return f"its certificate: {reason.verify_message}"
+    if isinstance(reason, OSError) and reason.strerror:
+        return reason.strerror
+    return type(reason).__name__
 
 
 def filled(setting: str, text: str) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 from pipeline.config.receivers import require_mail_server
 from pipeline.config.settings import Email
 from pipeline.errors import one_line
-from pipeline.telling.delivery import DEADLINE_S, Delivery, filled, talk
+from pipeline.telling.delivery import DEADLINE_S, Delivery, fault_words, filled, talk
 from pipeline.telling.outbox import SUMMARY
 
 # Name of the receiver in the outbox.
@@ -51,17 +51,14 @@ class Mail:
         """Send it; refused if the server refuses one of the addresses."""
         message = message_of(delivery, self.settings)
         password = filled("email.password", self.settings.password)
-        talk(lambda: self._sent(message, password), self.deadline_s)
+        talk(lambda: self._sent(message, password), _words, self.deadline_s)
 
     def _sent(self, message: EmailMessage, password: str) -> str:
         """Send; returns a fault or an empty text."""
-        try:
-            with self._connected() as server:
-                if self.settings.user:
-                    server.login(self.settings.user, password)
-                refused = server.send_message(message)
-        except Exception as error:  # the edge of the thread
-            return _words(error)
+        with self._connected() as server:
+            if self.settings.user:
+                server.login(self.settings.user, password)
+            refused = server.send_message(message)
         return f"refused for {', '.join(sorted(refused))}" if refused else ""
 
     def _connected(self) -> smtplib.SMTP:
@@ -150,12 +147,8 @@ def _paragraph(motor: str, rows: Sequence[Row]) -> Iterator[str]:
 
 
 def _words(error: Exception) -> str:
-    if isinstance(error, ssl.SSLCertVerificationError):
-        return f"its certificate: {error.verify_message}"
     if isinstance(error, smtplib.SMTPRecipientsRefused):
         return f"refused for {', '.join(sorted(error.recipients))}"
     if isinstance(error, smtplib.SMTPResponseException):
         return f"SMTP {error.smtp_code}"
-    if isinstance(error, OSError) and error.strerror:
-        return error.strerror
-    return str(error) if isinstance(error, smtplib.SMTPException) else type(error).__name__
+    return str(error) if isinstance(error, smtplib.SMTPException) else fault_words(error)

@@ -10,7 +10,6 @@ import binascii
 import hashlib
 import hmac
 import http.client
-import ssl
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,7 +20,14 @@ from urllib.error import HTTPError, URLError
 from urllib.parse import urlsplit
 from urllib.request import HTTPRedirectHandler, Request, build_opener
 
-from pipeline.telling.delivery import DEADLINE_S, Delivery, UndeliveredError, filled, talk
+from pipeline.telling.delivery import (
+    DEADLINE_S,
+    Delivery,
+    UndeliveredError,
+    fault_words,
+    filled,
+    talk,
+)
 
 SECRET_PREFIX = "whsec_"  # noqa: S105 - how the specification marks one
 DEFAULT_PORTS = {"http": 80, "https": 443}
@@ -61,7 +67,7 @@ class WebHook:
             **self._of_standard(delivery, int(time.time())),
         }
         request = Request(self.url, delivery.content, headers, method="POST")  # noqa: S310
-        talk(lambda: _post(request, 2 * self.deadline_s), self.deadline_s)
+        talk(lambda: _post(request, 2 * self.deadline_s), _words, self.deadline_s)
 
     def _of_standard(self, delivery: Delivery, now: int) -> dict[str, str]:
         """The headers of the specification."""
@@ -131,17 +137,8 @@ def _place(url: str) -> tuple[str, str, int | None]:
 
 
 def _post(request: Request, timeout_s: float) -> str:
-    """Post; returns a fault or an empty text, in words of our own: others may quote the URL."""
-    try:
-        with build_opener(_SamePlace).open(request, timeout=timeout_s):
-            return ""
-    except HTTPError as error:
-        error.close()
-        return _status_words(error.code)
-    except URLError as error:
-        return _words(error.reason)
-    except Exception as error:  # the edge of the thread
-        return _words(error)
+    with build_opener(_SamePlace).open(request, timeout=timeout_s):
+        return ""
 
 
 def _status_words(code: int) -> str:
@@ -152,11 +149,11 @@ def _status_words(code: int) -> str:
     return words
 
 
-def _words(reason: object) -> str:
-    if isinstance(reason, ssl.SSLCertVerificationError):
-        return f"its certificate: {reason.verify_message}"
+def _words(error: Exception) -> str:
+    if isinstance(error, HTTPError):
+        error.close()
+        return _status_words(error.code)
+    reason = error.reason if isinstance(error, URLError) else error
     if isinstance(reason, http.client.HTTPException):
         return f"the answer is no HTTP ({type(reason).__name__})"
-    if isinstance(reason, OSError) and reason.strerror:
-        return reason.strerror
-    return type(reason).__name__
+    return fault_words(reason)

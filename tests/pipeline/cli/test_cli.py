@@ -97,9 +97,9 @@ def test_0_with_nothing_new(call: Call, fleet: Path) -> None:
 
 
 def test_1_when_a_motor_failed_and_the_other_is_done(call: Call, own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(CSV, PARQUET)
+    fleet = without_workers(own_fleet(CSV, PARQUET))
     broken = break_log(fleet, PARQUET)
-    code, out, err = call("fit-fleet", fleet, "--jobs", "1")
+    code, out, err = call("fit-fleet", fleet)
     assert code == 1
     assert f"{CSV}: ok (3 ok)" in out
     assert f"{PARQUET}: failed (1 failed, 2 ok)" in out
@@ -240,7 +240,7 @@ def test_130_and_143_while_publishing(
             os.kill(os.getpid(), number)
         return prepare_night(*arguments)
 
-    fleet = own_fleet(PARQUET)
+    fleet = without_workers(own_fleet(PARQUET))
     with monkeypatch.context() as patched:
         patched.setattr(pipeline.store.publishing, "prepare_night", interrupted)
         ended, out, err = call("fit-fleet", fleet)
@@ -301,10 +301,10 @@ def test_without_an_output_tables_go_where_the_command_was_started(
 
 
 def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(CSV, PARQUET)
+    fleet = without_workers(own_fleet(PARQUET))
     code = "import sys; from pipeline.cli import main; main()"
     process = subprocess.Popen(
-        [sys.executable, "-c", code, "fit-fleet", str(fleet), "--jobs", "1"],
+        [sys.executable, "-c", code, "fit-fleet", str(fleet)],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -316,16 +316,16 @@ def test_a_reader_that_goes_away_does_not_end_the_run(own_fleet: OwnFleet) -> No
     assert process.wait(timeout=60) == 0
     process.stderr.close()
     fits = pl.read_parquet(fleet.parent.parent / "out" / "tables" / "fits" / "**" / "*.parquet")
-    assert fits["status"].to_list() == ["ok"] * 6
+    assert fits["status"].to_list() == ["ok"] * 3
 
 
 # Lines for programs
 
 
 def test_json_lines_of_a_run(call: Call, own_fleet: OwnFleet) -> None:
-    fleet = own_fleet(CSV, PARQUET)
+    fleet = without_workers(own_fleet(CSV, PARQUET))
     break_log(fleet, PARQUET)
-    code, out, _ = call("fit-fleet", fleet, "--json", "--jobs", "1")
+    code, out, _ = call("fit-fleet", fleet, "--json")
     assert code == 1
     *motors, run = map(json.loads, out.splitlines())
     assert [one["event"] for one in motors] == ["motor", "motor"]
@@ -568,7 +568,9 @@ def test_status_neither_fits_nor_draws(fleet: Path) -> None:
 # As people start it
 
 
-def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:
+def test_the_installed_command_from_demo_to_tables(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     command = Path(sys.executable).with_name("motor-leakage")
 
     def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -592,6 +594,7 @@ def test_the_installed_command_from_demo_to_tables(tmp_path: Path) -> None:
     assert found.filter("is_primary")["motor_id"].n_unique() == 6
     (tmp_path / "mine" / "demo").mkdir(parents=True)
     (tmp_path / "mine" / "demo" / "notes.txt").touch()
-    refused = run("demo", "mine")
-    assert refused.returncode == 2
-    assert "name another folder" in refused.stderr
+    monkeypatch.chdir(tmp_path)
+    code, _, err = call("demo", "mine")
+    assert code == 2
+    assert "name another folder" in err

@@ -97,10 +97,19 @@ def test_all_motors_in_each_dialect_come_to_the_same_tables(
     assert_the_same(fitted, dialect, writable(fitted, dialect), tmp_path)
 
 
-@pytest.mark.parametrize("dialect", OVER_A_CLOCK_CHANGE, ids=lambda dialect: dialect.name)
-def test_a_night_in_which_an_hour_comes_twice(dialect: Dialect, tmp_path: Path) -> None:
-    demo = tmp_path / "demo"
+@pytest.fixture(scope="module")
+def clock_change(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The demo in the night in which summer time ends."""
+    demo = tmp_path_factory.mktemp("clock_change")
     write_demo(demo, nights=1, minutes=300, rate_hz=1.0, workers=1, first_night=END_OF_SUMMER_TIME)
+    return demo
+
+
+@pytest.mark.parametrize("dialect", OVER_A_CLOCK_CHANGE, ids=lambda dialect: dialect.name)
+def test_a_night_in_which_an_hour_comes_twice(
+    clock_change: Path, dialect: Dialect, tmp_path: Path
+) -> None:
+    demo = clock_change
     fleet = load_fleet(demo / "configs" / "fleet.toml")
     motor = fleet.motors[OVER_A_CLOCK_CHANGE.index(dialect)].motor_id
     fit(demo / "configs" / "fleet.toml", tmp_path / "out", motor)

@@ -33,6 +33,8 @@ CALLS = {
 # `flipped`: what is read is not what was written. `killed`: the process dies before the call.
 Kind = Literal["EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed"]
 KINDS: tuple[Kind, ...] = ("EIO", "ENOSPC", "EDQUOT", "short", "flipped", "killed")
+# A quota that is used up fails the same calls as a disk that is full.
+QUICK_KINDS: tuple[Kind, ...] = tuple(kind for kind in KINDS if kind != "EDQUOT")
 
 
 class Killed(BaseException):

@@ -17,7 +17,7 @@ import pytest
 
 from pipeline.store import atomic_files as landing
 from tests.pipeline.faults import disk
-from tests.pipeline.faults.disk import CALLS, KINDS, Disk, Kind, on
+from tests.pipeline.faults.disk import CALLS, KINDS, QUICK_KINDS, Disk, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet
 from tests.pipeline.faults.sweep import count_points, try_points
 
@@ -29,7 +29,10 @@ POINTS: dict[Kind, int] = {
 SLICES = 4
 # A dead process closes nothing; that of the test finds the open files later, and tells.
 DEAD = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-EACH_KIND = [pytest.param(kind, marks=DEAD if kind == "killed" else ()) for kind in KINDS]
+EACH_KIND = [
+    *(pytest.param(kind, marks=DEAD if kind == "killed" else ()) for kind in QUICK_KINDS),
+    pytest.param("EDQUOT", marks=pytest.mark.full),
+]
 
 
 def some_points(n: int, count: int, part: int = 0) -> list[int]:

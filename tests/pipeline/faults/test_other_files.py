@@ -20,7 +20,7 @@ from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
 from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
-from tests.pipeline.faults.disk import KINDS, Disk, Killed, Kind, on
+from tests.pipeline.faults.disk import KINDS, QUICK_KINDS, Disk, Killed, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables
 from tests.pipeline.simulated import NIGHT
 
@@ -81,7 +81,7 @@ def test_what_people_said_is_kept_or_they_are_told(journal: Path, kind: Kind) ->
 
 
 @DEAD
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [*QUICK_KINDS, pytest.param("EDQUOT", marks=pytest.mark.full)])
 def test_an_export_is_whole_or_as_it_was(tiny_fleet: TinyFleet, tmp_path: Path, kind: Kind) -> None:
     folder = tmp_path / "csv"
     selection = Selection(tables=(FITS, PARAMETERS))

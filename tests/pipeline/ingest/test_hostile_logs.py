@@ -320,7 +320,7 @@ def with_room(room_bytes: int, path: Path, source: Source) -> list[str]:
 
 def test_a_page_of_parquet_that_unfolds_beyond_the_limit_of_the_process(tmp_path: Path) -> None:
     path = tmp_path / "log"
-    rows = 400
+    rows = 300
     stamps = pa.array([STAMP + " " * 10**6] * rows)
     table = pa.table({"time": stamps, "n": np.ones(rows)})
     pq.write_table(

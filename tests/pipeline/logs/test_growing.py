@@ -11,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -181,16 +182,24 @@ def writing_during(
     monkeypatch.setattr(place, read)
 
 
-@every_format
 @pytest.mark.parametrize(
-    "place",
+    ("log_format", "place", "before"),
     [
-        "pipeline.logs.files.content_hash",
-        "pipeline.logs.files.time_span",
-        "pipeline.logs.motor_logs.read_log",
+        # Each format, place and side at least once; the others in the full run.
+        pytest.param(*one, marks=() if number % 5 == 0 else pytest.mark.full)
+        for number, one in enumerate(
+            product(
+                WRITERS,
+                [
+                    "pipeline.logs.files.content_hash",
+                    "pipeline.logs.files.time_span",
+                    "pipeline.logs.motor_logs.read_log",
+                ],
+                [True, False],
+            )
+        )
     ],
 )
-@pytest.mark.parametrize("before", [True, False], ids=["before", "behind"])
 def test_what_grows_waits_and_the_next_run_reads_it(
     site_of: Callable[[str], Site],
     monkeypatch: pytest.MonkeyPatch,

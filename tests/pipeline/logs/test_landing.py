@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import logging
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -31,6 +32,8 @@ from tests.pipeline.plant_database import (
 )
 from tests.pipeline.postgres_server import SECRET, PostgresServer
 from tests.pipeline.workshop import DAY, Workshop, check_same_figures
+
+log = logging.getLogger(__name__)
 
 
 def test_a_run_reads_each_night_once_and_anew_where_its_rows_changed(
@@ -201,6 +204,7 @@ def test_ten_million_rows_take_no_more_memory_than_a_few_batches(
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         before_mib, after_mib = pool.submit(peaks_of_landing, plant.spec).result()
     assert pq.read_metadata(plant.spec.log_root / f"{FIRST}.parquet").num_rows == 10_000_000
+    log.info("landing took %.0f MiB beside %.0f before", after_mib - before_mib, before_mib)
     # The rows are 400 MB; the file is written as they come.
     assert after_mib - before_mib < 100
 

@@ -19,7 +19,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.trends.decisions import Decision
-from pipeline.trends.motor_states import motor_state
+from pipeline.trends.latest_states import motor_state
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit
 from tests.pipeline.report.packed import unpacked
 

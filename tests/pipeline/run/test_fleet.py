@@ -613,7 +613,7 @@ def waiting_run(
 @pytest.mark.parametrize(
     ("jobs", "number", "to_all", "code"),
     [
-        (1, signal.SIGINT, False, 130),
+        pytest.param(1, signal.SIGINT, False, 130, marks=pytest.mark.full),
         (2, signal.SIGINT, True, 130),
         (2, signal.SIGTERM, False, 143),
     ],
@@ -657,7 +657,9 @@ def test_a_killed_run_leaves_nothing_that_the_next_cannot_mend(
     check_same_tables(output_of(fleet), fitted_output, CSV, PARQUET)
 
 
-@pytest.mark.parametrize("after", [1, 4, 9, 15])
+@pytest.mark.parametrize(
+    "after", [4, 15, *(pytest.param(one, marks=pytest.mark.full) for one in (1, 9))]
+)
 def test_an_interrupt_while_publishing_is_mended_by_the_next_run(
     own_fleet: OwnFleet, fitted_output: Path, monkeypatch: pytest.MonkeyPatch, after: int
 ) -> None:
@@ -684,18 +686,18 @@ def test_a_damaged_night_is_made_anew_for_all_motors_by_the_run_after(
 ) -> None:
     """Damage that is found only when the night is made, as the file keeps its time stamp."""
     monkeypatch.setattr("pipeline.run.fleet.share_due", lambda *_: lambda _: False)
-    fleet = load_fleet(own_fleet("CB400-01", "CB400-02", fitted=True))
-    night = FIRST
+    config = own_fleet("CB400-01", "CB400-02", fitted=True)
+    fleet, night = load_fleet(config), FIRST
     before = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")
     state = night_file(fleet.output, FITS, night).stat()
     night_file(fleet.output, FITS, night).write_bytes(b"junk")
     os.utime(night_file(fleet.output, FITS, night), ns=(state.st_atime_ns, state.st_mtime_ns))
     log = min((fleet.log_root / "CB400-01").iterdir())
     log.write_text(log.read_text("utf-8").rsplit("\n", 2)[0] + "\n", "utf-8")
-    run_fleet(RunRequest(fleet))
+    run(config)
     alone = read_table(night_file(fleet.output, FITS, night), FITS)
     assert alone["motor_id"].to_list() == ["CB400-01"]
-    run_fleet(RunRequest(fleet))
+    run(config)
     after = read_table(night_file(fleet.output, FITS, night), FITS).drop("run_id")
     assert after["motor_id"].to_list() == ["CB400-01", "CB400-02"]
     other = pl.col("motor_id") == "CB400-02"

@@ -212,7 +212,15 @@ def test_a_file_that_moves_to_another_night_leaves_the_first(
     assert workshop.run().nights == ()
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0), (2, 0, 1)])
+@pytest.mark.parametrize(
+    "order",
+    [
+        (2, 0, 1),
+        pytest.param((0, 1, 2), marks=pytest.mark.full),
+        pytest.param((2, 1, 0), marks=pytest.mark.full),
+        pytest.param((1, 2, 0), marks=pytest.mark.full),
+    ],
+)
 def test_nights_in_any_order_come_to_the_same(
     workshop: Workshop, other: Workshop, order: tuple[int, ...]
 ) -> None:
@@ -228,7 +236,14 @@ def test_nights_in_any_order_come_to_the_same(
     assert other.run().nights == ()
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 2, 0)])
+@pytest.mark.parametrize(
+    "order",
+    [
+        (1, 2, 0),
+        pytest.param((0, 1, 2), marks=pytest.mark.full),
+        pytest.param((2, 1, 0), marks=pytest.mark.full),
+    ],
+)
 def test_logs_in_any_order_come_to_the_same(
     workshop: Workshop, other: Workshop, order: tuple[int, ...]
 ) -> None:

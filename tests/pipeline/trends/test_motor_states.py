@@ -12,13 +12,9 @@ from pipeline.schema import LATEST, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import whole_file
 from pipeline.trends.decisions import Decision, record_decision
-from pipeline.trends.motor_states import (
-    MotorState,
-    latest_rows,
-    latest_states,
-    published_states,
-)
-from tests.pipeline.report.test_status import LAST, output
+from pipeline.trends.latest_states import latest_states, published_states
+from pipeline.trends.motor_states import MotorState, latest_rows
+from tests.pipeline.report.states import LAST, output
 from tests.pipeline.trends.nights import night_of
 
 __all__ = ["output"]

@@ -134,7 +134,15 @@ def poisoned(watched: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-@pytest.mark.parametrize("gone", [(), ("logs/M1",), ("out/history",), ("logs/M1", "out/ledger")])
+@pytest.mark.parametrize(
+    "gone",
+    [
+        (),
+        ("logs/M1", "out/ledger"),
+        pytest.param(("logs/M1",), marks=pytest.mark.full),
+        pytest.param(("out/history",), marks=pytest.mark.full),
+    ],
+)
 def test_a_poisoned_fleet_heals_in_the_next_run(
     watched: Path, poisoned: Path, tmp_path: Path, gone: Sequence[str]
 ) -> None:

@@ -87,7 +87,7 @@ EXPECTED = {
     "leave": ("worker_died", "exit code 0"),
 }
 # One of each kind; the others in the full run.
-QUICK = {"panic", "hang_in_python", "hang_in_c", "eat_with_numpy", "eat_with_polars", "segfault"}
+QUICK = {"panic", "hang_in_c", "eat_with_polars", "segfault"}
 
 
 def check(names: Sequence[str], how: Execution) -> None:
@@ -390,7 +390,10 @@ main()
 """
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [pytest.param(signal.SIGINT, 130, marks=pytest.mark.full), (signal.SIGTERM, 143)],
+)
 def test_a_signal_while_trends_are_made_keeps_the_fits(
     own_fleet: OwnFleet, tmp_path: Path, number: signal.Signals, code: int
 ) -> None:
