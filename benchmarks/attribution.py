@@ -243,11 +243,13 @@ def one_path(before: Blocks, now: Blocks) -> Growth:
     of_gaps = np.zeros((len(NAMES) + 3, 4))
     of_gaps[[NAMES.index(PISTON), NAMES.index(SLEEVE), -2], 0] = [*THETA[1:3], 1.0]
     of_gaps[-3, 1] = of_gaps[-1, 3] = 1.0
-    sides = [
-        replace(one, factors=np.linalg.qr(one.factors @ of_gaps, mode="r")) for one in (before, now)
-    ]
+
+    def merged(one: Blocks) -> Blocks:
+        return replace(one, factors=np.linalg.qr(one.factors @ of_gaps, mode="r"))
+
     theta = np.array([1.0, FLUSHING])
-    found = growth(("all_gaps",), *sides, theta, np.array([True, True]))
+    free = np.array([True, True])
+    found = growth(("all_gaps",), merged(before), merged(now), theta, free)
     assert found is not None
     return found
 
