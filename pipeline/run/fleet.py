@@ -428,7 +428,7 @@ def _run(
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _motors(run_tasks, tasks, fleet.execution, first=first):
+        for outcome in _outcomes(run_tasks, tasks, fleet.execution, first=first):
             if outcome.chunk:
                 progress(outcome)
                 continue
@@ -513,16 +513,25 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
     return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
 
 
+def _outcomes(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool
+) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors with nothing new, then those of the others."""
+    done = set()
+    for outcome in unchanged_motors(tasks, execution):
+        done.add(outcome.motor_id)
+        yield outcome
+    others = [task for task in tasks if task.spec.motor_id not in done]
+    yield from _motors(run_tasks, others, first=first)
+
+
 def _motors(
-    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool = False
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], *, first: bool = False
 ) -> Iterator[MotorOutcome]:
     """Outcomes of motors and chunks; a motor for which no engine is left has failed."""
     left = {task.spec.motor_id: task for task in tasks}
-    for outcome in unchanged_motors(tasks, execution):
-        del left[outcome.motor_id]
-        yield outcome
     try:
-        for outcome in run_motors(run_tasks, run_motor, list(left.values()), first=first):
+        for outcome in run_motors(run_tasks, run_motor, tasks, first=first):
             if not outcome.chunk:
                 del left[outcome.motor_id]
             yield outcome
