@@ -216,16 +216,16 @@ def _interpolated(
         between, left = (rows[begin : begin + CACHED] for rows in (places.between, places.left))
         # Outside of the samples there is nothing to hold.
         asleep = (left < 0) | (left >= len(time) - 1)
-        (since, until), (first, second), (one, other) = (
-            [some.take(rows, mode="clip") for rows in (left, left + 1)]
-            for some in (time, value, kept)
-        )
+        right = left + 1
+        since, until = time.take(left, mode="clip"), time.take(right, mode="clip")
+        first, second = value.take(left, mode="clip"), value.take(right, mode="clip")
         distance = until - since
         asleep |= distance > channel.longest_gap_us
         if channel.ends is not None:
             asleep |= channel.ends.take(left, mode="clip")
         silent[between] = asleep
-        present[between] = ~asleep & one & other
+        both = kept.take(left, mode="clip") & kept.take(right, mode="clip")
+        present[between] = both & ~asleep
         share = (grid_us[between] - since) / np.maximum(distance, 1)
         result[between] = first + share * (second - first)
     result[~present] = np.nan

@@ -32,17 +32,13 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 # Read by the libraries as a worker loads them. With all threads each, workers would fight for the
-# cores; Arrow's own allocator reserves a gibibyte at once, which would count as used. The C library
-# keeps what one array gives back for the next, as new pages are zeroed first; larger arrays, as of
-# a day at 100 Hz, still go back to the system.
+# cores; Arrow's own allocator reserves a gibibyte at once, which would count as used.
 ENVIRONMENT: Mapping[str, str] = {
     "POLARS_MAX_THREADS": "1",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
     "MKL_NUM_THREADS": "1",
     "ARROW_DEFAULT_MEMORY_POOL": "system",
-    "MALLOC_MMAP_THRESHOLD_": str(32 << 20),
-    "MALLOC_TRIM_THRESHOLD_": str(1 << 30),
 }
 # A worker takes a task up within this time, [s], loading of the program included.
 START_S = 120.0
