@@ -19,7 +19,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night
 from pipeline.ingest import read_log
 from pipeline.logs.landing import land_nights
-from pipeline.run.motor_task import _peak_memory_mib
+from pipeline.run.motor_nights import peak_memory_mib
 from tests.pipeline.plant_database import (
     CLOCK,
     FIRST,
@@ -217,6 +217,6 @@ def test_ten_million_rows_take_no_more_memory_than_a_few_batches(
 def peaks_of_landing(spec: MotorSpec) -> tuple[float, float]:
     """Largest memory of this process before and after a night is landed [MiB]."""
     assert land_nights(spec, latest(CLOCK - 3 * DAY)) == {}  # before the first: nothing to ask
-    before = _peak_memory_mib()
+    before = peak_memory_mib()
     assert land_nights(spec, latest(CLOCK - 2 * DAY)) == {}
-    return before, _peak_memory_mib()
+    return before, peak_memory_mib()
