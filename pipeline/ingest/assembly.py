@@ -228,7 +228,7 @@ def span(path: Path, parts: Iterable[NDArray[np.int64]]) -> tuple[int, int]:
     return min(int(part.min()) for part in times), max(int(part.max()) for part in times)
 
 
-def span_of_log(path: Path, log: RawLog) -> tuple[int, int]:
+def ends_of_log(path: Path, log: RawLog) -> tuple[int, int]:
     """Smallest and largest time stamp of a log as read; none is an error ``log_empty``."""
     ends = [] if log.first_us is None else [log.first_us, log.last_us]
     return span(path, [np.array(ends, np.int64)])

@@ -7,7 +7,7 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
+from pipeline.config.motors import Channels, Logs
 from pipeline.config.nights import DAY, Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError, one_line
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
@@ -36,7 +37,12 @@ TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
 LONGEST_PATH = 4096
 GLOB_CHARACTERS = frozenset("*?[")
+# Part of a task in which its one new log is read before any night is known.
+NEW_LOG = "the new log"
 NO_REACH: Mapping[str, int] = MappingProxyType({})
+
+FindEnds = Callable[[Path, Logs, Channels, int | None], tuple[int, int]]
+"""Gives the first and last time of a log, as `time_span` does."""
 
 
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
@@ -101,7 +107,12 @@ def legible(text: str) -> str:
 
 
 def inspect_log(
-    name: str, path: Path, before: FileRecord | None, spec: MotorSpec, latest_us: int | None = None
+    name: str,
+    path: Path,
+    before: FileRecord | None,
+    spec: MotorSpec,
+    latest_us: int | None = None,
+    ends: FindEnds | None = None,
 ) -> FileRecord:
     """The record of a file: that of before while its content is the same, else a new one.
 
@@ -115,6 +126,8 @@ def inspect_log(
         The motor.
     latest_us
         Samples after this time are refused [µs since 1970]; None: those a day after now.
+    ends
+        Gives the first and last time of a new log; None: `time_span`.
     """
     record = look_at(name, path)
     if record.status == "failed":
@@ -123,7 +136,7 @@ def inspect_log(
     # An unreadable file has no hash: its permissions may have changed.
     if before and before.sha256 and same:
         return before if before.inode == record.inode else replace(before, inode=record.inode)
-    found = _inspected(record, path, before, spec, latest_us)
+    found = _inspected(record, path, before, spec, latest_us, ends)
     why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
     return found if why is None else growing(found, why)
 
@@ -134,6 +147,7 @@ def _inspected(
     before: FileRecord | None,
     spec: MotorSpec,
     latest_us: int | None,
+    ends: FindEnds | None,
 ) -> FileRecord:
     """The record of a file whose size or time has changed."""
     try:
@@ -144,7 +158,7 @@ def _inspected(
     if before and before.sha256 == record.sha256:
         return replace(before, modified_ns=record.modified_ns, inode=record.inode)
     with reading(record.path):
-        return spanned(record, path, spec, latest_us)
+        return spanned(record, path, spec, latest_us, ends)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
@@ -206,12 +220,16 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 
 
 def spanned(
-    record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
+    record: FileRecord,
+    path: Path,
+    spec: MotorSpec,
+    latest_us: int | None = None,
+    ends: FindEnds | None = None,
 ) -> FileRecord:
     """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
     try:
-        first, last = time_span(path, file.logs, file.channels, latest_us)
+        first, last = (ends or time_span)(path, file.logs, file.channels, latest_us)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
             return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)

@@ -73,7 +73,7 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     StoreError
         If a published table that it needs is damaged.
     """
-    return _Nights(task).plan()
+    return _Nights(replace(task, looks_first=True)).plan()
 
 
 def run_motor(task: MotorTask) -> MotorOutcome:
@@ -215,7 +215,12 @@ class _Nights:
             self.before = _without_failures(self.before)
         with self._timed("read_s"):
             self.logs = LogShelf(
-                self.spec, self.before.files, task.latest_us, task.silent, task.looked_at
+                self.spec,
+                self.before.files,
+                task.latest_us,
+                task.silent,
+                task.looked_at,
+                reads_new=not (task.looks_first or task.since or task.until),
             )
         self.withdrawn = self._no_longer_told()
         self.before = Ledger(
