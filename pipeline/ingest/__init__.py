@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.config.motors import COUNTED, Channel, Channels, Logs
-from pipeline.ingest.assembly import Samples, ends_of_log, log_of_samples
+from pipeline.ingest.assembly import Samples, log_of_samples, span_of_log
 from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable
 from pipeline.ingest.readers import called, checked, checked_span, reader_of, with_options
 from pipeline.units import CHANNELS, to_canonical
@@ -24,7 +24,6 @@ __all__ = [
     "Reader",
     "Samples",
     "can_grow",
-    "ends_of_log",
     "header_units",
     "log_of_samples",
     "read_log",
@@ -138,7 +137,7 @@ def time_span(
     with readable(path):
         reader, file = _opened(path, logs, channels, latest_us)
         if reader.span is None:
-            return ends_of_log(path, checked(file, called(file, reader.read)))
+            return span_of_log(path, checked(file, called(file, reader.read)))
         return checked_span(file, called(file, reader.span))
 
 

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
-from pipeline.config.motors import Channels, Logs
 from pipeline.config.nights import DAY, Night, night_of, nights_between, nights_of
 from pipeline.errors import LogError, one_line
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
@@ -41,8 +40,8 @@ GLOB_CHARACTERS = frozenset("*?[")
 NEW_LOG = "the new log"
 NO_REACH: Mapping[str, int] = MappingProxyType({})
 
-FindEnds = Callable[[Path, Logs, Channels, int | None], tuple[int, int]]
-"""Gives the first and last time of a log, as `time_span` does."""
+FindEnds = Callable[[Path], tuple[int, int] | None]
+"""Gives the first and last time of a log that is read at once; None where it cannot be."""
 
 
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
@@ -127,7 +126,7 @@ def inspect_log(
     latest_us
         Samples after this time are refused [µs since 1970]; None: those a day after now.
     ends
-        Gives the first and last time of a new log; None: `time_span`.
+        Gives the first and last time of a new log; None, or where it gives none: `time_span`.
     """
     record = look_at(name, path)
     if record.status == "failed":
@@ -229,7 +228,8 @@ def spanned(
     """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
     try:
-        first, last = (ends or time_span)(path, file.logs, file.channels, latest_us)
+        found = None if ends is None else ends(path)
+        first, last = found or time_span(path, file.logs, file.channels, latest_us)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
             return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)

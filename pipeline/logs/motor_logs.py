@@ -14,10 +14,9 @@ from polars.exceptions import PanicException
 from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
-from pipeline.config.motors import Channels, Logs
 from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
-from pipeline.ingest import RawLog, ends_of_log, header_units, read_log, time_span
+from pipeline.ingest import RawLog, header_units, read_log
 from pipeline.logs.files import (
     NEW_LOG,
     PlausibleNights,
@@ -126,15 +125,15 @@ class LogShelf:
             return known  # as far as anybody can tell, it is as it was
         return self._unanswered(FileRecord(name, 0, 0, None))
 
-    def _ends_of_content(
-        self, path: Path, logs: Logs, channels: Channels, latest_us: int | None
-    ) -> tuple[int, int]:
+    def _ends_of_content(self, path: Path) -> tuple[int, int] | None:
         """First and last sample of a log, whose content is kept for its nights."""
+        file = self._spec.file
         try:
-            self._read_ahead[path] = read_log(path, logs, channels, latest_us)
-            return ends_of_log(path, self._read_ahead[path])
-        except (Exception, PanicException):  # which its night is to tell, if it has one
-            return time_span(path, logs, channels, latest_us)
+            log = read_log(path, file.logs, file.channels, self._latest_us)
+        except (Exception, PanicException):  # which its night is to tell
+            return None
+        self._read_ahead[path] = log
+        return None if log.first_us is None or log.last_us is None else (log.first_us, log.last_us)
 
     def _unanswered(self, record: FileRecord) -> FileRecord:
         """The record of a file that is to be tried again by the next run."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pipeline.config.field_paths import FieldPath, field_path, path_text
 from pipeline.config.motors import Channel, Channels, Logs, QualityValue
 from pipeline.errors import LogError
-from pipeline.ingest.assembly import converted, ends_of_log, judged, raw_channel, raw_log, span
+from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span, span_of_log
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog
 from pipeline.ingest.gathering import GatheredReadings, GatheredStamps
 from pipeline.ingest.mcap.cdr import ROS2_LANGUAGES, cdr_decoder
@@ -135,7 +135,7 @@ def mcap_time_span(file: LogFile) -> tuple[int, int]:
     """
     path, logs, latest_us = file.path, file.logs, file.latest_us
     if logs.stamp:
-        return ends_of_log(path, read_mcap_log(file))
+        return span_of_log(path, read_mcap_log(file))
     summary_span = None if logs.time == "publish_time" else _summary_span(path, logs, latest_us)
     if summary_span is not None:
         return summary_span
@@ -282,13 +282,13 @@ def _decode(
     if stamps is None:
         stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
     for topic in np.unique(payloads.topic).tolist():
-        rows = payloads.topic == topic
+        rows = np.flatnonzero(payloads.topic == topic)
         parts = content.parts[names[topic]]
         parts.stamps.add(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
         for one, column in parts.fields.items():
-            column.add(decoded.fields[one].rows(rows))
+            column.add(decoded.fields[one].at(rows))
         for (one, good), states in parts.states.items():
-            cells = _cells(decoded, one).filter(pa.array(rows))
+            cells = _cells(decoded, one).take(pa.array(rows))
             states.append(quality_states(path, path_text(one), cells, good))
 
 

@@ -30,7 +30,7 @@ MOST_ROWS_A_BYTE = 10_000
 """Beyond a day at 100 Hz. A day of a motor that stands still, packed as tightly as can be, has
 4900; a file made for the purpose had 48 000 in 2.5 kB."""
 
-_BATCH_ROWS = 2**18
+_BATCH_ROWS = 2**20
 _ROWS_OF_A_DAY = 24 * 3600 * 100
 
 
