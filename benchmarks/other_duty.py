@@ -20,7 +20,8 @@ from leakage.alarms import Levels, above_level
 from leakage.balanced_baseline import DutyBlocks, Rises, compare, told_rises
 from leakage.block_statistics import merge
 from leakage.certificate import certify
-from leakage.hypotheses import Blocks, growth, weigh
+from leakage.growth import Blocks, growth
+from leakage.hypotheses import weigh
 from leakage.model_verdict import (
     DISPROVED_OVER_TEN,
     grown_misfit,

@@ -2,17 +2,8 @@ r"""A common factor of all flows, or growth of paths: the probability of each ex
 
 Thinner oil, a temperature sensor that reads low and a meter's gain scale all flows by one factor;
 wear lifts the flow of some paths. The known flow (the cam rollers) does not wear as gaps do, so
-with a free scale it is the internal standard. The blocks of the baseline (0) and of now (1) are
-each fitted with the loss factors and that scale, relative to their configured values, and
-
-.. math:: \delta = \theta_1 / \theta_0 - 1, \qquad V = D (V_1 + \rho^2 V_0) D, \quad
-          V_0 = B_0 \textstyle\sum u_0 u_0' B_0, \quad V_1 = n_1 B_1 M B_1
-
-with the bias-reduced scores u of the nights, M their mean outer product over both periods, those
-of the baseline times ρ² where the flow has grown,
-:math:`D = \operatorname{diag}(1/\theta_0)` and ρ the ratio of the flows. Directions of θ that the
-baseline does not tell within 1/8 are left out: where speed does not vary, that of the rollers
-against the pistons, so that both together are the standard. For each explanation
+with a free scale it is the internal standard. With the growth δ of the flows and its covariance V
+(:mod:`leakage.growth`), for each explanation
 
 .. math::
     S = V + 0.01^2 I + 0.012^2\, 11' + [\text{common}]\, \tau^2\, 11'
@@ -21,13 +12,18 @@ against the pistons, so that both together are the standard. For each explanatio
 
 with ν = 45, and :math:`2 \Phi` of mean over standard deviation of each path's growth, since wear
 only grows.
+
+Oil moves the flow of all gaps and leaves the flushing where it is. Where the flushing is estimated,
+a common factor is told only if the flushing did not take the change back, by the joint covariance
+of both: where it moved against the factor, it was no common factor, nor where the whole flow did
+not follow it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final, Literal, TypeAlias
 
@@ -35,10 +31,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from leakage.errors import ShapeError
+from leakage.growth import Growth, Shift
 
 Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Verdict: TypeAlias = Literal["path", "common", "no_change", "cannot_be_told"]
 
 # Standard deviations of what the paths and all flows do by themselves, and of what changes.
@@ -53,65 +48,16 @@ COMMON_TOO: Final = 0.33
 # In a circuit, of a factor that the other motors do not have, against one that they have.
 OF_ITS_OWN: Final = 0.33
 MOST_PATHS: Final = 3
+# The flushing took a common factor back: part of the gaps' change that it exceeds, and by how many
+# standard deviations. A model that is somewhat off lets it move by less.
+TAKEN_BACK, CERTAIN = 0.2, 2.0
 # An explanation is told from this probability on.
 PROBABLE: Final = 0.9
 # A factor that differs from that of the other motors by more is the motor's own.
 OWN_FACTOR: Final = 0.025
-# Relative standard error of the baseline up to which a direction of θ is judged.
-LEAST_KNOWN: Final = 1.0 / 8.0
 # Part of a path that must lie in the directions that are judged.
 LEAST_PART: Final = 0.1
-# Nights of now from which on the change with temperature is estimated.
-NIGHTS_OF_BETA: Final = 6
-RANK_TOLERANCE: Final = 1e-9
 LEAST_SIZE: Final = 0.1
-UNKNOWN, ROUNDING = 1e3, 1e-12
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
-    """Blocks of the nights of a period.
-
-    Attributes
-    ----------
-    factors
-        Triangular factors, shape (m, c, c), columns: paths, one, known, measured.
-    nights
-        Label of the night of each block, shape (m,), increasing.
-    temperature_c
-        Mean temperature of each block, shape (m,); None where it is not known.
-    """
-
-    factors: Array
-    nights: NDArray[np.int64]
-    temperature_c: Array | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Growth:
-    """Relative change of each flow since the baseline, in the directions that are known.
-
-    Attributes
-    ----------
-    names
-        Of the paths, and last of the known flow where there is one, k of them.
-    has_standard
-        Whether there is a known flow.
-    change, covariance
-        P'δ and P'VP, shapes (r,) and (r, r).
-    directions
-        P, orthonormal, shape (k, r).
-    with_temperature
-        Change of the common factor with temperature, and its standard error [1/K]; None where the
-        nights do not tell it.
-    """
-
-    names: tuple[str, ...]
-    has_standard: bool
-    change: Array
-    covariance: Array
-    directions: Array
-    with_temperature: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +95,9 @@ class Posterior:
         As of `Growth`.
     has_standard
         Whether the known flow is told apart from all paths.
+    taken_back
+        The change of the gaps and the flushing, where a common factor is what the gaps say, and the
+        flushing does not allow it; None otherwise.
     """
 
     paths: dict[str, float]
@@ -162,6 +111,7 @@ class Posterior:
     own_sensor: float | None
     with_temperature: tuple[float, float] | None
     has_standard: bool
+    taken_back: Shift | None = None
 
     @property
     def named(self) -> tuple[str, ...]:
@@ -205,165 +155,11 @@ class Posterior:
         """``path`` (see `named`), ``common``, ``no_change`` or ``cannot_be_told``."""
         if self.named:
             return "path"
-        if self.any_path > 1.0 - PROBABLE:
+        if self.taken_back or self.any_path > 1.0 - PROBABLE:
             return "cannot_be_told"
         if self.is_common:
             return "common"
         return "cannot_be_told" if self.unjudged else "no_change"
-
-
-def growth(
-    names: tuple[str, ...],
-    before: Blocks,
-    now: Blocks,
-    configured: Array,
-    free: Mask,
-    standard: str = "known",
-) -> Growth | None:
-    """Relative change of each path's flow between two periods.
-
-    Parameters
-    ----------
-    names
-        Of the paths with a column, p of them.
-    before, now
-        Blocks of the baseline and of the nights since the change. Where K changes with temperature,
-        their columns hold that.
-    configured
-        θ as configured, shape (p + 1,), positive for free paths.
-    free
-        Which of θ are estimated, shape (p + 1,); a path that is not counts to the known flow.
-    standard
-        Name of the known flow.
-
-    Returns
-    -------
-    Growth or None
-        None with fewer than two nights before or none now, or where nothing is known well enough.
-
-    Raises
-    ------
-    ShapeError
-        ``shape``.
-    """
-    p = len(names)
-    for one in (before, now):
-        if one.factors.shape[1:] != (p + 3, p + 3) or len(one.nights) != len(one.factors):
-            raise ShapeError(
-                "shape",
-                f"{p} paths with blocks {one.factors.shape} of nights {one.nights.shape}; "
-                f"expected (m, {p + 3}, {p + 3}) and (m,)",
-            )
-    if len(np.unique(before.nights)) < 2 or not len(now.nights):
-        return None
-    told = tuple(name for name, one in zip(names, free[:p], strict=True) if one)
-    sides = [_columns(one.factors, configured, free) for one in (before, now)]
-    has_standard = bool(np.any(sides[0][0][:, :, len(told)]))
-    k = len(told) + has_standard
-    kept = [*range(k), *([len(told) + 1] if free[p] else [])]
-    start = np.where(np.arange(len(kept)) < k, 1.0, configured[p])
-    with_temperature = len(np.unique(now.nights)) >= NIGHTS_OF_BETA and not any(
-        one.temperature_c is None for one in (before, now)
-    )
-    theta = start[:k]
-    if with_temperature:
-        theta = _Fit.of(sides[0][0][:, :, kept], sides[0][1], before.nights, start).theta[:k]
-    fits = []
-    for period, (design, flow) in zip((before, now), sides, strict=True):
-        columns: Array = design[:, :, kept]
-        if with_temperature and period.temperature_c is not None:
-            above = period.temperature_c - np.mean(period.temperature_c)
-            warming = above[:, None] * (columns[:, :, :k] @ theta)
-            columns = np.concatenate([columns, warming[:, :, None]], axis=2)
-        padded = np.append(start, np.zeros(columns.shape[2] - len(kept)))
-        fits.append(_Fit.of(columns, flow, period.nights, padded))
-    names = told + (standard,) * has_standard
-    return _relative(names, has_standard, fits[0], fits[1], with_temperature)
-
-
-def _columns(factors: Array, configured: Array, free: Mask) -> tuple[Array, Array]:
-    """Flows as configured: free paths, known, one; and the measured flow without the fixed one."""
-    p = factors.shape[-1] - 3
-    flows = factors[:, :, :p] * configured[:p]
-    known = factors[:, :, -2] + flows[:, :, ~free[:p]].sum(axis=2)
-    fixed = 0.0 if free[p] else configured[p]
-    design = np.concatenate(
-        [flows[:, :, free[:p]], known[:, :, None], factors[:, :, -3][:, :, None]], axis=2
-    )
-    return design, factors[:, :, -1] - fixed * factors[:, :, -3]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fit:
-    """Least squares of a period.
-
-    θ, (X'X)⁺, the directions that X does not see, the nights' scores (n, q), and X'X.
-    """
-
-    theta: Array
-    inverse: Array
-    unseen: Array
-    scores: Array
-    gram: Array
-
-    @classmethod
-    def of(cls, columns: Array, flow: Array, nights: NDArray[np.int64], start: Array) -> _Fit:
-        """The minimum nearest to `start` where X does not tell all of θ."""
-        _, first = np.unique(nights, return_index=True)
-        grams = np.add.reduceat(np.einsum("bij,bik->bjk", columns, columns), first)
-        sums = np.add.reduceat(np.einsum("bij,bi->bj", columns, flow), first)
-        gram = grams.sum(axis=0)
-        scale = np.sqrt(np.diag(gram))
-        scale[scale == 0.0] = 1.0
-        values, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
-        seen = values > RANK_TOLERANCE * values[-1]
-        root = vectors[:, seen] / np.sqrt(values[seen]) / scale[:, None]
-        theta = start + root @ (root.T @ (sums.sum(axis=0) - gram @ start))
-        inside = root.T @ grams @ root
-        left, turn = np.linalg.eigh(np.eye(inside.shape[-1]) - inside)
-        adjust = (turn / np.sqrt(np.maximum(left, 1e-8))[:, None, :]) @ turn.transpose(0, 2, 1)
-        errors = np.einsum("bij,bj->bi", adjust, (sums - grams @ theta) @ root)
-        hidden = vectors[:, ~seen] / scale[:, None]
-        hidden = hidden / np.linalg.norm(hidden, axis=0)
-        return cls(theta, root @ root.T, hidden @ hidden.T, errors @ (gram @ root).T, gram)
-
-
-def _relative(
-    names: tuple[str, ...], has_standard: bool, before: _Fit, now: _Fit, with_temperature: bool
-) -> Growth | None:
-    k, n_before, n_now = len(names), len(before.scores), len(now.scores)
-    then, since = before.theta[:k], now.theta[:k]
-    gram = now.gram[:k, :k]
-    ratio = float((since @ gram @ since) / (then @ gram @ then))
-    total = before.scores.T @ before.scores
-    # Errors grow with the flow.
-    mean = (max(ratio, 1.0) * total + now.scores.T @ now.scores) / (n_before + n_now)
-    known = before.inverse @ total @ before.inverse
-    error = n_now * now.inverse @ mean @ now.inverse
-    base = (known + UNKNOWN * before.unseen)[:k, :k] + ROUNDING * np.eye(k)
-    information = np.linalg.inv(base)
-    pulled = np.linalg.solve(np.eye(k) + information, information @ (before.theta[:k] - 1.0))
-    theta = np.maximum(1.0 + pulled, LEAST_SIZE)
-    inverse = 1.0 / np.outer(theta, theta)
-    values, vectors = np.linalg.eigh(base * inverse)
-    directions = vectors[:, values < LEAST_KNOWN**2]
-    if not directions.shape[1]:
-        return None
-    whole = (error + ratio * known + UNKNOWN * now.unseen)[:k, :k] * inverse
-    beta = None
-    if with_temperature:
-        beta = (
-            float(now.theta[-1] - before.theta[-1]),
-            math.sqrt(float(error[-1, -1] + known[-1, -1])),
-        )
-    return Growth(
-        names,
-        has_standard,
-        directions.T @ ((since - then) / theta),
-        directions.T @ whole @ directions,
-        directions,
-        beta,
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -477,7 +273,7 @@ def _posterior(
         same = np.where([one.common == "tank" for one in hypotheses], 1.0, same)
         tank = float(np.sum((weights * same)[is_common]))
         own = float(np.sum((weights * (1.0 - same))[is_common]))
-    return Posterior(
+    found = Posterior(
         paths={
             name: probability([at in one.grown for one in hypotheses])
             for at, name in enumerate(growth.names)
@@ -494,6 +290,26 @@ def _posterior(
         with_temperature=growth.with_temperature,
         has_standard=growth.has_standard and bool(told[-1] >= PROBABLE),
     )
+    shift = growth.shift
+    if shift is None or not _is_taken_back(found, shift):
+        return found
+    return replace(found, common=0.0, apart=(), tank=None, own_sensor=None, taken_back=shift)
+
+
+def _is_taken_back(found: Posterior, shift: Shift) -> bool:
+    """True if the flushing moved against a common factor, or the whole flow not with it.
+
+    A path that has grown besides may hold the whole flow where it was, and what the other motors of
+    the circuit have, too, is the oil.
+    """
+    if not found.is_common or found.is_of_tank:
+        return False
+    change = math.copysign(1.0, found.factor.log) * np.array([shift.gaps, shift.flushing])
+    part, whole = np.array([TAKEN_BACK, 1.0]), np.ones(2)
+    if -float(part @ change) > CERTAIN * math.sqrt(part @ shift.covariance @ part):
+        return True
+    wander = math.sqrt(COMMON_WANDER**2 + whole @ shift.covariance @ whole)
+    return found.verdict == "common" and float(whole @ change) < CERTAIN * wander
 
 
 def _mixture(weights: Array, log: Array, sd: Array) -> CommonFactor:

@@ -218,7 +218,8 @@ def latest_slopes(nights: Nights, ratio: Array, temperature_c: Array) -> tuple[A
     -------
     slope, half_width
         And of its 95 % interval [1/K], shape (n,) each; nan on nights that do not count or have
-        fewer than 30, and where temperature does not vary.
+        fewer than 30, and where temperature varies too little beside its line in time to tell more
+        than is known without them.
     """
     slope, half = np.full(len(nights), np.nan), np.full(len(nights), np.nan)
     known = np.flatnonzero(np.isfinite(ratio) & np.isfinite(temperature_c))
@@ -239,4 +240,6 @@ def latest_slopes(nights: Nights, ratio: Array, temperature_c: Array) -> tuple[A
     slope[last] = r[:, 2, 3] / r[:, 2, 2]
     scatter = float(stdtrit(freedom, 0.975)) * np.abs(r[:, 3, 3]) / freedom / spread
     half[last] = np.hypot(scatter, K_PER_KELVIN * WANDER_K**2 / spread**2)
+    untold = ~(half <= UNKNOWN_PER_KELVIN)
+    slope[untold], half[untold] = np.nan, np.nan
     return slope, half

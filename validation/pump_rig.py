@@ -15,6 +15,7 @@ import polars as pl
 
 from leakage import total_flow_l_per_min
 from pipeline.notebook import Tables
+from pipeline.schema import TRENDS
 from validation.cuts import (
     METER_READS_FROM,
     SHORT,
@@ -186,16 +187,25 @@ def _alarms(tables: Tables, record: Record, plan: Plan) -> list[Row]:
     found: dict[str, list[dict[str, Any]]] = {}
     for one in raised:
         found.setdefault(one["motor_id"], []).append(one)
+    told = tables.table(TRENDS.name).filter(pl.col("common_factor").is_not_null())
+    by_motor = told.group_by("motor_id").agg(pl.col("night").n_unique())
+    as_oil = dict(by_motor.collect().iter_rows())
+    cases = [("none", order, 0, None) for order in ("steady", "mixed")] + [
+        (kind, course, plan.healthy, course) for kind in plan.kinds for course in plan.courses
+    ]
     rows = []
-    for order in ("steady", "mixed"):
-        told = _told(found.get(f"{record.name}-{order}", []), 0, None, plan)
-        rows.append({"record": record.name, "wear": "none", "course": order, **told})
-    for kind in plan.kinds:
-        for course in plan.courses:
-            of_it = found.get(f"{record.name}-{kind}-{course}", [])
-            told = _told(of_it, plan.healthy, course, plan)
-            words = course.replace("-", " +") + " %"
-            rows.append({"record": record.name, "wear": kind, "course": words, **told})
+    for wear, course, begin, grows in cases:
+        name = f"{record.name}-{course}" if grows is None else f"{record.name}-{wear}-{course}"
+        words = course if grows is None else course.replace("-", " +") + " %"
+        rows.append(
+            {
+                "record": record.name,
+                "wear": wear,
+                "course": words,
+                **_told(found.get(name, []), begin, grows, plan),
+                "nights told as oil": str(as_oil.get(name, 0)),
+            }
+        )
     return rows
 
 

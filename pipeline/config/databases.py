@@ -58,6 +58,6 @@ class Database(Section):
         if START not in query or END not in query:
             raise ValueError(f"expected the marks {START} and {END} in it")
         query = query.strip().removesuffix(";").rstrip()
-        if query.partition(" ")[0].partition("\n")[0].upper() not in ("SELECT", "WITH"):
+        if query.split(maxsplit=1)[0].upper() not in ("SELECT", "WITH"):
             raise ValueError("expected a query that begins with SELECT or WITH")
         return query

@@ -13,7 +13,15 @@ import numpy as np
 from pipeline.config.motors import COUNTED, Channel, Channels, Logs
 from pipeline.ingest.assembly import Samples, log_of_samples, span_of_log
 from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable
-from pipeline.ingest.readers import called, checked, checked_span, reader_of, with_options
+from pipeline.ingest.readers import (
+    called,
+    checked,
+    checked_piece,
+    checked_span,
+    checked_units,
+    reader_of,
+    with_options,
+)
 from pipeline.units import CHANNELS, to_canonical
 
 __all__ = [
@@ -107,8 +115,8 @@ def read_piece(
     """
     with readable(path):
         reader, file = _opened(path, logs, channels, latest_us)
-        log, end = called(file, reader.piece, place, most_bytes)
-        return None if log is None else _with_constants(checked(file, log), channels), end
+        log, end = checked_piece(file, called(file, reader.piece, place, most_bytes))
+        return None if log is None else _with_constants(log, channels), end
 
 
 def time_span(
@@ -151,7 +159,7 @@ def header_units(path: Path, logs: Logs, channels: Channels) -> dict[str, str]:
     """
     with readable(path):
         reader, file = _opened(path, logs, channels, None)
-        units = called(file, reader.units)
+        units = checked_units(file, called(file, reader.units))
         return {name: units.get(one.source, "") for name, one in file.channels.items()}
 
 

@@ -5,19 +5,23 @@ What an installed reader does wrong is an error of the log that it was to read.
 
 from __future__ import annotations
 
+import sys
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import replace
 from importlib.metadata import EntryPoint
 from typing import Any
 
+import numpy as np
+
+from pipeline.clock import latest_us as latest_by_clock
 from pipeline.config.readers import reader_entry, reader_version
 from pipeline.errors import LogError
-from pipeline.ingest.contract import LogFile, RawLog, Reader
-from pipeline.ingest.wall_clock import EARLIEST_US, LATEST_US
+from pipeline.ingest.contract import LogFile, Place, RawLog, Reader
+from pipeline.ingest.wall_clock import EARLIEST_US
 
-_DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool"}
+_DTYPES = {"time_us": "int64", "value": "float64", "missing": "bool", "bad_quality": "bool"}
 
 
 def reader_of(file: LogFile) -> Reader:
@@ -53,9 +57,13 @@ def called(file: LogFile, function: Callable[..., Any], *arguments: object) -> A
 
 @contextmanager
 def _its_faults(file: LogFile, entry: EntryPoint, what: str) -> Iterator[None]:
-    """Any error of an installed reader as one of the log; a built-in one's stay as they are."""
+    """Any error of an installed reader as one of the log; a built-in one's stay as they are.
+
+    What it prints is none of the program's output.
+    """
     try:
-        yield
+        with redirect_stdout(sys.stdout if entry.dist is None else sys.stderr):
+            yield
     except (LogError, OSError, MemoryError):
         raise
     except (Exception, SystemExit) as error:
@@ -116,24 +124,67 @@ def _breaches(file: LogFile, log: RawLog) -> Iterator[str]:
     if log.channels.keys() != file.channels.keys():
         asked, given = ", ".join(file.channels), ", ".join(log.channels)
         yield f"gave the channels {given or 'none'} where {asked} were asked for"
-    for name, channel in log.channels.items():
-        for part, dtype in _DTYPES.items():
-            array = getattr(channel, part)
-            if (array.dtype, array.shape) != (dtype, channel.time_us.shape) or array.ndim != 1:
-                yield f"gave {part} of {name} as {array.dtype} {array.shape}, not as {dtype}"
+    yield from _breaches_of_types(log)
     stamps = log.stamps()
     ends: tuple[int | None, int | None] = (None, None)
     if stamps:
         ends = min(int(one.min()) for one in stamps), max(int(one.max()) for one in stamps)
-        if ends[0] < EARLIEST_US or ends[1] >= LATEST_US:
-            yield "gave time stamps before 1990 or after 2200: they are microseconds since 1970"
+        yield from _impossible(file, *ends)
     if (log.first_us, log.last_us) != ends:
         yield f"gave the ends {(log.first_us, log.last_us)}, and its time stamps have {ends}"
 
 
+def _breaches_of_types(log: RawLog) -> Iterator[str]:
+    counts: dict[str, object] = {"rows": log.rows, "refused_rows": log.refused_rows}
+    for name, channel in log.channels.items():
+        counts[f"unparsed of {name}"] = channel.unparsed
+        arrays = {part: getattr(channel, part) for part in _DTYPES}
+        if channel.bad_quality is None:
+            del arrays["bad_quality"]
+        for part, array in arrays.items():
+            dtype, size = _DTYPES[part], channel.time_us.size
+            if (type(array), array.dtype, array.shape) != (np.ndarray, dtype, (size,)):
+                kind = f"{type(array).__name__} of {array.dtype} {array.shape}"
+                yield f"gave {part} of {name} as {kind}, not as array of {dtype} ({size},)"
+    for name, count in counts.items():
+        if type(count) is not int or count < 0:
+            yield f"gave {name} as {count!r}, not as a count"
+    if type(log.notes) is not tuple or not all(isinstance(note, str) for note in log.notes):
+        yield f"gave notes as {log.notes!r}, not as a tuple of lines"
+
+
+def _impossible(file: LogFile, first_us: int, last_us: int) -> Iterator[str]:
+    latest = latest_by_clock() if file.latest_us is None else file.latest_us
+    if first_us < EARLIEST_US or last_us > latest:
+        yield "gave time stamps before 1990 or in the future: they are microseconds since 1970"
+
+
 def checked_span(file: LogFile, span: object) -> tuple[int, int]:
     """The span that a reader gave; errors as of `checked`."""
+    entry = reader_entry(file.logs.format)
     match span:
-        case (int() as first, int() as last):
-            return first, last
-    raise _fault(file, reader_entry(file.logs.format), f"gave {span!r} as the span of a log")
+        case (int() as first, int() as last) if first <= last:
+            breach = next(_impossible(file, first, last), None)
+            if breach is None or entry.dist is None:
+                return first, last
+        case _:
+            breach = f"gave {span!r} as the span of a log"
+    raise _fault(file, entry, breach)
+
+
+def checked_piece(file: LogFile, piece: object) -> tuple[RawLog | None, Place]:
+    """The piece of a log that a reader gave; errors as of `checked`."""
+    match piece:
+        case (None, Place() as end):
+            return None, end
+        case (log, Place() as end):
+            return checked(file, log), end
+    raise _fault(file, reader_entry(file.logs.format), f"gave {piece!r} as a piece of a log")
+
+
+def checked_units(file: LogFile, units: object) -> Mapping[str, str]:
+    """Units that a reader gave; errors as of `checked`."""
+    match units:
+        case Mapping() if all(isinstance(unit, str) for unit in units.values()):
+            return units
+    raise _fault(file, reader_entry(file.logs.format), f"gave {units!r} as units of columns")

@@ -166,6 +166,7 @@ class Connection:
         settings = {
             "TIME ZONE": f"'{self._time_zone}'",
             "default_transaction_read_only =": "on",
+            "standard_conforming_strings =": "on",
             "statement_timeout =": f"{self._database.statement_timeout_s * 1000:.0f}",
         }
         with _cursor(self._open) as cursor, self._coded(time.monotonic()):

@@ -8,7 +8,6 @@ import stat
 import time
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,11 +18,12 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.config.nights import DAY, Night, night_of, nights_between, nights_of
-from pipeline.errors import LogError, one_line
+from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log, time_span
 from pipeline.ingest.wall_clock import LATEST_US
+from pipeline.logs.finding import find, legible
 from pipeline.logs.ledger import FileRecord, content_hash
-from pipeline.workers.process import asking, reading, told_alive
+from pipeline.workers.process import asking, reading
 
 # Stamps this far from the middle of their log come from a wrong clock; a log that covers more has
 # a wrong time format.
@@ -34,8 +34,6 @@ FARTHEST_NIGHT = 31 * DAY
 # End of a message on how a file's night is known.
 TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
-LONGEST_PATH = 4096
-GLOB_CHARACTERS = frozenset("*?[")
 # Part of a task in which its one new log is read before any night is known.
 NEW_LOG = "the new log"
 NO_REACH: Mapping[str, int] = MappingProxyType({})
@@ -46,63 +44,7 @@ FindEnds = Callable[[Path], tuple[int, int] | None]
 
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
     """The log files of a motor that there are, and those that are named but absent."""
-    found: set[Path] = set()
-    absent: list[str] = []
-    for pattern in spec.file.logs.files:
-        named, is_glob = spec.log_root / pattern, bool(GLOB_CHARACTERS & set(pattern))
-        if pattern in silent:
-            found |= set() if is_glob else {named}
-            continue
-        with asking(pattern):
-            # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
-            if named.exists():
-                found.add(named)
-            elif is_glob:
-                paths = told_alive(spec.log_root.glob(pattern))
-                found |= {path for path in paths if not _is_folder(path, spec.log_root, silent)}
-            else:
-                absent.append(pattern)
-    names: dict[str, Path] = {}
-    for path in sorted(found):
-        name = legible(path.relative_to(spec.log_root).as_posix())
-        while name in names:  # Another file's name is what this one's is shown as.
-            name += "'"
-        names[name] = path
-    return names, absent
-
-
-def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
-    """True for a folder; a path that did not answer is taken for a file."""
-    if not path.is_symlink():
-        return path.is_dir()
-    name = legible(path.relative_to(root).as_posix())
-    # A link may lead to a mount that hangs.
-    with asking(name):
-        return name not in silent and path.is_dir()
-
-
-def require_answer(name: str, path: Path) -> None:
-    """Open a log that is about to be read: if that hangs, the log is named."""
-    with asking(name), suppress(OSError):  # which its reader tells
-        if path.is_file():
-            with path.open("rb", buffering=0) as log:
-                log.read(1)
-
-
-def without_match(spec: MotorSpec) -> tuple[str, ...]:
-    """Messages about globs of a motor's logs that match no file."""
-    return tuple(
-        f"no file matches {pattern} below {spec.log_root}"
-        for pattern in spec.file.logs.files
-        if GLOB_CHARACTERS & set(pattern)
-        and not (spec.log_root / pattern).exists()
-        and not any(not path.is_dir() for path in spec.log_root.glob(pattern))
-    )
-
-
-def legible(text: str) -> str:
-    """Text for tables, terminals and pages: characters that do not print become escapes."""
-    return one_line(text, LONGEST_PATH)
+    return find(spec.log_root, spec.file.logs.files, silent)
 
 
 def inspect_log(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 from collections import defaultdict
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -61,6 +61,14 @@ class FileRecord:
     error_code: str | None = None
     message: str | None = None
     inode: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SeenLogs:
+    """A motor's log files as they were looked at, and those that are named and absent."""
+
+    files: Mapping[str, FileRecord]
+    absent: Sequence[str] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,17 +20,8 @@ from typing import Protocol
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.logs.files import (
-    GLOB_CHARACTERS,
-    FindEnds,
-    change_of,
-    failed,
-    find_logs,
-    growing,
-    inspect_log,
-    legible,
-    without_match,
-)
+from pipeline.logs.files import FindEnds, change_of, failed, find_logs, growing, inspect_log
+from pipeline.logs.finding import GLOB_CHARACTERS, legible, without_match
 from pipeline.logs.landing import land_nights
 from pipeline.logs.ledger import FileRecord
 from pipeline.store.atomic_files import remove_all, scratch
@@ -111,7 +102,7 @@ class FolderLogs:
 
     def unmatched(self) -> tuple[str, ...]:
         """As `LogSource`."""
-        return without_match(self._spec)
+        return without_match(self._spec.log_root, self._spec.file.logs.files)
 
 
 class DatabaseLogs(FolderLogs):

@@ -6,6 +6,7 @@ import datetime as dt
 from collections import Counter, OrderedDict
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,10 @@ from pipeline.logs.files import (
     labels_of,
     place_failed,
     reaches_us,
-    require_answer,
 )
-from pipeline.logs.ledger import FileRecord
-from pipeline.logs.locations import logs_of
+from pipeline.logs.finding import require_answer
+from pipeline.logs.ledger import FileRecord, SeenLogs
+from pipeline.logs.locations import LogSource, logs_of
 from pipeline.workers.process import Loss, reading, sign_of_life, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
@@ -65,8 +66,6 @@ class LogShelf:
         Former records, without nights that are no longer plausible.
     absent
         Those that are named in the config and absent.
-    unmatched
-        Gives messages about globs that match no log.
     read
         Paths of those whose content was read.
     plausible
@@ -79,7 +78,7 @@ class LogShelf:
         before: Mapping[str, FileRecord],
         latest_us: int,
         silent: Mapping[str, Loss],
-        looked_at: Mapping[str, FileRecord] | None = None,
+        looked_at: SeenLogs | None = None,
         *,
         reads_new: bool = False,
     ) -> None:
@@ -88,11 +87,10 @@ class LogShelf:
         self._read_with = reading_hash(spec)
         self._latest_us = latest_us
         self._silent = silent
-        self._source = logs_of(spec, latest_us, silent, ask=looked_at is None)
-        self.absent = self._source.absent
-        self.unmatched = self._source.unmatched
+        self._is_first = looked_at is None
         self._read_ahead: dict[Path, RawLog] = {}
-        found = self._look(reads_new) if looked_at is None else looked_at
+        seen = looked_at or SeenLogs(self._look(reads_new), self._source.absent)
+        found, self.absent = seen.files, seen.absent
         latest = night_of(latest_us, spec.settings.nights)
         self.plausible = PlausibleNights.of((*found.values(), *before.values()), latest)
         self.before = {name: self.plausible.only_plausible(one) for name, one in before.items()}
@@ -102,6 +100,15 @@ class LogShelf:
         self._units: dict[str, Mapping[str, str]] = {}
         # How long the last sample of an on-change channel may hold into the next night.
         self._reach_us = max(reaches_us(spec).values(), default=0)
+
+    @cached_property
+    def _source(self) -> LogSource:
+        """The logs themselves: not asked for anything while nothing of them is needed."""
+        return logs_of(self._spec, self._latest_us, self._silent, ask=self._is_first)
+
+    def unmatched(self) -> tuple[str, ...]:
+        """Messages about globs that match no log."""
+        return self._source.unmatched()
 
     def _look(self, reads_new: bool) -> dict[str, FileRecord]:
         """Each file as its ends tell it."""

@@ -19,26 +19,27 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.clock import latest_us, now
-from pipeline.config import Fleet, MotorSpec
+from pipeline.config import Execution, Fleet, MotorSpec
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
 from pipeline.config.loading import LANDED_FOLDER
 from pipeline.errors import EngineError, LockedError, StoreError
-from pipeline.logs.files import legible
+from pipeline.logs.finding import legible
 from pipeline.logs.ledger import as_published, read_settings
 from pipeline.logs.motor_logs import FATES
 from pipeline.run.chunks import run_motors
 from pipeline.run.disk_space import require_space
 from pipeline.run.mending import Damage, restore_decisions, share_due
 from pipeline.run.metrics import metrics_text, write_metrics
-from pipeline.run.motor_task import plan_motor, run_motor
+from pipeline.run.motor_nights import plan_motor
 from pipeline.run.publishing import (
     fleets_tonight,
     publish_latest,
     publish_motors,
     publish_trends,
 )
-from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost
+from pipeline.run.tasks import MotorOutcome, MotorTask, Step, lost, run_motor
+from pipeline.run.unchanged import unchanged_motors
 from pipeline.schema import (
     MOTOR_OUTCOMES,
     RUNS,
@@ -427,7 +428,7 @@ def _run(
     outcomes: dict[str, MotorOutcome] = {}
     interrupted = False
     try:
-        for outcome in _motors(run_tasks, tasks, first=first):
+        for outcome in _outcomes(run_tasks, tasks, fleet.execution, first=first):
             if outcome.chunk:
                 progress(outcome)
                 continue
@@ -510,6 +511,18 @@ def _keys_of(outcomes: Sequence[MotorOutcome]) -> list[Key]:
     """The manifests of the nights that some motors have made."""
     nights = {night for outcome in outcomes for night in outcome.nights}
     return [(f"{night:%Y-%m}", night.isoformat()) for night in sorted(nights)]
+
+
+def _outcomes(
+    run_tasks: RunTasks, tasks: Sequence[MotorTask], execution: Execution, *, first: bool
+) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors with nothing new, then those of the others."""
+    done = set()
+    for outcome in unchanged_motors(tasks, execution):
+        done.add(outcome.motor_id)
+        yield outcome
+    others = [task for task in tasks if task.spec.motor_id not in done]
+    yield from _motors(run_tasks, others, first=first)
 
 
 def _motors(

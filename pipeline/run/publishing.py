@@ -39,12 +39,11 @@ from pipeline.trends.decisions import journal_file, read_decisions
 from pipeline.trends.latest_states import latest_states
 from pipeline.trends.motor_states import latest_rows
 from pipeline.trends.record import forget_records, note_touched, write_record
-from pipeline.trends.stage import (
+from pipeline.trends.tasks import (
     TrendOutcome,
     lost_trends,
     run_trends,
     trend_tasks,
-    with_q_values,
     without_lost_motor,
 )
 from pipeline.trends.tonight import Tonight, tonight_of
@@ -176,6 +175,10 @@ def _publish_trend_rows(
     publisher: Publisher, made: Sequence[TrendOutcome], false_discovery_rate: float
 ) -> list[Mapping[str, Any]]:
     """Publish what the tasks have staged; returns the new rows of `alarms`."""
+    if not made:
+        return []
+    from pipeline.trends.stage import with_q_values
+
     fresh = sorted(motor_id for one in made for motor_id, n in one.nights.items() if n)
     lost: list[Collection[str]] = []
 

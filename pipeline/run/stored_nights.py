@@ -78,15 +78,6 @@ class StoredNights:
             self._of_night(BLOCK_STATISTICS, label),
         )
 
-    def refitted(self) -> set[dt.date]:
-        """Nights whose fits were made from their published rows."""
-        try:
-            columns = ("night", "is_refitted")
-            rows = read_rows(self._output, FITS, [self._spec.motor_id], columns)
-        except StoreError:
-            return set()
-        return set(rows.filter("is_refitted")["night"])
-
     def _rows(self, table: Table, label: dt.date) -> list[dict[str, Any]]:
         """Rows of the motor in a night; none where its month's files are absent or damaged."""
         rows = self._of_night(table, label)

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
-from pipeline.logs.files import NEW_LOG, legible
-from pipeline.logs.ledger import FileRecord, Ledger
+from pipeline.logs.files import NEW_LOG
+from pipeline.logs.finding import legible
+from pipeline.logs.ledger import Ledger, SeenLogs
 from pipeline.schema.fits import FAILED
 from pipeline.workers.process import Loss
 
@@ -66,7 +67,7 @@ class MotorTask:
     nights
         The chunk: nights to be read and fitted apart from the others; None: the whole motor.
     looked_at
-        The motor's logs as the task that planned the chunks saw them; None: not looked at yet.
+        The motor's logs as they were looked at before in this run; None: not yet.
     chunks
         Files below the staging folder with the chunks to be joined.
     latest_us
@@ -85,7 +86,7 @@ class MotorTask:
     given_up: tuple[Loss, ...] = ()
     nights_a_chunk: int = 0
     nights: tuple[dt.date, ...] | None = None
-    looked_at: Mapping[str, FileRecord] | None = None
+    looked_at: SeenLogs | None = None
     chunks: tuple[str, ...] = ()
     latest_us: int = field(default_factory=latest_us)
 
@@ -204,3 +205,10 @@ def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
     if MOST_GIVEN_UP in (len(task.lost_nights), len(task.silent)) or not (loss.log or loss.part):
         return None
     return replace(task, given_up=(*task.given_up, loss))
+
+
+def run_motor(task: MotorTask) -> MotorOutcome:
+    """As `motor_task.run_motor`, with which a process loads the science."""
+    from pipeline.run import motor_task
+
+    return motor_task.run_motor(task)

@@ -10,6 +10,7 @@ from pipeline.trends.attribution import path_behind, path_named
 from pipeline.trends.indicators import MODEL_MISFIT, TEMPERATURE_EFFECT
 from pipeline.trends.reasons import way_of, why_state
 from pipeline.trends.standing import RAISED, Standing
+from pipeline.trends.temperature_watch import NOT_TOLD
 
 Row = dict[str, Any]
 
@@ -108,8 +109,10 @@ def _by_own_rules(standing: Standing, name: str, place: int, before: str, after:
     if after == "warning":
         return {"reason": one.words(place), "way": "change" if name == MODEL_MISFIT else "drift"}
     if after == INSUFFICIENT:
-        reason = next(part.reason for part in one.segments if place < part.end)
-        return {"reason": f"a new baseline begins: {reason}", "way": "baseline"}
+        part = next(part for part in one.segments if place < part.end)
+        if place > part.first:
+            return {"reason": NOT_TOLD, "way": "baseline"}
+        return {"reason": f"a new baseline begins: {part.reason}", "way": "baseline"}
     what = OF_OWN_RULES.get(name, "its zero")
     if before == INSUFFICIENT:
         return {"reason": f"{what} is known", "way": "baseline"}

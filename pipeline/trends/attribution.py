@@ -11,14 +11,15 @@ from pipeline.trends.standing import CHANGED, Standing
 def path_behind(standing: Standing, name: str, place: int) -> Posterior | None:
     """Explanation of the change that an indicator reports as a rise.
 
-    None without a reported rise or after a fall, for the flushing and the sensors' zeros, and if
-    the cause cannot be determined.
+    None without a reported rise or after a fall, for the sensors' zeros, and if the cause cannot be
+    determined; for the flushing, unless the gaps moved against it.
     """
-    if name == FLUSHING or name in standing.by_own_rules or standing.has_fallen(name, place):
+    if name in standing.by_own_rules or standing.has_fallen(name, place):
         return None
     if standing.told[name][place] not in CHANGED:
         return None
-    return standing.explained(place)
+    found = standing.explained(place)
+    return None if name == FLUSHING and not (found and found.taken_back) else found
 
 
 def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
@@ -29,7 +30,7 @@ def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
     duty = standing.history.records["duty"][place]
     if duty == OUTSIDE:
         return duty_words(standing.history, standing.era(place), place)
-    if found.verdict == "common":
+    if found.verdict == "common" or found.taken_back:
         return ""
     if standing.model.state[place] == "warning" and not _is_of_factor(standing, place, found):
         return f"no path is named: {standing.model.words(place)}"

@@ -7,13 +7,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.config import MotorSpec
-from pipeline.trends.beginnings import beginnings
 from pipeline.trends.decisions import Decision
-from pipeline.trends.history import History
 from pipeline.trends.record import Record, read_record, trend_hash
 from pipeline.trends.tonight import Tonight
+
+if TYPE_CHECKING:
+    from pipeline.trends.history import History
 
 
 def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
@@ -111,6 +113,8 @@ class Circuit:
 
     def beginnings(self) -> dict[str, dict[str, dt.date]]:
         """By motor, from when on the others see its events and resets."""
+        from pipeline.trends.beginnings import beginnings
+
         known = [record for record in self.records.values() if record is not None]
         last_told = max((record.last_night for record in known), default=None)
         found = {}

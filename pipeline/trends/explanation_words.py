@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from leakage.growth import Shift
 from leakage.hypotheses import PROBABLE, Posterior
 from leakage.oil import dynamic_viscosity_pa_s
 from pipeline.trends.history import History
@@ -19,6 +20,12 @@ from pipeline.trends.oil import (
 # Standard error up to which a change with temperature says something [1/K].
 WIDEST_BETA = 0.001
 LEAST_TOLD = 0.02
+# What lifts the flushing and lowers the gaps' part, or the reverse.
+MAY_TAKE_BACK = (
+    "a path with another pressure law (as a ring that leaks most at low pressure), the meter's "
+    "zero or the flushing may; what would tell: such a path in the motor type, halts without "
+    "pressure, the flushing measured and fixed"
+)
 
 
 def why_words(
@@ -127,8 +134,20 @@ def _hint(found: Posterior, of_sensor: float) -> str:
     return f" (it changes by {1000 * beta:+.1f} ± {2000 * error:.1f} % per 10 K, as by {says})"
 
 
+def _taken_back(shift: Shift) -> str:
+    """What the gaps and the flushing did against each other, what may do so, what would tell."""
+    gaps, flushing = 1.96 * np.sqrt(np.diag(shift.covariance))
+    return (
+        f"the gaps' part {100.0 * shift.gaps:+.1f} ± {100.0 * gaps:.1f} % and the flushing "
+        f"{shift.flow * shift.flushing:+.2f} ± {shift.flow * flushing:.2f} l/min, which no oil "
+        f"does: {MAY_TAKE_BACK}"
+    )
+
+
 def cannot_be_told(found: Posterior, measured_oil: str = "") -> str:
     """Possible causes of a change, and the data that would decide between them."""
+    if found.taken_back:
+        return _taken_back(found.taken_back)
     some = [f"{_plain(name)} ({100 * found.paths[name]:.0f} %)" for name in found.candidates]
     is_path = found.any_path >= PROBABLE
     if not is_path and 1.0 - PROBABLE < found.common < PROBABLE:

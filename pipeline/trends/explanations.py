@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.block_statistics import with_path_known
-from leakage.hypotheses import Blocks, CommonFactor, Growth, Posterior, growth, mean_factor, weigh
+from leakage.growth import Blocks, Growth, growth
+from leakage.hypotheses import CommonFactor, Posterior, mean_factor, weigh
 from leakage.temperature_correction import TemperatureCorrection
 from pipeline.trends.baseline_model import factors_of
 from pipeline.trends.eras import Era
@@ -79,7 +80,10 @@ class Explanations:
         found = self._growth(now) if self._is_recent(now, place) else None
         if found is None:
             return before if place <= era.known_from else None
-        own = weigh(found).expected
+        told = weigh(found)
+        if told.taken_back:
+            return None
+        own = told.expected
         if before is None:
             return own
         return CommonFactor(before.log + own.log, math.hypot(before.sd, own.sd))

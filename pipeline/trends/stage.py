@@ -13,16 +13,14 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import polars as pl
 from threadpoolctl import threadpool_limits
 
 from leakage.slope import benjamini_hochberg
-from pipeline.config import MotorSpec
 from pipeline.errors import StoreError
-from pipeline.logs.ledger import as_published
 from pipeline.schema import TREND_TABLES, TRENDS
 from pipeline.store.tables import nights_back, read_rows, stage
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
@@ -52,7 +50,7 @@ from pipeline.trends.rule_changes import marked, rules_now
 from pipeline.trends.segments import segments
 from pipeline.trends.standing import Standing
 from pipeline.trends.sudden import sudden_changes
-from pipeline.trends.tonight import Tonight
+from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, task_circuit
 from pipeline.trends.trend_rows import trend_rows
 from pipeline.trends.watch import watch
 from pipeline.trends.zeros import sensor_zeros
@@ -60,94 +58,14 @@ from pipeline.workers.process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
 
-Row = dict[str, Any]
 Made = TypeVar("Made")
-
-
-@dataclass(frozen=True, slots=True)
-class TrendTask:
-    """Oil circuits whose trends are to be made.
-
-    Attributes
-    ----------
-    specs
-        The motors, whole circuits.
-    output, staging
-        Output folder, and where rows are left for the run to publish.
-    changed_from
-        By motor that was asked for: its first night with new rows; None where it has none.
-    tonight
-        Up to where each motor is judged.
-    decisions
-        What people said.
-    given_up
-        By motor: how this run's workers were lost in its trends, each time.
-    """
-
-    specs: tuple[MotorSpec, ...]
-    output: Path
-    staging: Path
-    changed_from: Mapping[str, dt.date | None]
-    tonight: Tonight
-    decisions: tuple[Decision, ...] = ()
-    given_up: Mapping[str, Loss] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True)
-class TrendOutcome:
-    """Outcome of the trends of some motors.
-
-    Attributes
-    ----------
-    nights
-        Number of staged nights, by motor.
-    records
-        Records to be stored once the nights are published, by motor.
-    failures
-        Failures, by motor.
-    alarms
-        Staged rows of `alarms` that were not published before.
-    """
-
-    nights: Mapping[str, int] = field(default_factory=dict)
-    records: Mapping[str, Record] = field(default_factory=dict)
-    failures: Mapping[str, Loss] = field(default_factory=dict)
-    alarms: tuple[Row, ...] = ()
-
-
-def trend_tasks(
-    specs: Sequence[MotorSpec],
-    output: Path,
-    staging: Path,
-    changed_from: Mapping[str, dt.date | None],
-    tonight: Tonight,
-    decisions: tuple[Decision, ...],
-    motors_a_task: int,
-) -> list[TrendTask]:
-    """Tasks of whole circuits with nights to be made, of about so many motors each."""
-    wanted = [
-        group
-        for group in circuits_of(specs)
-        if any(one.motor_id in changed_from for one in group)
-        and _circuit(output, group, decisions).is_due(changed_from, tonight)
-    ]
-    batches: list[list[MotorSpec]] = [[]]
-    for group in wanted:
-        if len(batches[-1]) >= motors_a_task:
-            batches.append([])
-        batches[-1] += group
-    return [
-        TrendTask(tuple(batch), output, staging, changed_from, tonight, decisions)
-        for batch in batches
-        if batch
-    ]
 
 
 def run_trends(task: TrendTask) -> TrendOutcome:
     """Make the trends of a task's motors, and stage their rows."""
     with threadpool_limits(1):
         circuits = [
-            _circuit(task.output, group, task.decisions) for group in circuits_of(task.specs)
+            task_circuit(task.output, group, task.decisions) for group in circuits_of(task.specs)
         ]
         specs = [spec for circuit in circuits for spec in circuit.specs]
         said = decisions_of(specs, task.decisions)
@@ -164,11 +82,6 @@ def run_trends(task: TrendTask) -> TrendOutcome:
         for motor_id, one in nights.items():
             one.keep(motor_id, done.filtered.get(motor_id))
         return TrendOutcome(done.nights, done.records, done.failures, tuple(done.alarms))
-
-
-def _circuit(output: Path, specs: Sequence[MotorSpec], decisions: Sequence[Decision]) -> Circuit:
-    published = [as_published(output, one) for one in specs]
-    return Circuit.of(output, published, decisions_of(published, decisions))
 
 
 @dataclass(slots=True)
@@ -243,19 +156,6 @@ def _failure(error: Exception) -> Loss:
     if isinstance(error, StoreError):
         return Loss(error.code, error.message)
     return loss_of(error)
-
-
-def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
-    """The outcome of a task that was lost as a whole."""
-    ids = (spec.motor_id for spec in task.specs)
-    return TrendOutcome(failures={one: task.given_up.get(one, loss) for one in ids})
-
-
-def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
-    """The task that gives up the motor in which it was lost; None where it is not known."""
-    if not loss.part:
-        return None
-    return replace(task, given_up={**task.given_up, loss.part: loss})
 
 
 def _part(

@@ -138,6 +138,8 @@ def _kind(steps: Mapping[str, _Step], n_paths: int, behind: Posterior | None) ->
     """Kind of change that the steps of a night's paths show; None if it may as well be damage."""
     if len(steps) < 2 or not all(one.took_part for one in steps.values()):
         return None
+    if behind is not None and behind.taken_back:
+        return None
     if behind is not None and behind.verdict == "common":
         return "circuit" if behind.is_of_tank else "alike"
     # What all flows share is no step of a path.

@@ -45,7 +45,7 @@ class TemperatureWatch:
     evidence
         Change since the baseline over its ±; nan where not known.
     state
-        insufficient, ok or warning.
+        insufficient while no recent night tells it, ok or warning.
     """
 
     history: History
@@ -124,6 +124,14 @@ def temperature_watch(
         moved[: era.temperature_from - era.segment.first] = np.nan
         raised = above_level(moved, CERTAIN, 0.0, nights_rule(history.spec))
         evidence[here] = moved
-        late = slice(era.temperature_from, era.segment.end)
-        state[late] = np.where(raised, "warning", "ok")[late.start - here.start :]
+        told = _is_recent(history, here, np.isfinite(moved))
+        state[here] = np.where(raised, "warning", np.where(told, "ok", "insufficient"))
     return TemperatureWatch(history, tuple(eras), value, half, evidence, tuple(state.tolist()))
+
+
+def _is_recent(history: History, here: slice, told: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Nights of a segment on which the last that tells it is not stale, shape as `told`."""
+    nights = history.numbers[here].astype(np.float64)
+    last = np.maximum.accumulate(np.where(told, nights, -np.inf))
+    recent: NDArray[np.bool_] = nights - last <= history.spec.settings.alarms.stale_after_nights
+    return recent

@@ -21,9 +21,6 @@ from multiprocessing.connection import wait
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Self, TypeVar
 
-from joblib.externals.loky.backend import get_context
-from joblib.externals.loky.backend.reduction import dumps
-
 from pipeline.workers.process import Assignment, Done, Loss, SignOfLife, attempt, serve
 
 if TYPE_CHECKING:
@@ -194,6 +191,8 @@ class Worker:
         self._start()
 
     def _start(self) -> None:
+        from joblib.externals.loky.backend import get_context
+
         context = get_context("loky")
         self.connection, theirs = context.Pipe()
         self.stderr, their_stderr = context.Pipe(duplex=False)
@@ -219,6 +218,8 @@ class Worker:
         self.execution = execution
         self.sign, self.last_words, self.is_late = SignOfLife(), b"", False
         self.due = time.monotonic() + START_S
+        from joblib.externals.loky.backend.reduction import dumps
+
         with suppress(ConnectionError):  # dead already: heard of in a moment
             given = Assignment(function, task, execution.memory_limit_mib)
             self.connection.send_bytes(dumps(given))

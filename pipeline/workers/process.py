@@ -103,6 +103,12 @@ class Assignment:
     memory_limit_mib: int
 
 
+def tell(run: Connection) -> None:
+    """Say signs of life to a run from now on."""
+    global _run
+    _run = run
+
+
 def sign_of_life(part: str) -> None:
     """Say that a task begins with a part of its work, which has the whole time limit again."""
     _say(SignOfLife(part))
@@ -181,7 +187,6 @@ def serve(run: Connection, stderr: Connection, run_pid: int) -> None:
     run_pid
         Process of the run.
     """
-    global _run
     os.dup2(stderr.fileno(), sys.stderr.fileno())
     stderr.close()
     _end_with_the_run(run_pid)
@@ -191,7 +196,7 @@ def serve(run: Connection, stderr: Connection, run_pid: int) -> None:
     # hang; then the process dies of it.
     faulthandler.enable()
     faulthandler.register(signal.SIGALRM, chain=True)
-    _run = run
+    tell(run)
     while True:
         try:
             given: Assignment = run.recv()

@@ -14,15 +14,8 @@ import pytest
 
 from leakage import Motor, OperatingConditions, regressors
 from leakage.errors import ShapeError
-from leakage.hypotheses import (
-    Blocks,
-    CommonFactor,
-    Growth,
-    Posterior,
-    growth,
-    mean_factor,
-    weigh,
-)
+from leakage.growth import Blocks, Growth, Shift, growth
+from leakage.hypotheses import CommonFactor, Posterior, mean_factor, weigh
 from pipeline.demo import noise
 from tests.leakage.made_samples import true_coefficients
 from tests.leakage.placeholders import placeholder_motor
@@ -36,12 +29,13 @@ FREE = np.array([True, True, True, False])
 
 @dataclass(frozen=True)
 class Change:
-    """Simulated change: viscosity, gain, the sensor's temperature [°C], K of paths."""
+    """Simulated change: viscosity, gain, the sensor's temperature [°C], K of paths, flushing."""
 
     viscosity: float = 1.0
     gain: float = 1.0
     reads_low_c: float = 0.0
     paths: Mapping[str, float] = field(default_factory=dict)
+    flushing: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -69,7 +63,7 @@ def nights(n: int, change: Change, load: Load, seed: int) -> Blocks:
         speed.T.ravel(),
     )
     theta = THETA * [*(change.paths.get(name, 1.0) for name in NAMES), 1.0]
-    flow = regressors(MOTOR, truth) @ np.append(theta, 1.0) / change.viscosity
+    flow = regressors(MOTOR, truth) @ np.append(theta, 1.0) / change.viscosity + change.flushing
     errors = 0.013 * noise.autoregression(generator.standard_normal(shape), 0.9).T.ravel()
     flow *= change.gain * (1.0 + np.repeat(wander.gain, SAMPLES)) * (1.0 + errors)
     seen = OperatingConditions.from_bar(pressure.T.ravel(), temperature.T.ravel(), speed.T.ravel())
@@ -158,6 +152,67 @@ def test_the_change_with_temperature_tells_a_sensor_from_thinner_oil() -> None:
         mean, error = np.mean(betas, axis=0)
         assert mean == pytest.approx(expected, abs=3 * error)
         assert error < 0.0015
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+@pytest.mark.parametrize("viscosity", [0.8, 0.9, 1.25])
+def test_thinner_oil_is_told_beside_an_estimated_flushing(viscosity: float, seed: int) -> None:
+    before = nights(BASELINE, Change(flushing=0.5), Load(), seed)
+    now = nights(NOW, Change(viscosity=viscosity, flushing=0.5), Load(), 1000 + seed)
+    change = growth(NAMES, before, now, THETA, np.ones(4, dtype=np.bool_), "cam_roller")
+    assert change is not None
+    assert change.shift is not None
+    told = weigh(change)
+    assert told.verdict == "common"
+    assert told.taken_back is None
+    # The flow of all gaps, rollers included, moves by one factor; the flushing stays.
+    sd = np.sqrt(np.diag(change.shift.covariance))
+    assert change.shift.gaps == pytest.approx(1 / viscosity - 1, abs=4 * sd[0] + 0.02)
+    assert change.shift.flushing == pytest.approx(0.0, abs=4 * sd[1] + 0.02)
+
+
+def taking_back(flushing: float, sd: float) -> Growth:
+    """Gaps that halved, known to `sd`, beside a flushing; both together are known to 0.5 %."""
+    whole = 0.005**2 * np.diag([0.0, 1.0])
+    covariance = sd**2 * np.array([[1.0, -1.0], [-1.0, 1.0]]) + whole
+    return Growth(
+        ("gaps",),
+        False,
+        np.array([-0.5]),
+        covariance[:1, :1],
+        np.eye(1),
+        shift=Shift(-0.5, flushing, covariance, 3.0),
+    )
+
+
+@pytest.mark.parametrize(
+    ("flushing", "sd", "is_common"),
+    [
+        (0.0, 0.01, True),
+        (0.05, 0.01, True),  # less than a model does that is somewhat off
+        (-0.1, 0.01, True),  # with the gaps, as a meter's gain moves it
+        (0.6, 0.01, False),
+        (0.2, 0.01, False),  # the whole flow fell, and less than by oil
+        (0.2, 0.08, True),  # the same within what the nights tell
+        (0.49, 0.16, False),  # the whole flow stayed
+    ],
+)
+def test_a_factor_that_the_flushing_takes_back_is_not_told(
+    flushing: float, sd: float, is_common: bool
+) -> None:
+    found = weigh(taking_back(flushing, sd))
+    assert found.is_common is is_common
+    assert found.verdict == ("common" if is_common else "cannot_be_told")
+    assert found.named == ()
+    assert (found.taken_back is None) is is_common
+
+
+def test_a_factor_that_the_tank_has_is_the_oil_whatever_the_flushing_did() -> None:
+    found = weigh(taking_back(0.6, 0.01), CommonFactor(np.log(0.5), 0.015))
+    assert found.is_of_tank
+    assert found.is_common
+    elsewhere = weigh(taking_back(0.6, 0.01), CommonFactor(0.0, 0.015))
+    assert elsewhere.origin is None
 
 
 def test_at_one_speed_the_rollers_and_pistons_are_the_standard_together() -> None:

@@ -10,6 +10,7 @@ from pipeline.config import ConfigError, load_fleet
 from pipeline.logs.landing import nightly_query
 from tests.pipeline.plant_database import (
     FILES,
+    QUERY,
     logs_toml,
 )
 from tests.pipeline.postgres_server import SECRET
@@ -20,7 +21,7 @@ from tests.pipeline.workshop import MINI, QUICK
 def test_forty_motors_of_one_table_are_one_line_each(tmp_path: Path) -> None:
     shared = (
         'name = "Mill"\n[defaults]\nmotor_type = "MINI"\noil = "vg68"\n[defaults.logs]\n'
-        f"{logs_toml()}"
+        + logs_toml(QUERY.replace(" *", "\t*"))
     ).replace("[logs.database]", "[defaults.logs.database]")
     channels = "".join(
         f'[defaults.channels.{name}]\nsource = "{{name_in_log}}_{name}"\nunit = "{unit}"\n'

@@ -18,7 +18,7 @@ import pipeline.run.fleet
 import pipeline.run.publishing
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
+from pipeline.trends.tasks import TrendOutcome, TrendTask, run_trends
 from tests.pipeline.faults.fleet import (
     MOTORS,
     TinyFleet,

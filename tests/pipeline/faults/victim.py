@@ -23,7 +23,7 @@ from tests.pipeline.faults.fleet import TinyFleet
 
 # Where a run is when it enters a stage.
 STAGES = {
-    "planning": "pipeline.run.motor_task.LogShelf",
+    "planning": "pipeline.run.motor_nights.LogShelf",
     "reading": "pipeline.logs.motor_logs.read_log",
     "fitting": "pipeline.run.motor_task.fit_night",
     "staging": "pipeline.run.motor_task.stage",

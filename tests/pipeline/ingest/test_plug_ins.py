@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from pipeline.config import load_fleet, readers
 from pipeline.config.hashes import reading_hash
 from pipeline.errors import LogError
-from pipeline.ingest import can_grow, read_log, time_span
+from pipeline.ingest import Place, can_grow, header_units, read_log, read_piece, time_span
 from pipeline.ingest.conformance import CHANNELS, Check, checks_of
 from pipeline.run.fleet import RunRequest, run_fleet
 from tests.pipeline.ingest.sources import logs_of
@@ -30,6 +30,10 @@ from pipeline.ingest import LogFile, RawChannel, RawLog, Reader, Samples, log_of
 def read(file):
     time_us = np.array([1_740_808_800_000_000])
     return log_of_samples(file, {name: Samples(time_us, np.ones(1)) for name in file.channels})
+
+def made(file, value=np.ones(1), time=1_740_808_800_000_000, bad=None, count=0, notes=()):
+    one = RawChannel(np.array([time]), value, np.zeros(1, bool), count, bad)
+    return RawLog(dict.fromkeys(file.channels, one), count, time, time, notes)
 """
 
 Install = Callable[..., None]
@@ -145,15 +149,29 @@ def test_a_reader_gets_its_options_and_the_defaults(install: Install, tmp_path: 
         (
             "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a, a > 3, 0)\n"
             "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
-            "gave value of pressure_difference as int64",
+            "gave value of pressure_difference as ndarray of int64",
         ),
         (
             "def read(file):\n    a = np.arange(2)\n    one = RawChannel(a, a + 0.5, a > 3, 0)\n"
             "    return RawLog(dict.fromkeys(file.channels, one), 2, 0, 1)\nREADER = Reader(read)",
             "gave time stamps before 1990",
         ),
+        (
+            "READER = Reader(lambda file: made(file, time=6_000_000_000_000_000))",
+            "gave time stamps before 1990 or in the future",
+        ),
+        (
+            "READER = Reader(lambda file: made(file, bad=np.zeros(3, bool)))",
+            r"gave bad_quality of pressure_difference as ndarray of bool \(3,\)",
+        ),
+        (
+            "READER = Reader(lambda file: made(file, np.ma.ones(1)))",
+            "gave value of pressure_difference as MaskedArray",
+        ),
+        ("READER = Reader(lambda file: made(file, count='2'))", "gave rows as '2', not as a count"),
+        ("READER = Reader(lambda file: made(file, notes=[]))", r"gave notes as \[\]"),
     ],
-    ids=lambda text: text[:20],
+    ids=lambda text: text[-20:],
 )
 def test_what_a_reader_does_wrong_is_an_error_of_the_log(
     install: Install, tmp_path: Path, code: str, says: str
@@ -174,3 +192,25 @@ def test_a_reader_without_pieces_has_logs_that_do_not_grow(
     log = tmp_path / "log"
     log.write_text("x")
     assert not can_grow(log, logs_of("whol"))
+
+
+def test_what_a_reader_says_of_a_log_is_checked_as_well(
+    install: Install, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = (
+        "print('said')\nREADER = Reader(read, {span}, units=lambda file: None, piece=lambda *_: 3)"
+    )
+    log = tmp_path / "log"
+    log.write_text("x")
+    for number, (span, says) in enumerate(
+        (("lambda file: (3, 2)", r"\(3, 2\) as the span"), ("lambda file: (0, 1)", "before 1990"))
+    ):
+        name = f"say{number}"
+        install(name, code=HEAD + code.format(span=span))
+        with pytest.raises(LogError, match=says):
+            time_span(log, logs_of(name), CHANNELS)
+        with pytest.raises(LogError, match="gave None as units"):
+            header_units(log, logs_of(name), CHANNELS)
+        with pytest.raises(LogError, match="gave 3 as a piece"):
+            read_piece(log, logs_of(name), CHANNELS, None, Place(), 1)
+    assert capsys.readouterr() == ("", "said\nsaid\n")

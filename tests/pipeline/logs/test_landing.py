@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import json
 import logging
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -18,7 +19,7 @@ from pipeline.config import MotorSpec
 from pipeline.config.nights import night
 from pipeline.ingest import read_log
 from pipeline.logs.landing import land_nights
-from pipeline.run.motor_task import _peak_memory_mib
+from pipeline.run.motor_nights import peak_memory_mib
 from tests.pipeline.plant_database import (
     CLOCK,
     FIRST,
@@ -140,7 +141,7 @@ def test_a_motor_takes_its_own_rows_and_tags_of_a_long_table(
         "pressure_difference": "dp",
         "oil_temperature": "TOIL",
         "speed": "n",
-        "leakage_flow": "it's",
+        "leakage_flow": "it's \\",
     }
     parts = [
         f"SELECT time, '{motor}' AS motor, $${tag}$$ AS tag, ({channel} + {plus})::numeric "
@@ -159,9 +160,13 @@ def test_a_motor_takes_its_own_rows_and_tags_of_a_long_table(
     plant.configure(logs_toml(QUERY.replace("log", "long"), logs))
     text = (tmp_path / "configs/motors/M1.toml").read_text("utf-8")
     for channel, tag in tags.items():
-        text = text.replace(f'source = "{channel}"', f'source = "{tag}"')
+        text = text.replace(f'source = "{channel}"', f"source = {json.dumps(tag)}")
     (tmp_path / "configs/motors/M1.toml").write_text(text, "utf-8")
-    assert plant.land() == {}
+    database.run("ALTER ROLE owner SET standard_conforming_strings = off")
+    try:
+        assert plant.land() == {}
+    finally:
+        database.run("ALTER ROLE owner RESET standard_conforming_strings")
     rows = plant.rows(FIRST)
     assert set(rows["tag"].to_pylist()) == set(tags.values())
     assert set(rows["motor"].to_pylist()) == {"M1"}
@@ -212,6 +217,6 @@ def test_ten_million_rows_take_no_more_memory_than_a_few_batches(
 def peaks_of_landing(spec: MotorSpec) -> tuple[float, float]:
     """Largest memory of this process before and after a night is landed [MiB]."""
     assert land_nights(spec, latest(CLOCK - 3 * DAY)) == {}  # before the first: nothing to ask
-    before = _peak_memory_mib()
+    before = peak_memory_mib()
     assert land_nights(spec, latest(CLOCK - 2 * DAY)) == {}
-    return before, _peak_memory_mib()
+    return before, peak_memory_mib()

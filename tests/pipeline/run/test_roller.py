@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from polars.testing import assert_frame_equal
 
-import pipeline.run.motor_task
+import pipeline.run.motor_nights
 from pipeline.night.roller import is_roller_free
 from tests.pipeline.simulated import NIGHT, motor_toml, write_configs
 from tests.pipeline.workshop import DAY, MINI, QUICK, Workshop, check_same_figures
@@ -29,7 +29,7 @@ FIXED = QUICK + '[model]\nroller_scale = "fixed"\n'
 @pytest.fixture(autouse=True)
 def two_nights_decide(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        pipeline.run.motor_task,
+        pipeline.run.motor_nights,
         "is_roller_free",
         lambda tells, begins, _: is_roller_free(tells, begins, 2),
     )

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 
 from leakage.block_statistics import with_free_known
+from leakage.growth import Growth, Shift
+from leakage.hypotheses import weigh
 from leakage.temperature_correction import TemperatureCorrection
 from pipeline.night.rows import upper_triangle
 from pipeline.trends.attribution import path_behind, path_named
 from pipeline.trends.eras import Era
+from pipeline.trends.explanation_words import cannot_be_told
 from pipeline.trends.explanations import Explanations
 from pipeline.trends.first_rows import reference_flows
 from pipeline.trends.history import History
@@ -153,6 +156,20 @@ def test_thinner_oil_is_a_factor_of_all_flows_and_no_path() -> None:
         assert told_row["common_factor"] == pytest.approx(1.25, abs=0.01)
         assert told_row["common_factor_lower"] < 1.25 < told_row["common_factor_upper"]
         assert told_row["common_origin"] is None
+
+
+def test_a_flushing_that_rose_as_the_gaps_fell_is_told_with_what_may_do_so() -> None:
+    """Half of 3 l/min gone from the gaps, 1.8 l/min more flushing; ± is 1.96 sd."""
+    covariance = 1e-4 * np.array([[1.0, -1.0], [-1.0, 1.1]])
+    shift = Shift(-0.5, 0.6, covariance, 3.0)
+    of = Growth(("gaps",), False, np.array([-0.5]), covariance[:1, :1], np.eye(1), shift=shift)
+    words = cannot_be_told(weigh(of))
+    assert words.startswith(
+        "the gaps' part -50.0 ± 2.0 % and the flushing +1.80 ± 0.06 l/min, which no oil does: "
+        "a path with another pressure law"
+    )
+    assert "the meter's zero or the flushing" in words
+    assert "what would tell: " in words
 
 
 def test_a_sensor_of_one_motor_of_a_tank_is_told_as_its_own() -> None:

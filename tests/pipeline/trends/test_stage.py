@@ -28,7 +28,8 @@ from pipeline.trends.record import (
     write_record,
 )
 from pipeline.trends.rule_changes import rules_now
-from pipeline.trends.stage import TrendTask, new_alarms, trend_tasks, with_q_values
+from pipeline.trends.stage import new_alarms, with_q_values
+from pipeline.trends.tasks import TrendTask, trend_tasks
 from pipeline.trends.tonight import Tonight
 from pipeline.workers.process import Loss
 from tests.pipeline.trends.nights import (

@@ -13,6 +13,7 @@ from pipeline.trends.alarm_rows import alarm_rows
 from pipeline.trends.filtered_nights import with_filter
 from pipeline.trends.reasons import why_state
 from pipeline.trends.standing import Standing
+from pipeline.trends.temperature_watch import NOT_TOLD
 from tests.pipeline.trends.nights import PATHS, Nights, histories, motor, standing, standings
 
 N, EFFECT = 150, -0.01
@@ -123,6 +124,21 @@ def test_nights_of_one_temperature_tell_nothing() -> None:
     found = standing(Nights(motor(), 60))
     assert found.era(59).temperature is None
     assert found.temperature.row(59) is None
+
+
+def test_an_effect_that_the_last_nights_do_not_tell_is_insufficient() -> None:
+    """Weather for 80 nights, and then a season alone: a straight line in time."""
+    warm = np.where(np.arange(N) < 80, temperatures(N), 50.0 + 0.02 * np.arange(N))
+    found = standing(Nights(motor(), N, operation={"mean_temperature_c": warm}))
+    states = found.states["temperature_effect"]
+    assert set(states[65:95]) == {"ok"}
+    assert states[-1] == "insufficient"
+    row = found.temperature.row(N - 1)
+    assert row is not None
+    assert (row["value"], row["upper"], row["gated_reason"]) == (None, None, NOT_TOLD)
+    rows = alarm_rows(found, [states[:].index("insufficient", 95)])
+    (ended,) = [one for one in rows if one["indicator"] == "temperature_effect"]
+    assert (ended["to_state"], ended["reason"]) == ("insufficient", NOT_TOLD)
 
 
 def test_while_it_is_unknown_a_warm_night_carries_what_it_may_be() -> None:

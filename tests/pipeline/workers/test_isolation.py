@@ -23,7 +23,7 @@ from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
 from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.stage import TrendOutcome, TrendTask, run_trends
+from pipeline.trends.tasks import TrendOutcome, TrendTask, run_trends
 from pipeline.workers.local import Crew, run_tasks
 from pipeline.workers.process import ITEMS_A_SIGN, Loss
 from tests.conftest import OwnFleet

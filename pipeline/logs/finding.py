@@ -1,0 +1,115 @@
+"""Log files of motors: found by the patterns of a config, and asked for size and time.
+
+It imports no library, so that a process which does no more starts at once.
+"""
+
+from __future__ import annotations
+
+import stat
+from collections.abc import Collection, Iterable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from pathlib import Path
+
+from pipeline.errors import one_line
+from pipeline.workers.process import asking, tell, told_alive
+
+# Size, time of the last change [ns] and inode.
+State = tuple[int, int, int]
+
+LONGEST_PATH = 4096
+GLOB_CHARACTERS = frozenset("*?[")
+
+
+def find(
+    root: Path, patterns: Iterable[str], silent: Collection[str] = ()
+) -> tuple[dict[str, Path], list[str]]:
+    """Log files below a root, by relative path, and those that are named but absent."""
+    found: set[Path] = set()
+    absent: list[str] = []
+    for pattern in patterns:
+        named, is_glob = root / pattern, bool(GLOB_CHARACTERS & set(pattern))
+        if pattern in silent:
+            found |= set() if is_glob else {named}
+            continue
+        with asking(pattern):
+            # A file may be called `a[1].csv`: a pattern that exists as a file is no glob.
+            if named.exists():
+                found.add(named)
+            elif is_glob:
+                paths = told_alive(root.glob(pattern))
+                found |= {path for path in paths if not _is_folder(path, root, silent)}
+            else:
+                absent.append(pattern)
+    names: dict[str, Path] = {}
+    for path in sorted(found):
+        name = legible(path.relative_to(root).as_posix())
+        while name in names:  # Another file's name is what this one's is shown as.
+            name += "'"
+        names[name] = path
+    return names, absent
+
+
+def _is_folder(path: Path, root: Path, silent: Collection[str]) -> bool:
+    """True for a folder; a path that did not answer is taken for a file."""
+    if not path.is_symlink():
+        return path.is_dir()
+    name = legible(path.relative_to(root).as_posix())
+    # A link may lead to a mount that hangs.
+    with asking(name):
+        return name not in silent and path.is_dir()
+
+
+def require_answer(name: str, path: Path) -> None:
+    """Open a log that is about to be read: if that hangs, the log is named."""
+    with asking(name), suppress(OSError):  # which its reader tells
+        if path.is_file():
+            with path.open("rb", buffering=0) as log:
+                log.read(1)
+
+
+def without_match(root: Path, patterns: Iterable[str]) -> tuple[str, ...]:
+    """Messages about globs that match no file."""
+    return tuple(
+        f"no file matches {pattern} below {root}"
+        for pattern in patterns
+        if GLOB_CHARACTERS & set(pattern)
+        and not (root / pattern).exists()
+        and not any(not path.is_dir() for path in root.glob(pattern))
+    )
+
+
+def legible(text: str) -> str:
+    """Text for tables, terminals and pages: characters that do not print become escapes."""
+    return one_line(text, LONGEST_PATH)
+
+
+def states_of(root: Path, patterns: Iterable[str]) -> dict[str, State] | None:
+    """State of each log, by relative path; None where one is absent or no readable file."""
+    found = {}
+    try:
+        paths, absent = find(root, patterns)
+        for name, path in told_alive(paths.items()):
+            state = path.stat()
+            if not stat.S_ISREG(state.st_mode):
+                return None
+            found[name] = (state.st_size, state.st_mtime_ns, state.st_ino)
+    except OSError:
+        return None
+    return None if absent else found
+
+
+def answer(end: int) -> None:
+    """Answer each (root, patterns) that comes from a run with the states of these logs.
+
+    Parameters
+    ----------
+    end
+        File descriptor of the connection to the run.
+    """
+    connection = Connection(end)
+    tell(connection)
+    with suppress(EOFError, OSError):
+        while True:
+            root, patterns = connection.recv()
+            connection.send(states_of(root, patterns))

@@ -1,0 +1,339 @@
+"""A motor's nights: what is new in its logs, what is to be made anew, and what came of it.
+
+Nothing here makes a night, so nothing loads the science.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import resource
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterator, Set
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from functools import cached_property, lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.config.hashes import SettingsHashes, hash_of, settings_of, why_anew
+from pipeline.config.nights import nights_between
+from pipeline.errors import StoreError
+from pipeline.logs.files import is_guess, labels_of
+from pipeline.logs.ledger import (
+    Ledger,
+    NightRecord,
+    as_published,
+    changed_months,
+    ledger_folder,
+    read_ledger,
+    read_settings,
+)
+from pipeline.logs.motor_logs import LogShelf
+from pipeline.night.roller import is_roller_free
+from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
+from pipeline.schema import FITS
+from pipeline.schema.fits import FAILED, INSUFFICIENT_DATA, NO_NEW_DATA, OK
+from pipeline.store.tables import nights_back, read_rows
+
+if TYPE_CHECKING:
+    from pipeline.night.fit_night import NightOutcome, PreviousModel
+
+# A longer silence between two logs is no row of nights without a log: a clock was wrong, or the
+# motor stood in store.
+LONGEST_HOLE = dt.timedelta(days=366)
+
+
+def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
+    """The plan of a motor, night by night, with reasons; of logs only the ends are read.
+
+    Raises
+    ------
+    StoreError
+        If a published table that it needs is damaged.
+    """
+    return MotorNights(replace(task, looks_first=True)).plan()
+
+
+def peak_memory_mib() -> float:
+    # `ru_maxrss` begins with the peak of the process that started this one; Linux knows better.
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text("ascii").splitlines()
+        return int(next(line for line in lines if line.startswith("VmHWM:")).split()[1]) / 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def hash_of_model(model: PreviousModel) -> str:
+    return _hash_of_items(tuple(sorted((mode, tuple(theta)) for mode, theta in model.items())))
+
+
+@lru_cache(maxsize=8192)
+def _hash_of_items(items: tuple[tuple[str, tuple[float, ...]], ...]) -> str:
+    return hash_of(dict(items))
+
+
+def _still_published(ledger: Ledger, published: Set[dt.date]) -> Ledger:
+    """A ledger without the nights whose tables somebody removed: they are to be made anew."""
+    gone = ledger.nights.keys() - published
+    return Ledger(
+        files={name: one for name, one in ledger.files.items() if not labels_of(one) & gone},
+        nights={label: one for label, one in ledger.nights.items() if label not in gone},
+    )
+
+
+def _without_failures(ledger: Ledger) -> Ledger:
+    """A ledger that knows nothing of the logs and nights that failed."""
+    nights = {label: one for label, one in ledger.nights.items() if one.status != FAILED}
+    failed = ledger.nights.keys() - nights.keys()
+    files = {
+        name: one
+        for name, one in ledger.files.items()
+        if one.status == "ok" and not labels_of(one) & failed
+    }
+    return Ledger(files, nights)
+
+
+def _refitted(output: Path, motor_id: str) -> set[dt.date]:
+    """Nights whose fits were made from their published rows."""
+    try:
+        rows = read_rows(output, FITS, [motor_id], ("night", "is_refitted"))
+    except StoreError:
+        return set()
+    return set(rows.filter("is_refitted")["night"])
+
+
+class MotorNights:
+    """The nights of a motor during its task.
+
+    Parameters
+    ----------
+    task
+        The task.
+    published
+        Nights of the table `fits`; None: they are listed.
+    """
+
+    def __init__(self, task: MotorTask, published: Set[dt.date] | None = None) -> None:
+        self.task = task
+        self.spec = task.spec
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+        self.memory_of_chunks_mib = 0.0
+        self.remembered = read_ledger(task.output, task.spec.motor_id)
+        if published is None:
+            published = set(nights_back(task.output, FITS))
+        self.before = _still_published(self.remembered, published)
+        if task.retry:
+            self.before = _without_failures(self.before)
+        with self.timed("read_s"):
+            self.logs = LogShelf(
+                self.spec,
+                self.before.files,
+                task.latest_us,
+                task.silent,
+                task.looked_at,
+                reads_new=not (task.looks_first or task.since or task.until),
+            )
+        self.withdrawn = self._no_longer_told()
+        self.before = Ledger(
+            self.logs.before,
+            {
+                label: one
+                for label, one in self.before.nights.items()
+                if label not in self.withdrawn
+            },
+        )
+        self.form = as_published(task.output, self.spec)
+        self.hashes = SettingsHashes(self.form)
+        self.done: dict[dt.date, NightOutcome] = {}
+        self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
+        self.kept: set[dt.date] = set()
+        self.reasons: dict[dt.date, str] = {}
+        self.by_settings = self._outdated_by_settings()
+
+    @contextmanager
+    def timed(self, stage_name: str) -> Iterator[None]:
+        begin = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[stage_name] += time.perf_counter() - begin
+
+    @property
+    def is_quiet(self) -> bool:
+        """True where no night is to be made, nothing withdrawn, and no form of the fits changed."""
+        return not (
+            self.open_nights()
+            or self.withdrawn
+            or self.is_roller_free() != self.form.roller_is_free
+        )
+
+    def plan(self) -> dict[dt.date, Step]:
+        """Nights that a run would do now, and why; reading may add some."""
+        return dict(sorted(self.open_nights().items()))
+
+    def _outdated_by_settings(self) -> dict[dt.date, Step]:
+        """Nights that were made with other settings, and how far they have to be made anew."""
+        present, found = self.logs.present(), {}
+        if self.task.force:
+            return dict.fromkeys(present, Step(Work.READ, "asked for"))
+        for label, record in self.before.nights.items():
+            if not record.statistics_hash:
+                continue
+            if record.statistics_hash != self.hashes.statistics(label):
+                # Where the logs are gone, what is published stays.
+                if label in present:
+                    found[label] = Step(Work.READ, self._why_anew)
+            elif record.figures_hash != self.hashes.figures(label):
+                found[label] = Step(Work.REFIT if record.model else Work.READ, self._why_anew)
+        if self.task.with_starts:
+            for label in (
+                _refitted(self.task.output, self.spec.motor_id)
+                & self.before.nights.keys() - found.keys()
+            ):
+                found[label] = Step(Work.REFIT, "its starts are asked for")
+        return found
+
+    @cached_property
+    def _why_anew(self) -> str:
+        """Settings that changed since the last run, in words."""
+        before = read_settings(self.task.output, self.spec.motor_id)
+        return why_anew(before, settings_of(self.form))
+
+    def open_nights(self) -> dict[dt.date, Step]:
+        """Nights still to do within the asked-for range."""
+        outdated = self._outdated_by_model()
+        # What is not published yet cannot be judged from the tables.
+        plan = {
+            label: Step(Work.READ, step.reason)
+            for label, step in outdated.items()
+            if label in self.done
+        }
+        later = outdated | self.by_settings
+        present, waiting = self.logs.present(), self.logs.waiting()
+        for name in self.logs.files:
+            if (news := self.logs.news_of(name)) is not None:
+                # A night of which there is no log, or not yet, is none to be done.
+                reached = self.logs.touched(name) | (self.logs.reached(name) & present)
+                later |= dict.fromkeys(reached, Step(Work.READ, news))
+        plan |= {label: step for label, step in later.items() if label not in self.done}
+        return {
+            label: step
+            for label, step in plan.items()
+            if label not in self.kept | waiting and self.task.wants(label)
+        }
+
+    def _outdated_by_model(self) -> dict[dt.date, Step]:
+        """Nights with a fit that was judged with another model than the one before it now."""
+        found, before = {}, hash_of_model({})
+        for label, record in sorted(self.records.items()):
+            if not record.model:
+                continue
+            if record.judged_with != before:
+                found[label] = Step(Work.JUDGE, "another model before it")
+            before = hash_of_model(record.model)
+        return found
+
+    def holes(self) -> list[dt.date]:
+        """Nights between two logs that no log covers and no row tells of yet."""
+        if not self.done:
+            return []
+        told = self.logs.present() | self.records.keys()
+        # A file that cannot be read may stand far off: its night is a guess.
+        readable = [one for one in self.logs.files.values() if one.status == "ok"]
+        certain = {label for record in readable for label in labels_of(record)}
+        certain |= {label for label, one in self.records.items() if one.status != FAILED}
+        between = {
+            label
+            for first, last in pairwise(sorted(certain))
+            if last - first <= LONGEST_HOLE
+            for label in nights_between(first, last)
+        }
+        return sorted(label for label in between - told if self.task.wants(label))
+
+    def is_roller_free(self) -> bool:
+        """The decision of the motor's nights; as it is where only some of them were asked for."""
+        if self.spec.settings.model.roller_scale == "fixed":
+            return False
+        if self.task.since is not None or self.task.until is not None:
+            return self.form.roller_is_free
+        told = {label: one.tells_roller for label, one in self.records.items()}
+        begins = [event.date for event in self.spec.file.events]
+        return is_roller_free(told, begins, self.spec.settings.trend.provisional_nights)
+
+    def _no_longer_told(self) -> set[dt.date]:
+        """Published nights that only the name or time of an unreadable log told, and may not."""
+        files = self.remembered.files.values()
+        told = {label for one in files if is_guess(one) for label in labels_of(one)}
+        if not ledger_folder(self.task.output, self.spec.motor_id).exists():
+            # Without its ledger the tables alone say which nights failed.
+            columns = ("motor_id", "night", "status")
+            rows = read_rows(self.task.output, FITS, [self.spec.motor_id], columns)
+            told |= set(rows.filter(status=FAILED)["night"])
+        sure = {label for one in files if not is_guess(one) for label in labels_of(one)}
+        none = {label for label in told if self.logs.plausible.why_not(label) is not None}
+        return none - sure - self.logs.present()
+
+    def _why_nothing(self, status: str) -> str | None:
+        """The reason for no fit although nothing failed; None: there is one, or none was to do."""
+        if not self.logs.files:
+            return "; ".join(self.logs.unmatched()) or None
+        if status != INSUFFICIENT_DATA:
+            return None
+        label = min(label for label, one in self.done.items() if one.status == status)
+        return f"night {label}: {self.done[label].reason}"
+
+    def outcome(self) -> MotorOutcome:
+        counts = Counter(outcome.status for outcome in self.done.values())
+        errors: list[tuple[str | None, str | None]] = [
+            (one.error_code, f"night {label}: {one.reason}")
+            for label, one in sorted(self.done.items())
+            if one.status == FAILED
+        ]
+        errors += [
+            (record.error_code, record.message)
+            for name, record in self.logs.files.items()
+            if record.status == "failed"
+            and not record.nights
+            and self.logs.news_of(name) is not None
+        ]
+        errors += [
+            ("log_missing", f"{name}: named in the config and absent") for name in self.logs.absent
+        ]
+        errors += [
+            (loss.code, loss.how)
+            for name, loss in self.task.silent.items()
+            if name not in self.logs.files
+        ]
+        if errors:
+            status = FAILED
+        elif counts[OK]:
+            status = OK
+        else:
+            status = counts.most_common(1)[0][0] if counts else NO_NEW_DATA
+        code, message = errors[0] if errors else (None, self._why_nothing(status))
+        if self.withdrawn:
+            nights = ", ".join(map(str, sorted(self.withdrawn)))
+            gone = f"withdrawn, as no log has samples of them: {nights}"
+            message = "; ".join(one for one in (message, gone) if one)
+        after = Ledger(
+            {**self.before.files, **self.logs.finished(self.done)},
+            self.records,
+        )
+        return MotorOutcome(
+            motor_id=self.spec.motor_id,
+            status=status,
+            error_code=code,
+            message=message,
+            counts=counts,
+            nights=tuple(sorted({*self.done, *self.withdrawn})),
+            withdrawn=tuple(sorted(self.withdrawn)),
+            reasons=Counter(self.reasons[label] for label in self.done if label in self.reasons),
+            inputs=tuple(self.logs.files[name].sha256 or "" for name in sorted(self.logs.read)),
+            files=self.logs.counts(self.done),
+            growing=tuple(self.logs.growing()),
+            roller_is_free=self.form.roller_is_free,
+            ledger=changed_months(self.remembered, after),
+            seconds=dict(self.seconds),
+            peak_memory_mib=max(peak_memory_mib(), self.memory_of_chunks_mib),
+        )

@@ -1,0 +1,124 @@
+"""Motors of which nothing is new: told before any worker is there, and without the science.
+
+A process that imports no library asks the log files for size and time, as their folders may be on a
+mount that hangs; what it does not tell is left to the motors' tasks.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence, Set
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing import Pipe
+from pathlib import Path
+from typing import cast
+
+from polars.exceptions import PanicException
+
+from pipeline.config import Execution
+from pipeline.config.hashes import reading_hash
+from pipeline.errors import StoreError
+from pipeline.logs import finding
+from pipeline.logs.finding import State, states_of
+from pipeline.logs.ledger import FileRecord, SeenLogs, ledger_folder, read_ledger
+from pipeline.run.motor_nights import MotorNights
+from pipeline.run.tasks import MotorOutcome, MotorTask
+from pipeline.schema import FITS
+from pipeline.store.tables import nights_back
+from pipeline.workers.process import SignOfLife
+
+# So long its end is waited for [s]: in a call to a disk that hangs no process ends.
+GRACE_S = 1.0
+
+
+def unchanged_motors(tasks: Sequence[MotorTask], execution: Execution) -> Iterator[MotorOutcome]:
+    """Outcomes of the motors with nothing to be done."""
+    asked = [task for task in tasks if _is_quick(task, execution)]
+    if not asked:
+        return
+    try:
+        published = set(nights_back(asked[0].output, FITS))
+    except StoreError:  # which the tasks tell
+        return
+    # Without an answer, this and all further ones are left.
+    for task, states in zip(asked, _states(asked, execution), strict=False):
+        outcome = None if states is None else _outcome(task, states, published)
+        if outcome is not None:
+            yield outcome
+
+
+def _is_quick(task: MotorTask, execution: Execution) -> bool:
+    """True for a motor that was done before, with logs in a folder that is seen from here."""
+    logs = task.spec.file.logs
+    return (
+        execution.backend != "dask"
+        and not (task.force or task.retry or task.with_starts)
+        and not (task.spec.log_url or logs.database)
+        and ledger_folder(task.output, task.spec.motor_id).exists()
+    )
+
+
+def _outcome(
+    task: MotorTask, states: Mapping[str, State], published: Set[dt.date]
+) -> MotorOutcome | None:
+    """The outcome of a motor whose logs are as the last run left them; None: there is work."""
+    try:
+        known = read_ledger(task.output, task.spec.motor_id).files
+        if not states or not _are_known(states, known, reading_hash(task.spec)):
+            return None
+        seen = SeenLogs({name: known[name] for name in states})
+        nights = MotorNights(replace(task, looked_at=seen), published)
+        return nights.outcome() if nights.is_quiet else None
+    except (Exception, PanicException):
+        return None
+
+
+def _are_known(
+    states: Mapping[str, State], known: Mapping[str, FileRecord], read_with: str
+) -> bool:
+    """True where each log has a record of the same file, read with the same settings."""
+    return all(
+        (one := known.get(name)) is not None
+        and one.sha256 is not None
+        and one.read_with == read_with
+        and (one.size, one.modified_ns, one.inode) == state
+        for name, state in states.items()
+    )
+
+
+def _states(
+    tasks: Sequence[MotorTask], execution: Execution
+) -> Iterator[Mapping[str, State] | None]:
+    """States of each motor's logs, None where one cannot be told; ends early where one hangs."""
+    asked = [(one.spec.log_root, one.spec.file.logs.files) for one in tasks]
+    if execution.backend == "sequential":
+        yield from (states_of(root, patterns) for root, patterns in asked)
+        return
+    connection, theirs = Pipe()
+    end = theirs.fileno()
+    source = str(Path(finding.__file__).parents[2])
+    program = f"import sys; sys.path.insert(0, {source!r}); from pipeline.logs import finding; "
+    program += f"finding.answer({end})"
+    looker = subprocess.Popen(  # noqa: S603 - it is this program
+        [sys.executable, "-P", "-c", program], pass_fds=[end], start_new_session=True
+    )
+    theirs.close()
+    try:
+        for one in asked:
+            connection.send(one)
+            answer: object = SignOfLife()
+            while isinstance(answer, SignOfLife):
+                if not connection.poll(execution.answer_s):
+                    return
+                answer = connection.recv()
+            yield cast("Mapping[str, State] | None", answer)
+    except (EOFError, OSError):
+        return
+    finally:
+        connection.close()
+        looker.kill()
+        with suppress(subprocess.TimeoutExpired):
+            looker.wait(GRACE_S)

@@ -1,0 +1,125 @@
+"""Tasks of the trend stage and their outcomes: plain data, and nothing that loads the science."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import MotorSpec
+from pipeline.logs.ledger import as_published
+from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
+from pipeline.trends.decisions import Decision
+from pipeline.trends.record import Record
+from pipeline.trends.tonight import Tonight
+from pipeline.workers.process import Loss
+
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class TrendTask:
+    """Oil circuits whose trends are to be made.
+
+    Attributes
+    ----------
+    specs
+        The motors, whole circuits.
+    output, staging
+        Output folder, and where rows are left for the run to publish.
+    changed_from
+        By motor that was asked for: its first night with new rows; None where it has none.
+    tonight
+        Up to where each motor is judged.
+    decisions
+        What people said.
+    given_up
+        By motor: how this run's workers were lost in its trends, each time.
+    """
+
+    specs: tuple[MotorSpec, ...]
+    output: Path
+    staging: Path
+    changed_from: Mapping[str, dt.date | None]
+    tonight: Tonight
+    decisions: tuple[Decision, ...] = ()
+    given_up: Mapping[str, Loss] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class TrendOutcome:
+    """Outcome of the trends of some motors.
+
+    Attributes
+    ----------
+    nights
+        Number of staged nights, by motor.
+    records
+        Records to be stored once the nights are published, by motor.
+    failures
+        Failures, by motor.
+    alarms
+        Staged rows of `alarms` that were not published before.
+    """
+
+    nights: Mapping[str, int] = field(default_factory=dict)
+    records: Mapping[str, Record] = field(default_factory=dict)
+    failures: Mapping[str, Loss] = field(default_factory=dict)
+    alarms: tuple[Row, ...] = ()
+
+
+def trend_tasks(
+    specs: Sequence[MotorSpec],
+    output: Path,
+    staging: Path,
+    changed_from: Mapping[str, dt.date | None],
+    tonight: Tonight,
+    decisions: tuple[Decision, ...],
+    motors_a_task: int,
+) -> list[TrendTask]:
+    """Tasks of whole circuits with nights to be made, of about so many motors each."""
+    wanted = [
+        group
+        for group in circuits_of(specs)
+        if any(one.motor_id in changed_from for one in group)
+        and task_circuit(output, group, decisions).is_due(changed_from, tonight)
+    ]
+    batches: list[list[MotorSpec]] = [[]]
+    for group in wanted:
+        if len(batches[-1]) >= motors_a_task:
+            batches.append([])
+        batches[-1] += group
+    return [
+        TrendTask(tuple(batch), output, staging, changed_from, tonight, decisions)
+        for batch in batches
+        if batch
+    ]
+
+
+def task_circuit(
+    output: Path, specs: Sequence[MotorSpec], decisions: Sequence[Decision]
+) -> Circuit:
+    published = [as_published(output, one) for one in specs]
+    return Circuit.of(output, published, decisions_of(published, decisions))
+
+
+def run_trends(task: TrendTask) -> TrendOutcome:
+    """As `stage.run_trends`, with which a process loads the science."""
+    from pipeline.trends import stage
+
+    return stage.run_trends(task)
+
+
+def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:
+    """The outcome of a task that was lost as a whole."""
+    ids = (spec.motor_id for spec in task.specs)
+    return TrendOutcome(failures={one: task.given_up.get(one, loss) for one in ids})
+
+
+def without_lost_motor(task: TrendTask, loss: Loss) -> TrendTask | None:
+    """The task that gives up the motor in which it was lost; None where it is not known."""
+    if not loss.part:
+        return None
+    return replace(task, given_up={**task.given_up, loss.part: loss})

@@ -1,0 +1,124 @@
+"""A motor with nothing new is told without a worker; all others are left to their tasks."""
+
+from __future__ import annotations
+
+import datetime as dt
+import os
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import pipeline.workers.local
+from pipeline.config import Execution, load_fleet
+from pipeline.run.fleet import RunRequest, run_fleet
+from pipeline.run.tasks import MotorTask
+from pipeline.run.unchanged import unchanged_motors
+from tests.pipeline.workshop import DAY, Workshop
+
+NIGHT = dt.date(2026, 3, 2)
+HERE = Execution(backend="sequential")
+BESIDE = Execution(backend="loky", workers=2)
+
+
+@pytest.fixture(scope="module")
+def workshop(tmp_path_factory: pytest.TempPathFactory) -> Workshop:
+    made = Workshop.at(tmp_path_factory.mktemp("made"))
+    made.log(NIGHT)
+    made.log(NIGHT + DAY, seed=2)
+    made.run()
+    return made
+
+
+def test_a_run_with_nothing_new_starts_no_worker(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(_: object) -> None:
+        raise AssertionError("a worker is started")
+
+    monkeypatch.setattr(pipeline.workers.local.Worker, "_start", forbidden)
+    monkeypatch.setattr("pipeline.run.fleet.run_motor", forbidden)
+    fleet = replace(load_fleet(workshop.fleet), execution=BESIDE)
+    (outcome,) = run_fleet(RunRequest(fleet)).outcomes
+    assert (outcome.status, outcome.nights, outcome.ledger) == ("no_new_data", (), {})
+    assert outcome.files == {"unchanged": 2}
+
+
+def of_another_size(workshop: Workshop) -> None:
+    with (workshop.logs / f"{NIGHT}.parquet").open("ab") as log:
+        log.write(b"more")
+
+
+def of_another_time(workshop: Workshop) -> None:
+    os.utime(workshop.logs / f"{NIGHT}.parquet", ns=(1, 1))
+
+
+def another_of_the_same_name(workshop: Workshop) -> None:
+    path = workshop.logs / f"{NIGHT}.parquet"
+    shutil.copy2(path, workshop.logs / "copy")
+    (workshop.logs / "copy").replace(path)
+
+
+def one_more(workshop: Workshop) -> None:
+    (workshop.logs / "new.parquet").touch()
+
+
+def a_pipe(workshop: Workshop) -> None:
+    os.mkfifo(workshop.logs / "pipe.parquet")
+
+
+def one_that_is_named_and_absent(workshop: Workshop) -> None:
+    workshop.configure(files='"M1/*.parquet", "M1/absent.parquet"')
+
+
+def no_log_at_all(workshop: Workshop) -> None:
+    shutil.rmtree(workshop.logs)
+
+
+def another_setting(workshop: Workshop) -> None:
+    text = workshop.fleet.read_text("utf-8")
+    workshop.fleet.write_text(text + "[reference]\npressure_bar = 210.0\n", "utf-8")
+
+
+def a_night_without_its_table(workshop: Workshop) -> None:
+    shutil.rmtree(workshop.output / "tables" / "fits")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        of_another_size,
+        of_another_time,
+        another_of_the_same_name,
+        one_more,
+        a_pipe,
+        one_that_is_named_and_absent,
+        no_log_at_all,
+        another_setting,
+        a_night_without_its_table,
+    ],
+)
+def test_a_motor_with_news_is_left_to_its_task(
+    workshop: Workshop, tmp_path: Path, change: Callable[[Workshop], None]
+) -> None:
+    shutil.copytree(workshop.folder, tmp_path / "copy")
+    other = Workshop(tmp_path / "copy")
+    other.run()  # the copies of the logs are other files
+    assert len(list(unchanged_motors([other.task()], HERE))) == 1
+    change(other)
+    assert list(unchanged_motors([other.task()], HERE)) == []
+
+
+@pytest.mark.parametrize("asked", ["force", "retry", "with_starts"])
+def test_what_is_asked_for_is_a_task(workshop: Workshop, asked: str) -> None:
+    task: MotorTask = replace(workshop.task(), **{asked: True})
+    assert list(unchanged_motors([task], HERE)) == []
+
+
+def test_logs_that_do_not_answer_are_left_to_the_tasks(workshop: Workshop) -> None:
+    task = workshop.task()
+    assert len(list(unchanged_motors([task, task], BESIDE))) == 2
+    hasty = BESIDE.model_copy(update={"answer_s": 1e-9})
+    assert list(unchanged_motors([task, task], hasty)) == []
