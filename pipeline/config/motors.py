@@ -290,7 +290,7 @@ class Logs(Section):
     )
     channel_column: str = Field("channel", description="Layout `long`: column of channels' names")
     motor_column: str = Field(
-        "", description="Layout `long`: column of the motor's name, where rows are of several"
+        "", description="CSV, Parquet: column of the motor's name, where rows are of several"
     )
     motor_name: str = Field("", description="The motor's name in `motor_column`")
     value_column: str = Field(

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.config.motors import Channel, Logs, QualityValue
+from pipeline.config.motors import Channel, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
@@ -56,17 +56,9 @@ class Columns:
         names = tuple(name for name in (self.name, self.motor) if name is not None)
         return tuple(dict.fromkeys((*self.time, *names, *self.numbers, *self.qualities)))
 
-    def channel_names(
-        self, logs: Logs, cells: Mapping[str, pa.ChunkedArray]
-    ) -> pa.ChunkedArray | None:
-        """Names of the rows' channels, null in rows of another motor; None: rows have none."""
-        if self.name is None:
-            return None
-        names = cells[self.name].cast(pa.string())
-        if self.motor is None:
-            return names
-        motors = pc.utf8_trim_whitespace(cells[self.motor].cast(pa.string()))
-        return pc.if_else(pc.equal(motors, logs.motor_name), names, pa.scalar(None, pa.string()))
+    def channel_names(self, cells: Mapping[str, pa.ChunkedArray]) -> pa.ChunkedArray | None:
+        """Names of the rows' channels; None: rows have none."""
+        return None if self.name is None else cells[self.name].cast(pa.string())
 
 
 def wanted_columns(file: LogFile) -> Columns:
@@ -79,9 +71,9 @@ def wanted_columns(file: LogFile) -> Columns:
     """
     logs, channels = file.logs, file.channels
     times = (logs.date_column, logs.time) if logs.date_column else (logs.time,)
+    motor = logs.motor_column or None
     if logs.layout == "long":
         qualities = _qualities(channels.values())
-        motor = logs.motor_column or None
         return Columns(times, logs.channel_column, (logs.value_column,), qualities, motor)
     if logs.layout == "file_per_channel":
         here = [channel for channel in channels.values() if is_of_file(channel, file.path)]
@@ -93,9 +85,9 @@ def wanted_columns(file: LogFile) -> Columns:
                 f"the file's name is that of no channel: their sources are {patterns}",
             )
         values = dict.fromkeys(channel.value_column or logs.value_column for channel in here)
-        return Columns(times, None, tuple(values), _qualities(here))
+        return Columns(times, None, tuple(values), _qualities(here), motor)
     numbers = tuple(dict.fromkeys(channel.source for channel in channels.values()))
-    return Columns(times, None, numbers, _qualities(channels.values()))
+    return Columns(times, None, numbers, _qualities(channels.values()), motor)
 
 
 def _qualities(channels: Iterable[Channel]) -> tuple[str, ...]:
@@ -132,11 +124,23 @@ class RawTable:
         self._seen: dict[str, int] = {}
         # Of all rows, by what they are called and what is good.
         self._states: dict[_Quality, list[NDArray[np.uint8]]] = {}
+        self._motors: set[str] = set()
 
     def expect(self, rows: int) -> None:
         """Make room for so many rows, before the first are added."""
         self._expected = min(rows, _MOST_EXPECTED)
         self._written = GatheredStamps(self._expected)
+
+    def of_motor(
+        self, columns: Columns, cells: Mapping[str, pa.ChunkedArray]
+    ) -> Mapping[str, pa.ChunkedArray]:
+        """The cells of the motor's own rows."""
+        if columns.motor is None:
+            return cells
+        motors = pc.utf8_trim_whitespace(cells[columns.motor].cast(pa.string()))
+        self._motors |= set(pc.unique(motors).drop_null().to_pylist())
+        own = pc.equal(motors, self.logs.motor_name)
+        return {name: column.filter(own) for name, column in cells.items()}
 
     def add(
         self,
@@ -201,8 +205,18 @@ class RawTable:
         ------
         LogError
             ``log_type``; ``log_time`` where more than half of the rows have no time;
-            ``log_column_missing`` where a long table has rows, and none of a wanted channel.
+            ``log_column_missing`` where a table has rows, and none of the motor, or a long one
+            none of a wanted channel.
         """
+        if self._motors and self.logs.motor_name not in self._motors:
+            there = ", ".join(repr(name[:40]) for name in sorted(self._motors)[:40])
+            raise LogError(
+                "log_column_missing",
+                self.path,
+                f"no row of motor {self.logs.motor_name!r} in column {self.logs.motor_column!r}; "
+                f"there are {there}",
+                self.logs.motor_column,
+            )
         stamps, without_time = self._stamps()
         refused = {**refused, **without_time}
         if self.logs.layout == "long":

@@ -214,14 +214,14 @@ def nightly_query(spec: MotorSpec) -> str:
 
 
 def _rows_of(logs: Logs, tags: Sequence[str]) -> str:
-    """Condition on the rows of a long table: those of the motor, and of tags that are used."""
-    if logs.layout != "long":
-        return ""
-    texts = ", ".join(map(_text, dict.fromkeys(tags)))
-    own = f" WHERE {identifier(logs.channel_column)} IN ({texts})"
+    """Condition on the rows: those of the motor, and in a long table of tags that are used."""
+    own = []
+    if logs.layout == "long":
+        texts = ", ".join(map(_text, dict.fromkeys(tags)))
+        own.append(f"{identifier(logs.channel_column)} IN ({texts})")
     if logs.motor_column:
-        own += f" AND {identifier(logs.motor_column)} = {_text(logs.motor_name)}"
-    return own
+        own.append(f"{identifier(logs.motor_column)} = {_text(logs.motor_name)}")
+    return f" WHERE {' AND '.join(own)}" if own else ""
 
 
 def identifier(name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -44,6 +45,23 @@ _NAME_COLUMNS = {
 }
 VALUE_WORDS = {"value", "val", "values", "reading", "wert", "messwert", "data", "värde"}
 _QUALITY_WORDS = {"quality", "status", "qualität", "kvalitet", "calidad", "qualité"}
+_MOTOR_WORDS = {
+    *(
+        "motor",
+        "machine",
+        "maschinen",
+        "asset",
+        "equipment",
+        "drive",
+        "maschine",
+        "antrieb",
+        "anlage",
+        "maskin",
+    ),
+    *("moteur", "máquina", "maquina"),
+}
+_NUMBER_WORDS = {"id", "name", "no", "nr", "number", "nummer", "tag"}
+_MOST_SHARED_BY_CHANCE = 0.5  # stamps of a second in which a state changes
 _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
 
@@ -104,7 +122,7 @@ class TableLayout:
     value_column: str = ""
     files: tuple[str, ...] = ()  # patterns of the files' names, of a file a channel
     candidates: tuple[Candidate, ...] = ()  # all columns or names, besides those of the time
-    # Motors by column, of a long table whose rows have the same names for several.
+    # Motors by column, where rows are of several.
     motors: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     quality: str = ""  # column of the rows' quality, in a long table
     # Topics and fields of each of several motors of an MCAP, by what their names begin with.
@@ -198,7 +216,31 @@ def find_layout(
     )
     sources, unused = assigned(candidates)
     unused |= {one.name: one.filled[:SAMPLES] for one in texts}
-    return TableLayout("wide", sources, unused, candidates=candidates)
+    motors = {one.name: _motors_beside(one, times, scan) for one in (*texts, *numbers)}
+    several = {name: own for name, own in motors.items() if len(own) > 1}
+    return TableLayout("wide", sources, unused, candidates=candidates, motors=several)
+
+
+def _motors_beside(column: GuessedColumn, times: Times, scan: Scan) -> tuple[str, ...]:
+    """Cells of a column that names the motor of each row; none where it does not.
+
+    Its name says so, or rows of other cells repeat most of a cell's time stamps.
+    """
+    words = [word for word in words_of(column.name) if word not in _NUMBER_WORDS]
+    is_named = bool(words) and words[-1] in _MOTOR_WORDS
+    if channel_of(column.name, column.unit) or not (is_named or column.kind == "text"):
+        return ()
+    stamps: dict[str, set[tuple[str, ...]]] = {}
+    wanted = dict.fromkeys((column.name, times.date or times.time, times.time))
+    for cell, *stamp in scan(list(wanted)):
+        if not is_missing(cell):
+            stamps.setdefault(cell.strip(), set()).add(tuple(stamp))
+    if not (is_named and column.kind == "text"):
+        seen = Counter(stamp for own in stamps.values() for stamp in own)
+        shared = (sum(seen[stamp] > 1 for stamp in own) / len(own) for own in stamps.values())
+        if min(shared, default=0.0) <= _MOST_SHARED_BY_CHANCE:
+            return ()
+    return tuple(sorted(stamps))
 
 
 def without_labels(names: Sequence[str]) -> list[str]:

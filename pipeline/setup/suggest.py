@@ -93,6 +93,9 @@ def _lines(path: Path, found: LogGuess) -> Iterator[str]:
     yield f'format = "{found.format}"'
     yield f"files = [{', '.join(map(quoted, files))}]  # below the folder of the logs"
     yield from found.logs
+    for column, motors in found.layout.motors.items():
+        names = ", ".join(map(quoted, motors))
+        yield f"# rows of several motors: motor_column = {quoted(column)}, motor_name: {names}"
     yield from _channel_lines(found.layout.sources, found.marks)
     yield from _unused_lines("fields" if found.listing else "columns", found.layout.unused)
 

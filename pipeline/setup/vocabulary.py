@@ -28,6 +28,7 @@ WORDS: Mapping[str, set[str]] = {
     "pressure": _spelled(
         *("press", "pressure", "druck", "tryck", "dp", "deltap", "port", "anschluss", "pdiff"),
         *("differenzdruck", "hochdruck", "niederdruck", "speisedruck", "gehäusedruck"),
+        "druckdifferenz",
         *("tryckskillnad", "differenstryck", "högtryck", "lågtryck", "hustryck", "matningstryck"),
         *("presión", "pression", "pt", "pit", "pdt", "pdit", "dpt"),
         *("pressione", "pressão", "ciśnienie", "druk", "drukverschil", "tryk", "trykk"),
@@ -89,6 +90,7 @@ STRANGERS: Mapping[str, set[str]] = {
 NO_MEASUREMENT = {"setpoint", "sp", "target", "limit", "soll", "max", "demand", "reference"}
 DIFFERENCE = _spelled(
     *("dp", "deltap", "delta", "diff", "difference", "differential", "differenzdruck", "pdiff"),
+    "druckdifferenz",
     *("tryckskillnad", "differenstryck", "diferencial", "différentielle", "pdt", "pdit", "dpt"),
     *("differenziale", "różnica", "różnicowe", "verschil", "drukverschil", "verschildruk"),
     *("differanse", "forskel"),

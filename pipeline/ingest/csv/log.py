@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import codecs
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any, NamedTuple
 
@@ -276,14 +276,15 @@ class _Reader:
                     failed = True
         return failed
 
-    def _add(self, cells: dict[str, pa.ChunkedArray]) -> None:
+    def _add(self, cells: Mapping[str, pa.ChunkedArray]) -> None:
+        cells = self.table.of_motor(self.columns, cells)
         self.table.add(
             csv_cells.stamps(self.logs, [cells[name] for name in self.columns.time]),
             {
                 name: csv_cells.readings(self.path, self.logs, name, cells[name])
                 for name in self.columns.numbers
             },
-            self.columns.channel_names(self.logs, cells),
+            self.columns.channel_names(cells),
             {name: cells[name] for name in self.columns.qualities},
         )
 

@@ -70,14 +70,15 @@ def _gather(path: Path, columns: Columns, table: RawTable) -> None:
     with opened(path, texts) as file:
         table.expect(file.metadata.num_rows)
         for batch in _batches(path, file, places):
-            found = {
+            found: Mapping[str, pa.ChunkedArray] = {
                 name: pa.chunked_array([within(path, batch, place)])
                 for name, place in places.items()
             }
+            found = table.of_motor(columns, found)
             table.add(
                 _stamps(path, table.logs, [found[name] for name in columns.time]),
                 {name: readings_of(found[name]) for name in columns.numbers},
-                columns.channel_names(table.logs, found),
+                columns.channel_names(found),
                 {name: found[name] for name in columns.qualities},
             )
 

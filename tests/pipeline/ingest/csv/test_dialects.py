@@ -204,6 +204,22 @@ def test_long_tables(tmp_path: Path) -> None:
     assert log.channels["pressure_difference"].unparsed == 0
 
 
+def test_rows_of_several_motors(tmp_path: Path) -> None:
+    text = (
+        f"time,machine,dp,n\n{DAY}0Z,A 1,1,10\n{DAY}0Z,A 2,2,20\n{DAY}1Z, A 1 ,3,30\n{DAY}1Z,,9,9\n"
+    )
+    source = SOURCE.but(motor_column="machine", motor_name="A 1")
+    log = read(tmp_path, text, source)
+    assert (values(log), values(log, "speed")) == ([1.0, 3.0], [10.0, 30.0])
+    wrong = error(tmp_path, text, source.but(motor_name="A 3"))
+    assert wrong.code == "log_column_missing"
+    assert wrong.message.endswith(
+        "no row of motor 'A 3' in column 'machine'; there are 'A 1', 'A 2'"
+    )
+    tags = f"time,machine,tag,v\n{DAY}0Z,A 1,dp,1\n{DAY}0Z,A 2,dp,2\n"
+    assert values(read(tmp_path, tags, LONG.but(motor_column="machine", motor_name="A 2"))) == [2.0]
+
+
 def test_a_long_table_without_a_channel_says_so(tmp_path: Path) -> None:
     log = read(tmp_path, f"time,tag,v\n{DAY}0Z,n,1\n", LONG)
     assert values(log) == []

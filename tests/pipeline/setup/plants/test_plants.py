@@ -17,6 +17,7 @@ from pipeline.ingest import read_log
 from pipeline.logs.files import find_logs
 from pipeline.setup.fleet_files import fleet_files, write_fleet
 from pipeline.setup.plant import Proposal, Question, propose
+from pipeline.setup.suggest import suggest
 from pipeline.units import QUANTITIES
 from tests.pipeline.setup.plants.control_systems import CONTROL_SYSTEMS
 from tests.pipeline.setup.plants.plant import ROWS, Plant
@@ -98,6 +99,27 @@ def test_forty_motors_are_a_line_each(tmp_path: Path) -> None:
     assert len(files) == 41
     assert files["motors/W7.toml"] == 'motor_id = "W7"\n'
     assert files["fleet.toml"].count("[defaults.channels.") == 4
+
+
+@pytest.mark.parametrize("column", ["Maschinen-Nr", "where"])
+def test_rows_of_several_motors_are_motors(tmp_path: Path, column: str) -> None:
+    header = f"time,{column},Druckdifferenz [bar],Öltemperatur [°C],Drehzahl [U/min],Lecköl [l/min]"
+    rows = [
+        f"2026-01-13T06:00:{i:02}Z,{name},{p},45.5,30.5,1.5"
+        for i in range(9)
+        for name, p in (("Presse 1", 200.5), ("Presse 2", 90.5))
+    ]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join([header, *rows]) + "\n", "utf-8")
+    found = propose(log, {})
+    assert [one.motor_id for one in found.motors] == ["Presse-1", "Presse-2"]
+    assert not found.questions
+    assert found.motors[1].logs["motor_name"] == "Presse 2"
+    assert f'motor_column = "{column}", motor_name: "Presse 1", "Presse 2"' in suggest(log)
+    # Without stamps in common, only a name tells a motor from a state.
+    alone = [header, *rows[::2], rows[-1].replace(":08Z", ":09Z"), ""]
+    log.write_text("\n".join(alone), "utf-8")
+    assert len(propose(log, {}).motors) == (1 if column == "where" else 2)
 
 
 def test_nothing_is_overwritten_and_nothing_written_unasked(tmp_path: Path) -> None:
