@@ -79,7 +79,7 @@ def known_motors(wanted: list[str], fleet: Fleet) -> tuple[str, ...]:
     if strangers:
         raise UsageError(
             "unknown_motor",
-            f"--motors: no motor {', '.join(strangers)}; there are {', '.join(sorted(known))}",
+            f"no motor {', '.join(strangers)}; there are {', '.join(sorted(known))}",
         )
     return tuple(wanted)
 

@@ -216,7 +216,7 @@ def _names(request: ReportRequest, history: ReportTables) -> dict[str, str]:
     if strangers:
         raise UsageError(
             "unknown_motor",
-            f"--motors: no motor {', '.join(strangers)}; there are {', '.join(sorted(ids))}",
+            f"no motor {', '.join(strangers)}; there are {', '.join(sorted(ids))}",
         )
     names = file_names(ids)
     return {one: names[one] for one in sorted(ids) if not request.motors or one in request.motors}

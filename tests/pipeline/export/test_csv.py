@@ -333,7 +333,7 @@ def test_command_says_what_it_wrote(
     [
         ([], 2, "export_format: expected one of --csv FOLDER, --delta PLACE and --duckdb FILE"),
         (["--csv", "csv", "--tables", "fit"], 2, "unknown_table: --tables: no table fit"),
-        (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: --motors: no motor CB9"),
+        (["--csv", "csv", "--motors", "CB9"], 2, "unknown_motor: no motor CB9"),
         (["--csv", "csv", "--since", "x"], 2, "date: --since: got 'x'"),
         (["--csv", "csv", "--since", "2026-01-03", "--until", "2026-01-02"], 2, "is after"),
         (["--csv", "csv", "--output", "none"], 2, "no_tables: there are no tables in"),

@@ -72,7 +72,7 @@ def test_some_motors_go_to_a_folder_of_their_own(call: Call, output: Path, tmp_p
     assert [page.stem for page in (tmp_path / "one" / "motors").iterdir()] == [MOTOR]
     code, _, err = call("--output", output, "--motors", "X", "--to", tmp_path / "two")
     assert code == 2
-    assert "unknown_motor: --motors: no motor X" in err
+    assert "unknown_motor: no motor X" in err
 
 
 def test_a_damaged_table_ends_with_1_and_is_named(call: Call, output: Path) -> None:
