@@ -155,6 +155,8 @@ def conversion(channel: str, unit: str) -> Conversion:
     return known[unit]
 
 
+# A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
+@np.errstate(over="ignore", invalid="ignore")
 def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float64]:
     """Convert readings of a channel to its canonical unit.
 
@@ -183,22 +185,6 @@ def to_canonical(channel: str, values: ArrayLike, unit: str) -> NDArray[np.float
     array([  0., 100.])
     """
     readings = np.array(values, dtype=np.float64)
-    convert_to_canonical(channel, readings, unit)
-    return readings
-
-
-# A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
-@np.errstate(over="ignore", invalid="ignore")
-def convert_to_canonical(channel: str, readings: NDArray[np.float64], unit: str) -> None:
-    """As `to_canonical`, in the array itself.
-
-    Examples
-    --------
-    >>> readings = np.array([32.0, 212.0])
-    >>> convert_to_canonical("oil_temperature", readings, "degF")
-    >>> readings
-    array([  0., 100.])
-    """
     numerator, denominator, shift = conversion(channel, unit)
     if shift:
         readings += shift
@@ -206,6 +192,7 @@ def convert_to_canonical(channel: str, readings: NDArray[np.float64], unit: str)
         readings *= numerator
     if denominator != 1.0:
         readings /= denominator
+    return readings
 
 
 @np.errstate(over="ignore", invalid="ignore")

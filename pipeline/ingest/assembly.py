@@ -19,7 +19,7 @@ from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stam
 from pipeline.ingest.quality import is_bad, quality_states
 from pipeline.ingest.time_stamps import example_of, from_epoch
 from pipeline.ingest.wall_clock import TimeStamps
-from pipeline.units import convert_to_canonical
+from pipeline.units import canonical_unit, to_canonical
 
 _T = TypeVar("_T", bound=np.generic)
 
@@ -35,9 +35,11 @@ class Readings:
 
     def rows(self, kept: NDArray[np.bool_]) -> Readings:
         """The readings of some rows."""
-        if kept.all():
-            return self
-        return Readings(self.raw[kept], self.missing[kept], self.unparsed[kept], self.example)
+        return self if kept.all() else self.at(np.flatnonzero(kept))
+
+    def at(self, rows: NDArray[np.intp]) -> Readings:
+        """The readings of some rows, by number."""
+        return Readings(self.raw[rows], self.missing[rows], self.unparsed[rows], self.example)
 
 
 def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
@@ -46,27 +48,27 @@ def readings_of(column: pa.Array | pa.ChunkedArray) -> Readings:
     numbers = column.cast(pa.float64(), safe=False)
     none = np.zeros(len(column), dtype=np.bool_)
     if not column.null_count:
-        return Readings(np.asarray(numbers), none, none)
-    return Readings(np.asarray(pc.fill_null(numbers, np.nan)), np.asarray(column.is_null()), none)
+        return Readings(numbers.to_numpy(), none, none)
+    missing = column.is_null().to_numpy(zero_copy_only=False)
+    return Readings(pc.fill_null(numbers, np.nan).to_numpy(), missing, none)
 
 
-def convert_in_place(name: str, channel: Channel, raw: NDArray[np.float64]) -> None:
-    """Scale, offset and unit of a channel applied to figures that are the caller's own."""
+def in_canonical_unit(name: str, channel: Channel, raw: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Figures of a channel with scale, offset and unit applied; as they are where none changes."""
     # A reading may be beyond float64 in another unit, or a signalling nan: it is then not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         if channel.scale != 1.0 or channel.offset != 0.0:
-            raw *= channel.scale
+            raw = raw * channel.scale
             raw += channel.offset
-        # Counts are read as they are; cleaning makes a flow of them.
-        if channel.counts is None:
-            convert_to_canonical(name, raw, channel.unit)
+    # Counts are read as they are; cleaning makes a flow of them.
+    if channel.counts is not None or channel.unit == canonical_unit(name):
+        return raw
+    return to_canonical(name, raw, channel.unit)
 
 
 def converted(name: str, channel: Channel, readings: Readings) -> Readings:
     """Readings of a channel in its canonical unit."""
-    raw = readings.raw.copy()
-    convert_in_place(name, channel, raw)
-    return replace(readings, raw=raw)
+    return replace(readings, raw=in_canonical_unit(name, channel, readings.raw))
 
 
 def raw_channel(
@@ -189,12 +191,12 @@ def without_rows_of_others(
     readings = np.zeros(next(iter(by_column.values())).size, dtype=np.int16)
     for missing in by_column.values():
         readings += ~missing
+    one_a_row = readings == 1
     apart: dict[str, RawChannel] = {}
     for name, channel in channels.items():
-        of_its_rows = readings[~channel.missing]
-        alone = 2 * np.count_nonzero(of_its_rows == 1) > of_its_rows.size
-        # What a row says of a reading's quality counts though the reading is blank.
         told = ~channel.missing
+        alone = 2 * np.count_nonzero(one_a_row & told) > np.count_nonzero(told)
+        # What a row says of a reading's quality counts though the reading is blank.
         if channel.bad_quality is not None:
             told |= channel.bad_quality
         apart[name] = _frozen(channel.rows(told)) if alone else channel

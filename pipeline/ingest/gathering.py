@@ -25,6 +25,7 @@ class Growing(Generic[_T]):
     """An array that grows at its end, where it lies.
 
     Room is made for about as many elements as expected; memory is used by those that are written.
+    A first piece that is all that is expected is kept as it is.
 
     Examples
     --------
@@ -38,21 +39,27 @@ class Growing(Generic[_T]):
     def __init__(self, dtype: type[_T], expected: int = 0) -> None:
         self._array: NDArray[_T] = np.empty(max(expected, _FIRST_ROOM), dtype)
         self._size = 0
+        self._expected = expected
 
-    def append(self, piece: NDArray[_T]) -> NDArray[_T]:
-        """Copy a piece to the end; returns where it is now, until the next one comes."""
+    def append(self, piece: NDArray[_T]) -> None:
+        """Add a piece at the end."""
         begin, end, room = self._size, self._size + piece.size, self._array.size
+        self._size = end
+        if not begin and piece.size >= self._expected > 0:
+            self._array = piece
+            return
         if end > room:
+            if not self._array.flags.owndata or not self._array.flags.writeable:
+                self._array = self._array.copy()
             # Small steps cost little: a large array is moved by its pages, not copied.
             self._array.resize(max(end, room + min(room // 8, _MOST_ROOM)), refcheck=False)
         self._array[begin:end] = piece
-        self._size = end
-        return self._array[begin:end]
 
     def taken(self) -> NDArray[_T]:
         """All elements, to be given up; room that was not needed goes back."""
         array, self._array = self._array, np.empty(0, self._array.dtype)
-        array.resize(self._size, refcheck=False)
+        if array.size != self._size:
+            array.resize(self._size, refcheck=False)
         self._size = 0
         return array
 
@@ -77,10 +84,12 @@ class GatheredStamps:
 
 
 class GatheredReadings:
-    """Readings of a channel or field, piece after piece, each converted where it then lies."""
+    """Readings of a channel or field, piece after piece, each converted."""
 
     def __init__(
-        self, convert: Callable[[NDArray[np.float64]], None] | None = None, expected: int = 0
+        self,
+        convert: Callable[[NDArray[np.float64]], NDArray[np.float64]] | None = None,
+        expected: int = 0,
     ) -> None:
         self._convert = convert
         self._raw = Growing(np.float64, expected)
@@ -90,9 +99,7 @@ class GatheredReadings:
 
     def add(self, part: Readings) -> None:
         """Add a piece."""
-        raw = self._raw.append(part.raw)
-        if self._convert is not None:
-            self._convert(raw)
+        self._raw.append(part.raw if self._convert is None else self._convert(part.raw))
         self._missing.append(part.missing)
         self._unparsed.append(part.unparsed)
         self._example = self._example or part.example

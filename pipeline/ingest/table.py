@@ -17,8 +17,8 @@ from pipeline.config.motors import Channel, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,
-    convert_in_place,
     converted,
+    in_canonical_unit,
     judged,
     raw_channel,
     raw_log,
@@ -169,7 +169,7 @@ class RawTable:
 
     def _gathered(self, name: str, channel: Channel | None) -> GatheredReadings:
         if name not in self._parts:
-            convert = None if channel is None else partial(convert_in_place, name, channel)
+            convert = None if channel is None else partial(in_canonical_unit, name, channel)
             self._parts[name] = GatheredReadings(convert, self._expected)
         return self._parts[name]
 

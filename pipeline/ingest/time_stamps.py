@@ -152,6 +152,8 @@ def placed(parts: Sequence[WrittenStamps], zone: str) -> TimeStamps:
 def _implausible(parts: Sequence[WrittenStamps], stamps: TimeStamps) -> str | None:
     """The first stamp that is read and cannot be, such as one of a clock that was never set."""
     begin = 0
+    if stamps.readable.all():
+        return None
     for part in parts:
         readable = stamps.readable[begin : begin + part.kind.size]
         rows = np.flatnonzero(~readable & (part.kind != _NONE))[:1]
@@ -180,7 +182,7 @@ def _joined(parts: list[NDArray[Any]], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
-    return np.where(readable, kind, _NONE).astype(np.int8)
+    return np.where(readable, np.int8(kind), np.int8(_NONE))
 
 
 def from_epoch(

@@ -7,7 +7,7 @@ import re
 import stat
 import time
 from collections import Counter
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -34,7 +34,12 @@ FARTHEST_NIGHT = 31 * DAY
 # End of a message on how a file's night is known.
 TOLD = re.compile(r" \((?:night )?told (by [a-z ]+)[^()]*\)$")
 DATE_IN_NAME = re.compile(r"(?<!\d)(20\d\d)[-_.]?(0[1-9]|1[0-2])[-_.]?(0[1-9]|[12]\d|3[01])")
+# Part of a task in which its one new log is read before any night is known.
+NEW_LOG = "the new log"
 NO_REACH: Mapping[str, int] = MappingProxyType({})
+
+FindEnds = Callable[[Path], tuple[int, int] | None]
+"""Gives the first and last time of a log that is read at once; None where it cannot be."""
 
 
 def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, Path], list[str]]:
@@ -43,7 +48,12 @@ def find_logs(spec: MotorSpec, silent: Collection[str] = ()) -> tuple[dict[str, 
 
 
 def inspect_log(
-    name: str, path: Path, before: FileRecord | None, spec: MotorSpec, latest_us: int | None = None
+    name: str,
+    path: Path,
+    before: FileRecord | None,
+    spec: MotorSpec,
+    latest_us: int | None = None,
+    ends: FindEnds | None = None,
 ) -> FileRecord:
     """The record of a file: that of before while its content is the same, else a new one.
 
@@ -57,6 +67,8 @@ def inspect_log(
         The motor.
     latest_us
         Samples after this time are refused [µs since 1970]; None: those a day after now.
+    ends
+        Gives the first and last time of a new log; None, or where it gives none: `time_span`.
     """
     record = look_at(name, path)
     if record.status == "failed":
@@ -65,7 +77,7 @@ def inspect_log(
     # An unreadable file has no hash: its permissions may have changed.
     if before and before.sha256 and same:
         return before if before.inode == record.inode else replace(before, inode=record.inode)
-    found = _inspected(record, path, before, spec, latest_us)
+    found = _inspected(record, path, before, spec, latest_us, ends)
     why = _unsettled(record, path, spec.file.logs.settle_s) or change_of(record, path)
     return found if why is None else growing(found, why)
 
@@ -76,6 +88,7 @@ def _inspected(
     before: FileRecord | None,
     spec: MotorSpec,
     latest_us: int | None,
+    ends: FindEnds | None,
 ) -> FileRecord:
     """The record of a file whose size or time has changed."""
     try:
@@ -86,7 +99,7 @@ def _inspected(
     if before and before.sha256 == record.sha256:
         return replace(before, modified_ns=record.modified_ns, inode=record.inode)
     with reading(record.path):
-        return spanned(record, path, spec, latest_us)
+        return spanned(record, path, spec, latest_us, ends)
 
 
 def change_of(record: FileRecord, path: Path) -> LogError | None:
@@ -148,12 +161,17 @@ def _not_readable(path: Path, error: OSError) -> LogError:
 
 
 def spanned(
-    record: FileRecord, path: Path, spec: MotorSpec, latest_us: int | None = None
+    record: FileRecord,
+    path: Path,
+    spec: MotorSpec,
+    latest_us: int | None = None,
+    ends: FindEnds | None = None,
 ) -> FileRecord:
     """The record of a file with the nights between its ends; ``failed`` if these cannot be read."""
     file = spec.file
     try:
-        first, last = time_span(path, file.logs, file.channels, latest_us)
+        found = None if ends is None else ends(path)
+        first, last = found or time_span(path, file.logs, file.channels, latest_us)
         if last < first or last - first > LONGEST_LOG_DAYS * DAY_US:
             # The ends of the file are no measure of it, so all of it is.
             return covered(record, read_log(path, file.logs, file.channels, latest_us), spec)

@@ -20,7 +20,7 @@ from typing import Protocol
 
 from pipeline.config import MotorSpec
 from pipeline.errors import LogError
-from pipeline.logs.files import change_of, failed, find_logs, growing, inspect_log
+from pipeline.logs.files import FindEnds, change_of, failed, find_logs, growing, inspect_log
 from pipeline.logs.finding import GLOB_CHARACTERS, legible, without_match
 from pipeline.logs.landing import land_nights
 from pipeline.logs.ledger import FileRecord
@@ -46,8 +46,10 @@ class LogSource(Protocol):
     names: tuple[str, ...]
     absent: list[str]
 
-    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
-        """The record of a log; an unchanged one is not opened."""
+    def look_at(
+        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
+    ) -> FileRecord:
+        """The record of a log, as `inspect_log`; an unchanged one is not opened."""
 
     def path(self, name: str) -> Path:
         """A file with its content.
@@ -84,9 +86,11 @@ class FolderLogs:
         self._paths, self.absent = find_logs(spec, silent)
         self.names = tuple(self._paths)
 
-    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+    def look_at(
+        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
+    ) -> FileRecord:
         """As `LogSource`."""
-        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us)
+        return inspect_log(name, self._paths[name], before, self._spec, self._latest_us, ends)
 
     def path(self, name: str) -> Path:
         """As `LogSource`; of one that is gone, where it was."""
@@ -129,11 +133,13 @@ class DatabaseLogs(FolderLogs):
         super().__init__(spec, latest_us, silent)
         self.names = tuple(sorted({*self.names, *self._faults}))
 
-    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+    def look_at(
+        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
+    ) -> FileRecord:
         """As `LogSource`; of a night without an answer, its error."""
         if name in self._faults:
             return failed(FileRecord(name, 0, 0, None), self._faults[name])
-        return super().look_at(name, before)
+        return super().look_at(name, before, ends)
 
     def unmatched(self) -> tuple[str, ...]:
         """Nothing: a database may have no rows yet."""
@@ -164,7 +170,9 @@ class StoredLogs:
         weakref.finalize(self, remove_all, self._folder)
         self._copies: OrderedDict[str, Path] = OrderedDict()
 
-    def look_at(self, name: str, before: FileRecord | None) -> FileRecord:
+    def look_at(
+        self, name: str, before: FileRecord | None, ends: FindEnds | None = None
+    ) -> FileRecord:
         """As `LogSource`."""
         found = self._found[name]
         if before is not None and before.sha256 and _is_known(before, found):
@@ -174,7 +182,7 @@ class StoredLogs:
         except LogError as error:
             became = failed if error.code == "log_missing" else growing
             return became(_record(name, found), error)
-        record = inspect_log(name, path, None, self._spec, self._latest_us)
+        record = inspect_log(name, path, None, self._spec, self._latest_us, ends)
         record = replace(record, modified_ns=_modified_ns(found), inode=_number(found.tag))
         if before is not None and before.sha256 == record.sha256 and record.sha256:
             return replace(before, modified_ns=record.modified_ns, inode=record.inode)

@@ -10,6 +10,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from polars.exceptions import PanicException
+
 from pipeline.arrays import utc
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import reading_hash
@@ -17,6 +19,7 @@ from pipeline.config.nights import Night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, header_units, read_log
 from pipeline.logs.files import (
+    NEW_LOG,
     PlausibleNights,
     covered,
     failed,
@@ -29,7 +32,7 @@ from pipeline.logs.files import (
 from pipeline.logs.finding import require_answer
 from pipeline.logs.ledger import FileRecord, SeenLogs
 from pipeline.logs.locations import LogSource, logs_of
-from pipeline.workers.process import Loss, reading, told_alive
+from pipeline.workers.process import Loss, reading, sign_of_life, told_alive
 
 # Logs kept in memory: one that ends and one that begins within a night.
 LOGS_IN_MEMORY = 2
@@ -52,6 +55,8 @@ class LogShelf:
         Those that did not answer: none is opened.
     looked_at
         What another task of this run has seen of them; none is then looked at again.
+    reads_new
+        Read a log at once where it is the only new one: its ends are then those of its samples.
 
     Attributes
     ----------
@@ -74,6 +79,8 @@ class LogShelf:
         latest_us: int,
         silent: Mapping[str, Loss],
         looked_at: SeenLogs | None = None,
+        *,
+        reads_new: bool = False,
     ) -> None:
         self._spec = spec
         self.before: Mapping[str, FileRecord] = before
@@ -81,7 +88,8 @@ class LogShelf:
         self._latest_us = latest_us
         self._silent = silent
         self._is_first = looked_at is None
-        seen = looked_at or SeenLogs(self._look(), self._source.absent)
+        self._read_ahead: dict[Path, RawLog] = {}
+        seen = looked_at or SeenLogs(self._look(reads_new), self._source.absent)
         found, self.absent = seen.files, seen.absent
         latest = night_of(latest_us, spec.settings.nights)
         self.plausible = PlausibleNights.of((*found.values(), *before.values()), latest)
@@ -102,20 +110,37 @@ class LogShelf:
         """Messages about globs that match no log."""
         return self._source.unmatched()
 
-    def _look(self) -> dict[str, FileRecord]:
+    def _look(self, reads_new: bool) -> dict[str, FileRecord]:
         """Each file as its ends tell it."""
+        new = [name for name in self._source.names if name not in self.before]
+        alone = new if reads_new and len(new) == 1 else []
         return {
-            name: replace(self._look_at(name), read_with=self._read_with)
+            name: replace(self._look_at(name, name in alone), read_with=self._read_with)
             for name in told_alive(self._source.names)
         }
 
-    def _look_at(self, name: str) -> FileRecord:
+    def _look_at(self, name: str, is_read: bool) -> FileRecord:
         known = self._known(name)
+        if name not in self._silent and is_read:
+            sign_of_life(NEW_LOG)
+            found = self._source.look_at(name, None, self._ends_of_content)
+            sign_of_life("")
+            return found
         if name not in self._silent:
             return self._source.look_at(name, known)
         if known is not None and known.status == "ok":
             return known  # as far as anybody can tell, it is as it was
         return self._unanswered(FileRecord(name, 0, 0, None))
+
+    def _ends_of_content(self, path: Path) -> tuple[int, int] | None:
+        """First and last sample of a log, whose content is kept for its nights."""
+        file = self._spec.file
+        try:
+            log = read_log(path, file.logs, file.channels, self._latest_us)
+        except (Exception, PanicException):  # which its night is to tell
+            return None
+        self._read_ahead[path] = log
+        return None if log.first_us is None or log.last_us is None else (log.first_us, log.last_us)
 
     def _unanswered(self, record: FileRecord) -> FileRecord:
         """The record of a file that is to be tried again by the next run."""
@@ -208,9 +233,11 @@ class LogShelf:
         content: RawLog | None = None
         try:
             file, path = self._spec.file, self._source.path(name)
-            require_answer(name, path)
-            with reading(name):
-                content = read_log(path, file.logs, file.channels, self._latest_us)
+            content = self._read_ahead.pop(path, None)
+            if content is None:
+                require_answer(name, path)
+                with reading(name):
+                    content = read_log(path, file.logs, file.channels, self._latest_us)
             found = self._with_change_of_units(covered(record, content, self._spec))
         except LogError as error:
             found, content = failed(record, error), None

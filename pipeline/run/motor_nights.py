@@ -11,6 +11,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Set
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -52,7 +53,7 @@ def plan_motor(task: MotorTask) -> dict[dt.date, Step]:
     StoreError
         If a published table that it needs is damaged.
     """
-    return MotorNights(task).plan()
+    return MotorNights(replace(task, looks_first=True)).plan()
 
 
 def peak_memory_mib() -> float:
@@ -126,7 +127,12 @@ class MotorNights:
             self.before = _without_failures(self.before)
         with self.timed("read_s"):
             self.logs = LogShelf(
-                self.spec, self.before.files, task.latest_us, task.silent, task.looked_at
+                self.spec,
+                self.before.files,
+                task.latest_us,
+                task.silent,
+                task.looked_at,
+                reads_new=not (task.looks_first or task.since or task.until),
             )
         self.withdrawn = self._no_longer_told()
         self.before = Ledger(

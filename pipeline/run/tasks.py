@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pipeline.clock import latest_us
 from pipeline.config import MotorSpec
+from pipeline.logs.files import NEW_LOG
 from pipeline.logs.finding import legible
 from pipeline.logs.ledger import Ledger, SeenLogs
 from pipeline.schema.fits import FAILED
@@ -57,6 +58,8 @@ class MotorTask:
     with_starts
         Whether nights that are, or were, fitted anew without their log get the starts of their
         search.
+    looks_first
+        Whether to look at a log before it is read, though it is the only new one: its worker died.
     given_up
         Losses of this run, each in a night that is not made, or at a log that is not opened.
     nights_a_chunk
@@ -79,6 +82,7 @@ class MotorTask:
     force: bool = False
     retry: bool = False
     with_starts: bool = False
+    looks_first: bool = False
     given_up: tuple[Loss, ...] = ()
     nights_a_chunk: int = 0
     nights: tuple[dt.date, ...] | None = None
@@ -192,7 +196,12 @@ def set_aside(task: MotorTask, loss: Loss) -> MotorOutcome:
 
 
 def without_lost_part(task: MotorTask, loss: Loss) -> MotorTask | None:
-    """The task that gives up the log or night it was lost in; None: unknown, or too many."""
+    """The task that gives up the log or night it was lost in; None: unknown, or too many.
+
+    Of a log that was read before any night was known, the night is found out first.
+    """
+    if loss.part == NEW_LOG and not loss.log:
+        return replace(task, looks_first=True)
     if MOST_GIVEN_UP in (len(task.lost_nights), len(task.silent)) or not (loss.log or loss.part):
         return None
     return replace(task, given_up=(*task.given_up, loss))

@@ -108,7 +108,7 @@ class _Ragged(NamedTuple):
 
 
 def _first(ragged: Sequence[Any], data: bytes, start: int, piece: int) -> _Ragged:
-    """The first of some rows, which come in any order, as blocks of a piece are parsed at once."""
+    """The first of some rows of a piece, told by their text."""
     cells = {re.split(r"[\r\n]", row.text)[0].encode(): row.actual_columns for row in ragged}
     above = len(data[:start].splitlines())
     rows = enumerate(data[start:].splitlines(), above)
@@ -314,7 +314,9 @@ def _parse(
     # Columns go by position: names may repeat, or be those of no column that is wanted.
     table = arrow_csv.read_csv(
         pa.BufferReader(pa.py_buffer(rows.body)),
-        read_options=arrow_csv.ReadOptions(column_names=list(map(str, range(rows.width)))),
+        read_options=arrow_csv.ReadOptions(
+            use_threads=False, column_names=list(map(str, range(rows.width)))
+        ),
         parse_options=arrow_csv.ParseOptions(
             delimiter=logs.separator, invalid_row_handler=leave_out
         ),

@@ -282,13 +282,13 @@ def _decode(
     if stamps is None:
         stamps = written_as_numbers(payloads.time_ns, "epoch_ns")
     for topic in np.unique(payloads.topic).tolist():
-        rows = payloads.topic == topic
+        rows = np.flatnonzero(payloads.topic == topic)
         parts = content.parts[names[topic]]
         parts.stamps.add(WrittenStamps(stamps.time_us[rows], stamps.kind[rows], stamps.example))
         for one, column in parts.fields.items():
-            column.add(decoded.fields[one].rows(rows))
+            column.add(decoded.fields[one].at(rows))
         for (one, good), states in parts.states.items():
-            cells = _cells(decoded, one).filter(pa.array(rows))
+            cells = _cells(decoded, one).take(pa.array(rows))
             states.append(quality_states(path, path_text(one), cells, good))
 
 

@@ -200,7 +200,7 @@ def _require_checksum(path: Path, end_record: memoryview, checksum: int) -> None
 
 
 def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, list[int]]]:
-    """Stretches of whole records, a few megabytes or one record long, and where records begin."""
+    """Stretches of whole records, some megabytes or one record long, and where records begin."""
     file.seek(len(MAGIC))
     rest, left = b"", end - len(MAGIC)
     while left or rest:
@@ -210,6 +210,11 @@ def _blocks(path: Path, file: BinaryIO, end: int) -> Iterator[tuple[memoryview, 
         offsets, whole = record_offsets(memoryview(block))
         if not whole and not left:
             raise LogError("log_damaged", path, f"the record at byte {end - len(block)} is cut")
+        chunks = np.flatnonzero(np.frombuffer(block, np.uint8)[offsets] == CHUNK)
+        if left and chunks.size and chunks[-1]:
+            # The index of its messages stands behind a chunk: both stay together.
+            whole = offsets[chunks[-1]]
+            offsets = offsets[: chunks[-1]]
         if whole:
             yield memoryview(block)[:whole], offsets
         rest = block[whole:]

@@ -19,10 +19,10 @@ from mcap_ros2.decoder import DecoderFactory as Ros2DecoderFactory
 from pipeline.config.field_paths import field_path
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log
+from pipeline.ingest.conformance import T0_US
 from pipeline.units import CHANNELS, canonical_unit
 
 from .sources import Source, column
-from .writers import T0_US
 
 T0_NS = T0_US * 1000
 TOPIC = "/hydraulics"

@@ -29,11 +29,11 @@ from mcap.writer import CompressionType
 from pipeline.config.motors import Channels, Logs
 from pipeline.errors import LONGEST_MESSAGE, LogError
 from pipeline.ingest import read_log, time_span
+from pipeline.ingest.conformance import T0_US
 from pipeline.setup.suggest import suggest
 
 from .mcap_files import JSON, TOPIC, mcap_of
 from .sources import Source, column
-from .writers import T0_US
 
 CPU_S = 30.0
 """Far more than any takes; without the limits, some take years."""

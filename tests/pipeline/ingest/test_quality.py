@@ -24,12 +24,13 @@ import pipeline.ingest.mcap.log
 from pipeline.config import ConfigError, load_fleet
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, read_log
+from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.csv.text import read_lines
 from pipeline.ingest.quality import quality_states
 from tests.pipeline.simulated import motor_toml, write_configs
 
 from .sources import Source, changed, column
-from .writers import T0_US, iso, mcap_bytes
+from .writers import iso, mcap_bytes
 
 SPEED = column("n", "rpm", quality_source="quality")
 PRESSURE = column("dp", "bar", quality_source="quality")

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.ingest.conformance import T0_US
 from pipeline.ingest.time_stamps import (
     from_epoch,
     placed,
@@ -19,7 +20,7 @@ from pipeline.ingest.time_stamps import (
 )
 from pipeline.ingest.wall_clock import TimeStamps, from_naive
 
-from .writers import T0_US, iso
+from .writers import iso
 
 MICROSECOND = timedelta(microseconds=1)
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)

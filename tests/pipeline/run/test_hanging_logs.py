@@ -14,17 +14,20 @@ import polars as pl
 import pytest
 
 import pipeline.logs.files
+import pipeline.logs.motor_logs
 import pipeline.run.fleet
 from pipeline.cli import main
 from pipeline.clock import latest_us
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError
-from pipeline.logs.files import find_logs
+from pipeline.ingest import read_log
+from pipeline.logs.files import NEW_LOG, find_logs
 from pipeline.logs.ledger import read_ledger
 from pipeline.logs.motor_logs import LogShelf
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
-from pipeline.run.tasks import MotorOutcome, MotorTask
+from pipeline.run.tasks import MotorOutcome, MotorTask, without_lost_part
+from pipeline.workers import process
 from pipeline.workers.process import Loss
 from tests.pipeline.mini_fleet import FIRST, mini_fleet
 from tests.pipeline.workshop import DAY, Workshop
@@ -231,3 +234,29 @@ def test_what_does_not_answer_is_not_looked_at(
     found, absent = find_logs(spec, silent)
     assert list(found) == [f"M1/{FIRST}.parquet", "M1/link.parquet", "M1/named"]
     assert absent == []
+
+
+def test_one_new_log_is_read_at_once_unless_its_worker_died_of_it(
+    workshop: Workshop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Read once, before its night is known; then again, within the night that it may cost."""
+    path = workshop.log(FIRST + DAY)
+    parts, looked, real = [], [], pipeline.logs.files.time_span
+
+    def read(log: Path, *source: Any) -> Any:
+        parts.append((log, process._said.part))
+        return read_log(log, *source)
+
+    def look(log: Path, *source: Any) -> tuple[int, int]:
+        looked.append(log)
+        return real(log, *source)
+
+    monkeypatch.setattr(pipeline.logs.motor_logs, "read_log", read)
+    monkeypatch.setattr(pipeline.logs.files, "time_span", look)
+    task = workshop.task()
+    assert run_motor(task).nights == (FIRST + DAY,)
+    assert (parts, looked) == ([(path, NEW_LOG)], [])
+    again = without_lost_part(task, Loss("worker_died", "it ended with SIGSEGV", NEW_LOG))
+    assert again is not None
+    assert run_motor(again).nights == (FIRST + DAY,)
+    assert (parts[1:], looked) == ([(path, str(FIRST + DAY))], [path])
