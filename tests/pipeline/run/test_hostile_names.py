@@ -13,7 +13,7 @@ import polars as pl
 import pytest
 from rich.console import Console
 
-from pipeline.cli import status_lines, tables
+from pipeline.cli import status_lines
 from pipeline.config import Channel, ConfigError, load_fleet
 from pipeline.config.field_paths import field_path
 from pipeline.config.time_formats import require_time_format
@@ -213,7 +213,8 @@ def test_a_pattern_of_a_file_s_name_is_judged_at_once() -> None:
 
 def test_a_state_is_shown_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = Console(force_terminal=True, width=400, record=True, no_color=True)
-    monkeypatch.setattr(tables, "Console", lambda: shown)
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    monkeypatch.setattr("rich.console.Console", lambda: shown)
     motor = MotorState(
         motor_id="M1",
         state="alarm",
