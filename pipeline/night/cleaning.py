@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.clocks import typical_period_us
 from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
 from pipeline.night.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, samples_of
@@ -117,12 +116,7 @@ def clean_channel(
 def judged_channel(ordered: Ordered, rules: ChannelRules, stamps: Stamps) -> CleanChannel:
     """Apply every rule to cells in order."""
     cells, disorder = ordered.cells, ordered.disorder
-    blank = cells.missing.any()
-    period = (
-        typical_period_us(cells.time_us[~cells.missing])
-        if blank
-        else stamps.period_us(cells.time_us)
-    )
+    period = stamps.period_us(cells.time_us, cells.missing)
     longest_gap_us = _longest_gap_us(period, rules)
     samples = samples_of(cells, rules, period, stamps)
     noted = {"backward_time": disorder.n_put_back}
@@ -252,8 +246,7 @@ def _spikes(course: Course) -> Mask:
     if rules.sampling.on_change:
         return np.zeros(len(course.value), dtype=np.bool_)
     window, threshold = rules.hampel_window, rules.hampel_threshold
-    parts = np.split(course.value, course.borders)
-    return np.concatenate([spike(part, window, threshold, course.resolution) for part in parts])
+    return spike(course.value, window, threshold, course.resolution, course.borders)
 
 
 def _stuck(course: Course) -> Mask:

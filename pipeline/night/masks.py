@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times, Values
 
 # 1 / the standard normal's third quartile: the MAD of normal noise times this is its sd.
 MAD_TO_SD = 1.482602218505602
-# Windows compared at a time by the Hampel filter: bounds its memory, changes no figure.
-HAMPEL_CHUNK = 65_536
+# Samples, and windows of the Hampel filter, that are worked on at a time: what is computed from
+# them stays in the cache.
+CACHED, WINDOWS = 16_384, 4096
+NO_BORDERS = np.empty(0, dtype=np.intp)
 # Samples of a possible stretch of frozen values that are looked at before all of them are.
 LOOKED_AT_A_STRETCH = 16
 # A sample that comes within this share of a period after it was due is late, not missing.
@@ -35,10 +36,13 @@ def missing_sample(
         return blank.copy()
     row_us = row_us or period_us
     due = np.zeros(len(time_us), dtype=np.bool_)
-    samples = np.append(np.flatnonzero(~blank), len(time_us))
-    # Before the first sample there is nothing to count from: only a fast channel is missing there.
-    due[: samples[0]] = period_us < 1.5 * row_us
-    begins, ends = samples[:-1], samples[1:]
+    # Stretches of blank cells, each with the sample before it and the next one.
+    edges = np.flatnonzero(np.diff(blank, prepend=False, append=False))
+    begins, ends = edges[::2] - 1, edges[1::2]
+    if begins[0] < 0:
+        # Nothing to count from: only a fast channel is missing there.
+        due[: ends[0]] = period_us < 1.5 * row_us
+        begins, ends = begins[1:], ends[1:]
     # Where the next sample comes in time, none is due between the two.
     slow = time_us[ends - 1] - time_us[begins] > period_us - 0.75 * row_us
     begins, ends = begins[slow], ends[slow]
@@ -69,13 +73,20 @@ def at_maximum(value: Values, sensor_maximum: float | None, resolution: float) -
     return mask
 
 
-def spike(value: Values, window: int, threshold: float, resolution: float) -> Mask:
+def spike(
+    value: Values,
+    window: int,
+    threshold: float,
+    resolution: float,
+    borders: NDArray[np.intp] = NO_BORDERS,
+) -> Mask:
     """Hampel filter: values too far from the median of their neighbourhood.
 
     The scale is the median absolute deviation within the window, as a standard deviation, and never
     below the sensor's resolution: a coarse signal has a deviation of 0 and would lose its steps.
 
-    The window is odd; of fewer samples than it holds none is a spike.
+    The window is odd, and mirrored at `borders`, the first samples behind a gap; of fewer samples
+    than it holds none is a spike.
 
     References
     ----------
@@ -86,35 +97,51 @@ def spike(value: Values, window: int, threshold: float, resolution: float) -> Ma
     half = window // 2
     if len(value) < window:
         return mask
-    padded = np.pad(value, half, mode="reflect")
-    windows = sliding_window_view(padded, window)
     floor = (threshold + STEP_ROUNDING) * resolution
-    doubtful = _far_from_most(padded, half, floor)
-    for begin in range(0, len(doubtful), HAMPEL_CHUNK):
-        rows = doubtful[begin : begin + HAMPEL_CHUNK]
-        part = windows[rows]
+    edges = np.concatenate([[0], borders, [len(value)]])
+    doubtful = _far_from_median(value, half, floor)
+    beside = (edges[:, None] + np.arange(-half, half)).ravel()
+    doubtful[beside[(beside >= 0) & (beside < len(value))]] = True
+    rows = np.flatnonzero(doubtful)
+    ends = edges[np.searchsorted(edges, rows, side="right")]
+    begins = edges[np.searchsorted(edges, rows, side="right") - 1]
+    whole = ends - begins >= window
+    rows, begins, ends = rows[whole], begins[whole], ends[whole]
+    for chunk in range(0, len(rows), WINDOWS):
+        some = slice(chunk, chunk + WINDOWS)
+        first, last = begins[some, None], ends[some, None] - 1
+        places = first + np.abs(rows[some, None] + np.arange(-half, half + 1) - first)
+        part = value[last - np.abs(last - places)]
         middle = np.partition(part, half, axis=1)[:, half]
-        distance = np.abs(value[rows] - middle)
+        distance = np.abs(part[:, half] - middle)
         # Only what exceeds the floor can be a spike: few windows need their deviation.
         far = np.flatnonzero(distance > floor)
-        deviation = np.median(np.abs(part[far] - middle[far, None]), axis=1)
+        deviation = np.partition(np.abs(part[far] - middle[far, None]), half, axis=1)[:, half]
         limit = threshold * MAD_TO_SD * deviation
-        mask[rows[far]] = distance[far] > limit
+        mask[rows[some][far]] = distance[far] > limit
     return mask
 
 
-def _far_from_most(padded: Values, half: int, floor: float) -> NDArray[np.intp]:
-    """Places of values that are more than a floor away from most of their window.
+def _far_from_median(value: Values, half: int, floor: float) -> Mask:
+    """Values more than a floor away from the median of `half` values on either side and itself.
 
-    The median of any other window is within the floor of its middle value, without having it.
+    The median is at most so far below where half of the others are, and likewise above.
     """
-    n = len(padded) - 2 * half
-    alike = np.ones(n, dtype=np.int16)
-    for lag in range(1, half + 1):
-        close = np.abs(padded[lag:] - padded[:-lag]) <= floor
-        alike += close[half : half + n]
-        alike += close[half - lag : half - lag + n]
-    return np.flatnonzero(alike <= half)
+    far = np.empty(len(value), dtype=np.bool_)
+    for begin in range(0, len(value), CACHED):
+        front = min(half, begin)
+        part = value[begin - front : begin + CACHED + half]
+        not_below, not_above = np.zeros((2, len(part)), dtype=np.min_scalar_type(2 * half))
+        for lag in range(1, half + 1):
+            step = part[lag:] - part[:-lag]
+            rises, falls = (step <= floor).view(np.uint8), (step >= -floor).view(np.uint8)
+            not_below[lag:] += rises
+            not_below[:-lag] += falls
+            not_above[lag:] += falls
+            not_above[:-lag] += rises
+        chunk = far[begin : begin + CACHED]
+        chunk[:] = (np.minimum(not_below, not_above) < half)[front : front + len(chunk)]
+    return far
 
 
 def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: float) -> Mask:

@@ -19,7 +19,7 @@ from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import Cleaning, SensorHealth, TimeBase, TransportDelay
 from pipeline.night.cleaning import CleanChannel
 from pipeline.night.halts import Halts, settled_halts
-from pipeline.night.masks import ROUNDING, near, transient
+from pipeline.night.masks import CACHED, ROUNDING, near, transient
 from pipeline.night.time_order import Stamps
 from pipeline.night.transport_delay import Delay, delay_inputs
 
@@ -169,9 +169,11 @@ def samples_before(time_us: Times, grid_us: Times, period_us: int) -> NDArray[np
     """
     n = len(grid_us)
     # Each sample is before all of the grid from here on.
-    begins = (time_us - grid_us[0]) // period_us + 1
-    counts = np.bincount(np.clip(begins, 0, n), minlength=n)
-    before: NDArray[np.intp] = np.cumsum(counts[:n])
+    begins = time_us - grid_us[0]
+    begins //= period_us
+    begins += 1
+    counts = np.bincount(np.clip(begins, 0, n, out=begins), minlength=n)[:n]
+    before: NDArray[np.intp] = np.cumsum(counts, out=counts)
     return before
 
 
@@ -200,35 +202,32 @@ def _places(time_us: Times, grid_us: Times, period_us: int) -> _Places:
     return _Places(at, between, before[between] - 1)
 
 
+# A refused value may be infinite.
+@np.errstate(over="ignore", invalid="ignore")
 def _interpolated(
     channel: CleanChannel, grid_us: Times, places: _Places
 ) -> tuple[Values, Mask, Mask]:
-    at, between, left = places
-    time, kept = channel.time_us, ~channel.refused
+    time, value, kept = channel.time_us, channel.value, ~channel.refused
     # Most times of the grid are those of samples.
-    result, present = channel.value[at], kept[at]
+    result, present = value[places.at], kept[places.at]
     result += 0.0
     silent = np.zeros(len(grid_us), dtype=np.bool_)
-
-    last = len(time) - 1
-    inside = (left >= 0) & (left < last)
-    left = np.clip(left, 0, max(last - 1, 0))
-    # What holds between two samples is told at each time between them, or once for both.
-    few = len(left) < len(time)
-    first = left if few else np.arange(len(time))
-    second = np.minimum(first + 1, last)
-    distance = time[second] - time[first]
-    asleep = distance > channel.longest_gap_us
-    if channel.ends is not None:
-        asleep |= channel.ends[first]
-    usable = ~asleep & kept[first] & kept[second]
-    value = np.where(kept[first], channel.value[first], np.nan)
-    change = np.where(kept[second], channel.value[second], np.nan) - value
-    of = slice(None) if few else left
-    share = (grid_us[between] - time[left]) / np.maximum(distance[of], 1)
-    result[between] = value[of] + share * change[of]
-    silent[between] = ~inside | asleep[of]
-    present[between] = inside & usable[of]
+    for begin in range(0, len(places.between), CACHED):
+        between, left = (rows[begin : begin + CACHED] for rows in (places.between, places.left))
+        # Outside of the samples there is nothing to hold.
+        asleep = (left < 0) | (left >= len(time) - 1)
+        right = left + 1
+        since, until = time.take(left, mode="clip"), time.take(right, mode="clip")
+        first, second = value.take(left, mode="clip"), value.take(right, mode="clip")
+        distance = until - since
+        asleep |= distance > channel.longest_gap_us
+        if channel.ends is not None:
+            asleep |= channel.ends.take(left, mode="clip")
+        silent[between] = asleep
+        both = kept.take(left, mode="clip") & kept.take(right, mode="clip")
+        present[between] = both & ~asleep
+        share = (grid_us[between] - since) / np.maximum(distance, 1)
+        result[between] = first + share * (second - first)
     result[~present] = np.nan
     return result, present, silent
 
@@ -303,7 +302,7 @@ def bring_together(
     stamps = Stamps()
     for name, channel in channels.items():
         values[name], present[name], silent = on_grid(channel, grid, period, stamps)
-        found.append(Quality(name, "gap", len(grid), int(silent.sum())))
+        found.append(Quality(name, "gap", len(grid), int(np.count_nonzero(silent))))
         logged |= ~silent
     if "high_port_pressure" in channels:
         high, low = "high_port_pressure", "low_port_pressure"
@@ -325,7 +324,8 @@ def bring_together(
     refused = np.logical_or.reduce(list(masks.values())) | ~complete
     masks["incomplete"], masks["any"] = ~complete, refused
     found += [
-        Quality("time_base", reason, len(grid), int(mask.sum())) for reason, mask in masks.items()
+        Quality("time_base", reason, len(grid), int(np.count_nonzero(mask)))
+        for reason, mask in masks.items()
     ]
     # By their places, which takes a third of the time that a mask does.
     kept = np.flatnonzero(~refused)
@@ -374,7 +374,7 @@ def _halt_masks(
     """Standstills, and the guard times around them and around a sensor at its maximum."""
     grid, speed = together.grid_us, together.values["speed"]
     slowest = (1.0 - ROUNDING) * cleaning.standstill_rpm
-    standstill = together.present["speed"] & (np.abs(np.nan_to_num(speed)) < slowest)
+    standstill = together.present["speed"] & (np.abs(speed) < slowest)
     flow = channels["leakage_flow"]
     # A halt drives oil backwards through the sensor, which then reads its maximum.
     events = np.sort(np.concatenate([grid[standstill], flow.time_us[flow.at_maximum]]))

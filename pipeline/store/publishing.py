@@ -25,18 +25,20 @@ from pipeline.store.manifest import (
     update_manifest,
 )
 from pipeline.store.months import part_month
-from pipeline.store.tables import (
-    PUT_ASIDE,
+from pipeline.store.night_files import (
     NewRows,
     NightFile,
     StagedRows,
+    new_rows,
+    prepare_file,
+    prepare_night,
+)
+from pipeline.store.tables import (
+    PUT_ASIDE,
     days_of,
     encode_table,
     month_file,
-    new_rows,
     night_file,
-    prepare_file,
-    prepare_night,
     read_rows,
     run_file,
     whole_file,

@@ -1,14 +1,12 @@
 """Tables on disk: one Parquet file for each table and night, replaced whole or not at all.
 
-A motor's task stages its rows in a file of its own; the run then publishes night by night, so that
-its memory does not grow with the fleet's history. Nights of a month that is long over are joined in
+Nights of a month that is long over are joined in
 one file (`pipeline/store/months.py`), night after night; its footer says which, with their rows.
 """
 
 from __future__ import annotations
 
 import datetime as dt
-import errno
 import hashlib
 import json
 import logging
@@ -16,10 +14,7 @@ import os
 import re
 from bisect import bisect_right
 from calendar import monthrange
-from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import Enum
 from itertools import accumulate, chain
 from pathlib import Path
@@ -31,8 +26,8 @@ import pyarrow.parquet as pq
 from polars.exceptions import PanicException, PolarsError
 
 from pipeline.errors import StoreError, UsageError
-from pipeline.schema import SCHEMA_VERSION, Table, frame
-from pipeline.store.atomic_files import Prepared, move, prepare, put, read, scratch
+from pipeline.schema import SCHEMA_VERSION, Table
+from pipeline.store.atomic_files import put, read
 from pipeline.store.manifest import MONTH_PREFIX, Manifest, manifest_key, read_manifest
 
 log = logging.getLogger(__name__)
@@ -333,13 +328,14 @@ def read_table(path: Path, table: Table, nights: Collection[dt.date] | None = No
     try:
         content = read(path)
     except OSError as error:
-        raise _damaged(path, table, error) from error
-    return _decode(path, table, content, None if nights is None else {str(one) for one in nights})
+        raise damaged(path, table, error) from error
+    return decode(path, table, content, None if nights is None else {str(one) for one in nights})
 
 
-def _decode(
+def decode(
     path: Path, table: Table, encoded: bytes, names: Collection[str] | None = None
 ) -> pl.DataFrame:
+    """Rows of a table file's content; raises as `read_table`."""
     try:
         rows, _ = _rows_of(path, table, encoded, names)
         absent = [
@@ -349,7 +345,7 @@ def _decode(
         ]
         return rows.with_columns(absent).select(table.schema.keys()).cast(pl.Schema(table.schema))
     except DAMAGE as error:
-        raise _damaged(path, table, error) from error
+        raise damaged(path, table, error) from error
 
 
 def _rows_of(
@@ -377,7 +373,8 @@ def _rows_of(
     return rows, version
 
 
-def _damaged(path: Path, table: Table, error: BaseException) -> StoreError:
+def damaged(path: Path, table: Table, error: BaseException) -> StoreError:
+    """The error of a damaged file."""
     return StoreError("store_read", f"{path.name} of {table.name} is damaged: {error}")
 
 
@@ -471,10 +468,10 @@ def _read_some(
         return rows.filter(wanted).select(chosen).collect()
     except DAMAGE as error:
         if len(paths) == 1:
-            raise _damaged(paths[0], table, error) from error
+            raise damaged(paths[0], table, error) from error
     for path in paths:  # to name the damaged one
         _read_some(output, [path], table, wanted, chosen)
-    raise _damaged(paths[0].parent, table, ValueError("its files do not fit together"))
+    raise damaged(paths[0].parent, table, ValueError("its files do not fit together"))
 
 
 def published_rows(
@@ -484,8 +481,8 @@ def published_rows(
     try:
         content = _published_content(output, path, table)
     except OSError as error:
-        raise _damaged(path, table, error) from error
-    return _decode(path, table, content, names)
+        raise damaged(path, table, error) from error
+    return decode(path, table, content, names)
 
 
 def _published_content(output: Path, path: Path, table: Table) -> bytes:
@@ -498,7 +495,7 @@ def _published_content(output: Path, path: Path, table: Table) -> bytes:
             _rows_of(path, table, content)  # which checks its pages and names
         if not accepted or hashlib.sha256(content).hexdigest() in accepted:
             return content
-    raise _damaged(path, table, ValueError("it is not what its manifest says"))
+    raise damaged(path, table, ValueError("it is not what its manifest says"))
 
 
 class Proof(Enum):
@@ -532,207 +529,8 @@ def prove(path: Path, table: Table) -> tuple[str, Proof]:
             raise ValueError("it has rows of other nights")
         same = _as_parquet(rows, version, parts) == content
     except DAMAGE as error:
-        raise _damaged(path, table, error) from error
+        raise damaged(path, table, error) from error
     return hashlib.sha256(content).hexdigest(), Proof.WHOLE if same else Proof.PAGES
-
-
-class StagedRows:
-    """Staged rows of one motor and table, a record batch for each night.
-
-    The file is open only while it is read: a fleet has more of them than a process may open.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        with self._opened() as file:
-            nights = file.schema.metadata[b"nights"].decode()
-        self.nights = [dt.date.fromisoformat(text) for text in nights.split()]
-
-    @contextmanager
-    def _opened(self) -> Iterator[pa.ipc.RecordBatchFileReader]:
-        with pa.memory_map(str(self._path)) as content, pa.ipc.open_file(content) as file:
-            yield file
-
-    def batches(self, nights: Collection[dt.date]) -> dict[dt.date, pa.RecordBatch]:
-        """Rows of those of some nights that were staged."""
-        places = {night: place for place, night in enumerate(self.nights) if night in nights}
-        if not places:
-            return {}
-        with self._opened() as file:
-            return {night: file.get_batch(place) for night, place in places.items()}
-
-
-@dataclass(frozen=True, slots=True)
-class NewRows:
-    """Rows that a run has made of a night, and the motors that they are of; some have none."""
-
-    motor_ids: tuple[str, ...]
-    rows: pl.DataFrame
-
-
-def new_rows(
-    staged: Mapping[str, StagedRows], nights: Collection[dt.date]
-) -> dict[dt.date, NewRows]:
-    """Staged rows of some nights, by night; those that no motor has done are left out."""
-    found: defaultdict[dt.date, dict[str, pa.RecordBatch]] = defaultdict(dict)
-    for motor_id, own in staged.items():
-        for night, batch in own.batches(nights).items():
-            found[night][motor_id] = batch
-    made = {}
-    for night, batches in found.items():
-        rows = pl.from_arrow(pa.Table.from_batches(batches.values()))
-        assert isinstance(rows, pl.DataFrame)
-        made[night] = NewRows(tuple(batches), rows)
-    return made
-
-
-def stage(
-    path: Path, table: Table, nights: Mapping[dt.date, Iterable[Mapping[str, object]]]
-) -> None:
-    """Write a motor's rows of one table for the run to publish, nights without rows included.
-
-    Raises
-    ------
-    StoreError
-        If they cannot be written.
-    """
-    of_nights = {night: list(rows) for night, rows in sorted(nights.items())}
-    every = frame(table, chain.from_iterable(of_nights.values()), without="run_id").to_arrow()
-    label = " ".join(map(str, of_nights))
-    schema = every.schema.with_metadata({b"nights": label.encode()})
-    # A night without rows needs a batch, too.
-    (whole,) = every.combine_chunks().to_batches() or [pa.RecordBatch.from_pylist([], every.schema)]
-    begins = accumulate(map(len, of_nights.values()), initial=0)
-    try:
-        with scratch(path) as stream, pa.ipc.new_file(stream, schema) as staged:
-            for begin, rows in zip(begins, of_nights.values(), strict=False):
-                staged.write_batch(whole.slice(begin, len(rows)))
-    except OSError as error:
-        raise StoreError("store_write", f"rows cannot be staged: {error}") from error
-
-
-@dataclass(frozen=True, slots=True)
-class NightFile:
-    """A table file that is prepared, and not in its place yet.
-
-    Attributes
-    ----------
-    path
-        Its place.
-    before
-        SHA-256 of the present file; None without one.
-    after
-        SHA-256 of the new file; None if there is neither a file nor a row.
-    lost_rows
-        True if the present file is damaged or gone: rows of motors that are not published with it
-        have to be made anew.
-    prepared
-        The new file; None if the present one stays.
-    """
-
-    path: Path
-    before: str | None
-    after: str | None
-    lost_rows: bool = False
-    prepared: Prepared | None = None
-
-    def land(self) -> None:
-        """Put it into its place, and a damaged file there aside; raises as `Prepared.land`.
-
-        That survives a power cut once its folder is flushed.
-        """
-        if self.lost_rows and self.before is not None:
-            move(self.path, self.path.with_suffix(PUT_ASIDE))
-        if self.prepared is not None:
-            self.prepared.land(flush=False)
-
-    def drop(self) -> None:
-        """Remove the new file; the present one stays."""
-        if self.prepared is not None:
-            self.prepared.drop()
-
-
-def prepare_night(
-    output: Path,
-    table: Table,
-    night: dt.date,
-    new: NewRows,
-    run_id: str,
-    finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
-    accepted: Collection[str | None] = (),
-) -> NightFile:
-    """Prepare a night's file with the new rows of some motors; those of the others stay.
-
-    Raises
-    ------
-    StoreError
-        If the new file cannot be written, or the present one not be read.
-    """
-    path = night_file(output, table, night)
-    before, rows_before = _present(path, table, accepted)
-    gone = before is None and bool(accepted) and None not in accepted
-    lost_rows = gone or (before is not None and rows_before is None)
-    rows = new.rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys())
-    if rows_before is not None:
-        kept = rows_before.filter(~pl.col("motor_id").is_in(new.motor_ids))
-        rows = pl.concat([kept, rows])
-    rows = finish(rows.sort(table.key))
-    if before is None and not rows.height:
-        return NightFile(path, None, None, lost_rows)
-    content = encode_table(path.name, rows)
-    return _replacing(path, before, content, lost_rows)
-
-
-def prepare_file(path: Path, content: bytes) -> NightFile:
-    """Prepare a file that replaces the present one as a whole; raises as `prepare`."""
-    try:
-        before = hashlib.sha256(read(path)).hexdigest()
-    except (FileNotFoundError, NotADirectoryError):
-        before = None
-    except OSError:
-        before = UNREADABLE
-    return _replacing(path, before, content)
-
-
-def _replacing(
-    path: Path, before: str | None, content: bytes, lost_rows: bool = False
-) -> NightFile:
-    after = hashlib.sha256(content).hexdigest()
-    if after == before:
-        return NightFile(path, before, after)
-    return NightFile(path, before, after, lost_rows, prepare(path, content))
-
-
-def _present(
-    path: Path, table: Table, accepted: Collection[str | None]
-) -> tuple[str | None, pl.DataFrame | None]:
-    """Hash and rows of a night's file; no hash if there is no file, no rows if it is damaged.
-
-    A file is damaged if it reads as such twice: an error on the way from the disk is none.
-    """
-    for attempt in range(2):
-        digest = UNREADABLE
-        try:
-            content = read(path)
-            digest = hashlib.sha256(content).hexdigest()
-            if accepted and digest not in accepted:
-                raise _damaged(path, table, ValueError("it is not what its manifest says"))
-            return digest, _decode(path, table, content)
-        except (FileNotFoundError, NotADirectoryError):
-            return None, None
-        except OSError as error:
-            if error.errno != errno.EIO:
-                raise StoreError(
-                    "store_read", f"{path.name} of {table.name} cannot be read: {error.strerror}"
-                ) from error
-            fault = _damaged(path, table, error)
-        except StoreError as error:
-            if error.code != "store_read":
-                raise
-            fault = error
-        if attempt:
-            log.warning("%s; it is put aside, and the next run makes that night anew", fault)
-    return digest, None
 
 
 def run_file(output: Path, table: Table, started: dt.datetime) -> Path:

@@ -22,7 +22,13 @@ from threadpoolctl import threadpool_limits
 from leakage.slope import benjamini_hochberg
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS
-from pipeline.store.tables import nights_back, read_rows, stage
+from pipeline.store.night_files import (
+    stage,
+)
+from pipeline.store.tables import (
+    nights_back,
+    read_rows,
+)
 from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
 from pipeline.trends.baseline_blocks import BlockFiles
 from pipeline.trends.baseline_rows import baseline_rows, change_point_rows

@@ -25,7 +25,10 @@ import pipeline.store.publishing
 from pipeline.cli import app, main
 from pipeline.config.loading import OWN_FOLDERS
 from pipeline.errors import StoreError
-from pipeline.store.tables import NightFile, prepare_night
+from pipeline.store.night_files import (
+    NightFile,
+    prepare_night,
+)
 from tests.conftest import OwnFleet
 
 CSV, PARQUET = "CB400-01", "CB400-02"

@@ -16,7 +16,13 @@ import pytest
 from pipeline.run.verification import verify_tables
 from pipeline.schema import QUALITY, frame
 from pipeline.store.manifest import manifest_file, read_manifest
-from pipeline.store.tables import NewRows, night_file, prepare_night
+from pipeline.store.night_files import (
+    NewRows,
+    prepare_night,
+)
+from pipeline.store.tables import (
+    night_file,
+)
 from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
 from pipeline.trends.kept_nights import whole_table
 from tests.pipeline.faults.disk import Disk, Killed, on

@@ -303,10 +303,20 @@ class TestHampel:
         value[5] = 1e6
         assert not spike(value, 11, 5.0, 0.1).any()
 
+    def test_parts_between_borders_are_judged_by_themselves(self) -> None:
+        value = np.random.default_rng(5).standard_t(2, 300)
+        borders = np.array([10, 21, 90, 291])
+        alone = [spike(part, 11, 5.0, 0.1) for part in np.split(value, borders)]
+        found = spike(value, 11, 5.0, 0.1, borders)
+        np.testing.assert_array_equal(found, np.concatenate(alone))
+        assert found[:21].any()
+        assert not found[:10].any()
+
     def test_chunks_change_nothing(self, monkeypatch: pytest.MonkeyPatch) -> None:
         value = np.random.default_rng(3).standard_t(2, 1000)
         whole = spike(value, 11, 5.0, 0.1)
-        monkeypatch.setattr(masks, "HAMPEL_CHUNK", 7)
+        monkeypatch.setattr(masks, "WINDOWS", 7)
+        monkeypatch.setattr(masks, "CACHED", 7)
         np.testing.assert_array_equal(spike(value, 11, 5.0, 0.1), whole)
         assert whole.any()
 

@@ -20,6 +20,9 @@ from pipeline.store import atomic_files, months
 from pipeline.store.heartbeat import last_good_run
 from pipeline.store.manifest import manifest_keys, read_manifest
 from pipeline.store.months import join_months, last_month_over, part_month, settle
+from pipeline.store.night_files import (
+    stage,
+)
 from pipeline.store.publishing import Publisher
 from pipeline.store.retention import old_files, prune
 from pipeline.store.tables import (
@@ -33,7 +36,6 @@ from pipeline.store.tables import (
     prove,
     read_rows,
     read_table,
-    stage,
     table_folder,
 )
 from tests.pipeline.faults.disk import Disk, Killed, on

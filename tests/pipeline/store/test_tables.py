@@ -32,21 +32,23 @@ from pipeline.schema import (
 )
 from pipeline.store import tables as store
 from pipeline.store.atomic_files import TEMPORARY_PREFIX, put, remove_leftovers
-from pipeline.store.tables import (
+from pipeline.store.night_files import (
     NewRows,
     NightFile,
     StagedRows,
-    month_stamps,
     new_rows,
+    prepare_night,
+    stage,
+)
+from pipeline.store.tables import (
+    month_stamps,
     night_file,
     night_paths,
     night_stamps,
     nights_back,
-    prepare_night,
     read_rows,
     read_table,
     run_file,
-    stage,
     table_folder,
     write_table,
 )
