@@ -46,8 +46,10 @@ WORDS = {"source", "note"}
 SETTINGS_NAMED = 4
 # Sections that shape trends and alarms alone: no night is made anew for them.
 OF_TRENDS = ("trend.", "alarms.")
-# Settings that shape no figure of a night: how people are told, and looks within the day.
+# Settings that shape no figure of a night: how people are told, looks within the day, and the
+# nights on which the search is made, which hold from now on.
 UNSHAPING: Mapping[str, Any] = {
+    "estimation": {"search_every_nights"},
     "alarms": {"command", "webhook_url", "webhook_headers", "webhook_secret", "email"},
     "look": True,
 }

@@ -308,8 +308,8 @@ class Estimation(Section):
         30,
         ge=0,
         description="The starts are made on every n-th night of the calendar, as an audit of the "
-        "certificate, and where that finds the rank short; 1: on every night; 0: by `fit` and "
-        "`--with-starts` alone",
+        "certificate, and where that finds the rank short; 1: on every night; 0: there "
+        "alone, and by `fit`. Past nights keep what they have; refits search with `--with-starts`",
     )
     gradient_type: Literal["analytic", "2-point", "3-point"] = Field(
         "analytic", description="Method for the Jacobian"
