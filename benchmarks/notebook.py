@@ -13,6 +13,7 @@ frame has on top is reading its columns; what the night has on top is left out o
 from __future__ import annotations
 
 import argparse
+import sys
 import datetime as dt
 import statistics as statistics_of
 import time
@@ -91,6 +92,8 @@ def same_figures(config: Path) -> Part:
                 counts = compared.setdefault(name.split(" ")[0], [0, 0])
                 counts[0] += 1
                 counts[1] += value == wanted[name]
+    if not compared:
+        sys.exit(f"{config} has no nights: run `make fit-fleet` first, or name a fleet by --config")
     n, equal = (sum(counts[at] for counts in compared.values()) for at in (0, 1))
     return Part(
         "The same figures",
