@@ -13,9 +13,9 @@ frame has on top is reading its columns; what the night has on top is left out o
 from __future__ import annotations
 
 import argparse
-import sys
 import datetime as dt
 import statistics as statistics_of
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
