@@ -14,7 +14,7 @@ the record is the mean factor between their sizes by time scale.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -264,10 +264,10 @@ def record_part(record: Record) -> Part:
     settings = {
         name: mean_of([of_setting(name, seed) for seed in range(NIGHTS)]) for name in ERRORS
     }
-    near: Callable[[str], float] = lambda name: settings[name].distance(left)  # noqa: E731
     rows = [law.row("the record, beside the law", left)]
     rows.append(left.row("the record, beside any function of pressure and temperature", left))
-    rows += [settings[name].row(name, left) for name in sorted(settings, key=near)]
+    nearest_first = sorted(settings, key=lambda name: settings[name].distance(left))
+    rows += [settings[name].row(name, left) for name in nearest_first]
     text = (
         f"{len(seen.index)} samples over {seen.index[-1] / 3600:.1f} hours, mean flow "
         f"{seen.flow_l_per_min.mean():.2f} l/min. Sizes are % of the mean flow."

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from tests.pipeline.setup.plants.plant import (
     ROWS,
     Place,
@@ -113,6 +115,22 @@ def _ignition_dataset() -> Plant:
     )
 
 
+def wincc_archive(tags: Mapping[str, tuple[str, int]]) -> str:
+    """Rows of tags as WinCC exports an archive."""
+    return tagged(
+        ['"VarName"', '"TimeString"', '"VarValue"', '"Validity"', '"Time_ms"'],
+        tags,
+        lambda tag, row, number: (
+            f'"{tag}"',
+            f'"{stamp(row, "%d.%m.%Y %H:%M:%S")}"',
+            f"{number:.3f}".replace(".", ","),
+            "1",
+            f"{46035250000 + row * 11.574:.4f}".replace(".", ","),
+        ),
+        ";",
+    )
+
+
 def _wincc_long() -> Plant:
     kinds = {"Druck_A": "high", "Druck_B": "low", "Oeltemperatur": "temp", "Drehzahl": "speed"}
     kinds |= {"Leckoelmenge": "flow"}
@@ -120,20 +138,7 @@ def _wincc_long() -> Plant:
     names = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", "leakage_flow")
     return Plant(
         "WinCC, archive export, German",
-        {
-            "Archiv.csv": tagged(
-                ['"VarName"', '"TimeString"', '"VarValue"', '"Validity"', '"Time_ms"'],
-                tags,
-                lambda tag, row, number: (
-                    f'"{tag}"',
-                    f'"{stamp(row, "%d.%m.%Y %H:%M:%S")}"',
-                    f"{number:.3f}".replace(".", ","),
-                    "1",
-                    f"{46035250000 + row * 11.574:.4f}".replace(".", ","),
-                ),
-                ";",
-            )
-        },
+        {"Archiv.csv": wincc_archive(tags)},
         {"HYD_M1": {n: Place(t, None) for n, t in zip(names, tags, strict=True)}},
         named="Archiv.csv",
         line_end="\r\n",

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from tests.pipeline.setup.plants.plant import ROWS, Place, Plant, stamp, table, tagged, value
+from tests.pipeline.setup.plants.control_systems import wincc_archive
+from tests.pipeline.setup.plants.plant import ROWS, Place, Plant, stamp, table, value
 
 NAMES = ("pressure_difference", "oil_temperature", "speed", "leakage_flow")
 PORTS = ("high_port_pressure", "low_port_pressure", "oil_temperature", "speed", "leakage_flow")
@@ -75,18 +76,7 @@ def _wincc_polish() -> Plant:
     kinds = {"Cisnienie_A": "high", "Cisnienie_B": "low", "Temperatura_oleju": "temp"}
     kinds |= {"Obroty": "speed", "Przeciek": "flow"}
     tags = {f"Kruszarka_{tag}": (kind, 1) for tag, kind in kinds.items()}
-    text = tagged(
-        ['"VarName"', '"TimeString"', '"VarValue"', '"Validity"', '"Time_ms"'],
-        tags,
-        lambda tag, row, number: (
-            f'"{tag}"',
-            f'"{stamp(row, "%d.%m.%Y %H:%M:%S")}"',
-            f"{number:.3f}".replace(".", ","),
-            "1",
-            f"{46035250000 + row * 11.574:.4f}".replace(".", ","),
-        ),
-        ";",
-    )
+    text = wincc_archive(tags)
     end = f'"$RT_OFF$";"{stamp(ROWS, "%d.%m.%Y %H:%M:%S")}";0;2;46035250300,0000\n'
     return Plant(
         "WinCC Comfort, the mark of a stop at the end, Polish",
