@@ -1,8 +1,9 @@
 """False alarms, and nights to detection, over simulated fleets.
 
 Indicators of motors are drawn from the errors of simulated, fitted nights
-(`benchmarks/simulated_fleets.py`) and watched by `leakage.monitoring.monitor`, baseline and all, at
-one and the same setting: one false alarm in ten motor-years, shared by the motor's indicators.
+(`benchmarks/simulated_fleets.py`) and watched by `leakage.course.monitoring.monitor`,
+baseline and all, at one and the same setting: one false alarm in ten motor-years, shared by the
+motor's indicators.
 """
 
 from __future__ import annotations
@@ -24,10 +25,10 @@ from benchmarks.simulated_fleets import (
     fleet,
     night_errors,
 )
-from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
-from leakage.monitoring import MonitorSettings, monitor
-from leakage.robust import MAD_TO_SD
-from leakage.slope import fit_slope
+from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
+from leakage.course.monitoring import MonitorSettings, monitor
+from leakage.course.slope import fit_slope
+from leakage.estimation.robust import MAD_TO_SD
 
 Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ from benchmarks.other_duty import false_alarms, model_watched, wear_told
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
-from leakage.growth import Blocks, Growth, growth
-from leakage.hypotheses import Posterior, mean_factor, weigh
-from leakage.oil import Oil
+from leakage.course.growth import Blocks, Growth, growth
+from leakage.course.hypotheses import Posterior, mean_factor, weigh
+from leakage.physics.oil import Oil
 from pipeline.demo import noise
 
 Array = NDArray[np.float64]

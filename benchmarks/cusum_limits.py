@@ -1,4 +1,4 @@
-"""Limits of the cumulative sum, calibrated by simulation; writes `leakage/cusum_limits.py`.
+"""Limits of the cumulative sum, calibrated by simulation; writes `leakage/course/cusum_limits.py`.
 
 A healthy indicator is a normal first-order autoregression. Its baseline is estimated from its first
 nights exactly as the package does, then it is watched for a year. The limit may depend on what is
@@ -25,9 +25,9 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from benchmarks.results_file import Part, write_parts
-from leakage.autoregression import HIGHEST_PHI, variance_of_mean
-from leakage.baseline import BaselineSettings, fit_baseline
-from leakage.cusum import (
+from leakage.course.autoregression import HIGHEST_PHI, variance_of_mean
+from leakage.course.baseline import BaselineSettings, fit_baseline
+from leakage.course.cusum import (
     BASELINE_ERRORS,
     FLOOR_DECIDES,
     NIGHTS_DECIDE,
@@ -35,7 +35,7 @@ from leakage.cusum import (
     WINSORISED_AT,
     cusum,
 )
-from leakage.robust import MAD_TO_SD
+from leakage.estimation.robust import MAD_TO_SD
 from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
-from leakage.time_to_limit import TimeToLimit, time_to_limit
+from leakage.course.time_to_limit import TimeToLimit, time_to_limit
 from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]

@@ -2,8 +2,8 @@
 
 Each night goes through the physics: its own duty, noise with memory, and sensors that are off from
 night to night (0.3 °C and 0.3 % gain, AR(1) 0.6; 0.3 bar white). Its blocks inform
-`leakage.night_filter`, and what that says is watched by `leakage.monitoring` as the pipeline does,
-at one false alarm in ten motor-years for the six indicators together.
+`leakage.course.night_filter`, and what that says is watched by `leakage.course.monitoring` as the
+pipeline does, at one false alarm in ten motor-years for the six indicators together.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from benchmarks.results_file import Part, write_parts
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
 from leakage import OperatingConditions, regressors
-from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
-from leakage.block_statistics import factors
-from leakage.monitoring import Monitoring, MonitorSettings, monitor
-from leakage.night_filter import first_state, follow, night_information
+from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
+from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
+from leakage.course.night_filter import first_state, follow, night_information
+from leakage.estimation.block_statistics import factors
 from pipeline.demo.noise import autoregression, night_wander
 
 Array = NDArray[np.float64]

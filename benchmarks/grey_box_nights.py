@@ -1,7 +1,8 @@
 """The project's own watch over simulated nights: fits, trends and states as a nightly run has them.
 
-A night is fitted from its blocks (`leakage.block_fit`), its figures become rows of the tables, and
-all that a run does with them after that is done: filter, baselines, duty, states, explanations.
+A night is fitted from its blocks (`leakage.estimation.block_fit`), its figures become rows
+of the tables, and all that a run does with them after that is done: filter,
+baselines, duty, states, explanations.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from numpy.typing import NDArray
 from benchmarks.machine_nights import MINUTES, Night
 from benchmarks.simulated_nights import CONFIGS
 from leakage import OperatingConditions
-from leakage.balanced_baseline import DutyBlocks
-from leakage.block_fit import SampleBlocks, fit_blocks
-from leakage.block_statistics import merge, with_free_known
-from leakage.identifiability import Excitation, judge_leakage
-from leakage.multi_start import Parametrisation, SearchSettings
-from leakage.slow_errors import short_blocks
-from leakage.temperature_correction import temperature_response
+from leakage.course.balanced_baseline import DutyBlocks
+from leakage.course.temperature_correction import temperature_response
+from leakage.estimation.block_fit import SampleBlocks, fit_blocks
+from leakage.estimation.block_statistics import merge, with_free_known
+from leakage.estimation.identifiability import Excitation, judge_leakage
+from leakage.estimation.multi_start import Parametrisation, SearchSettings
+from leakage.estimation.slow_errors import short_blocks
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame

@@ -106,9 +106,9 @@ def _cases(folder: Path) -> list[Case]:
     """Parts of the program on a log of some hours, each with what it is measured by."""
     from benchmarks.day_fleets import MOTORS, NIGHT, log_of, make_fleet, write_day
     from benchmarks.log_readers import READERS
-    from leakage.block_statistics import factors
-    from leakage.estimation import fit
-    from leakage.multi_start import SearchSettings
+    from leakage.estimation.block_statistics import factors
+    from leakage.estimation.least_squares import fit
+    from leakage.estimation.multi_start import SearchSettings
     from pipeline.config import load_fleet
     from pipeline.config.nights import night
     from pipeline.ingest import read_log

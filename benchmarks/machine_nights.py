@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from benchmarks.simulated_nights import motor, true_coefficients
 from leakage import Motor, OperatingConditions, regressors
-from leakage.block_statistics import factors
-from leakage.oil import FilmPressure, Oil, flow_drive_per_s
+from leakage.estimation.block_statistics import factors
+from leakage.physics.oil import FilmPressure, Oil, flow_drive_per_s
 from pipeline.demo import noise
 from pipeline.night.operation_rows import coarse_histogram
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import duty, motor, true_coefficients
 from leakage import FilmPressure, Motor, OperatingConditions, leakage_l_per_min, regressors
-from leakage.block_statistics import factor
-from leakage.certificate import certify
-from leakage.multi_start import Parametrisation
-from leakage.paths import Laminar, Parameter
+from leakage.estimation.block_statistics import factor
+from leakage.estimation.certificate import certify
+from leakage.estimation.multi_start import Parametrisation
+from leakage.physics.paths import Laminar, Parameter
 
 Array = NDArray[np.float64]
 HOURS = 8.0

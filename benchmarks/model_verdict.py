@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 from benchmarks.results_file import write_results
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
 from leakage import Motor, OperatingConditions, SpeedCurve, regressors
-from leakage.annular_gap import AnnularGap
-from leakage.block_statistics import factors, merge, with_free_known
-from leakage.certificate import certify
-from leakage.model_verdict import (
+from leakage.estimation.block_statistics import factors, merge, with_free_known
+from leakage.estimation.certificate import certify
+from leakage.estimation.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
     Misfit,
@@ -33,11 +32,12 @@ from leakage.model_verdict import (
     model_verdict,
     structured_misfit,
 )
-from leakage.multi_start import Parametrisation
-from leakage.oil import FilmPressure, Oil
-from leakage.sensitivities import ChannelTolerance, Tolerances, error_budget
-from leakage.slow_errors import WIDENING, short_blocks, slow_errors, whitened
-from leakage.uncertainty import cluster_robust
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.estimation.slow_errors import WIDENING, short_blocks, slow_errors, whitened
+from leakage.estimation.uncertainty import cluster_robust
+from leakage.physics.annular_gap import AnnularGap
+from leakage.physics.oil import FilmPressure, Oil
 from pipeline.demo.noise import autoregression, lagging
 
 Array = NDArray[np.float64]

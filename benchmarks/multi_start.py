@@ -24,10 +24,10 @@ from benchmarks.simulated_nights import (
     true_coefficients,
 )
 from leakage import regressors
-from leakage.block_statistics import factors, merge
-from leakage.estimation import Fit, fit
-from leakage.identifiability import Excitation, identify
-from leakage.multi_start import Parametrisation, SearchSettings, starting_points
+from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.identifiability import Excitation, identify
+from leakage.estimation.least_squares import Fit, fit
+from leakage.estimation.multi_start import Parametrisation, SearchSettings, starting_points
 from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]

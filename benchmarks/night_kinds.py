@@ -23,12 +23,12 @@ from benchmarks.simulated_nights import (
     true_coefficients,
 )
 from leakage import AnnularGap, Motor, OperatingConditions, regressors
-from leakage.block_statistics import merge
-from leakage.estimation import fit
-from leakage.identifiability import Excitation, identify, judge_leakage
-from leakage.multi_start import Parametrisation, SearchSettings
-from leakage.paths import LeakagePath
-from leakage.slow_errors import short_blocks, slow_errors, whitened
+from leakage.estimation.block_statistics import merge
+from leakage.estimation.identifiability import Excitation, identify, judge_leakage
+from leakage.estimation.least_squares import fit
+from leakage.estimation.multi_start import Parametrisation, SearchSettings
+from leakage.estimation.slow_errors import short_blocks, slow_errors, whitened
+from leakage.physics.paths import LeakagePath
 from pipeline.demo import noise
 
 Array = NDArray[np.float64]

@@ -26,16 +26,16 @@ from benchmarks.model_verdict import VG46
 from benchmarks.night_kinds import CYCLES_S, ERRORS, Kind, SimulatedNights
 from benchmarks.results_file import Part, write_parts
 from leakage import Constant, Laminar, Motor, OperatingConditions, Parameter, regressors
-from leakage.block_fit import SampleBlocks, fit_blocks
-from leakage.block_statistics import factors
-from leakage.correlation import autocorrelation
-from leakage.identifiability import Excitation
-from leakage.model_verdict import structured_misfit
-from leakage.multi_start import SearchSettings
-from leakage.oil import FilmPressure
-from leakage.robust import MAD_TO_SD
-from leakage.slow_errors import short_blocks
-from leakage.temperature_correction import temperature_correction
+from leakage.course.temperature_correction import temperature_correction
+from leakage.estimation.block_fit import SampleBlocks, fit_blocks
+from leakage.estimation.block_statistics import factors
+from leakage.estimation.correlation import autocorrelation
+from leakage.estimation.identifiability import Excitation
+from leakage.estimation.model_verdict import structured_misfit
+from leakage.estimation.multi_start import SearchSettings
+from leakage.estimation.robust import MAD_TO_SD
+from leakage.estimation.slow_errors import short_blocks
+from leakage.physics.oil import FilmPressure
 from validation.record import FLOW, PRESSURE, TEMPERATURE, TIME, Record, read_records
 
 Array = NDArray[np.float64]

@@ -28,10 +28,10 @@ import polars as pl
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import duty
 from leakage import FrameFit, fit_frame, total_flow_l_per_min
-from leakage.frame_result import PARTS
-from leakage.model_verdict import model_verdict
-from leakage.sample_blocks import TRAINING, VALIDATION
-from leakage.validation import agreement
+from leakage.estimation.model_verdict import model_verdict
+from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.validation import agreement
+from leakage.frame.result import PARTS
 from pipeline.clock import latest_us
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.config.nights import night

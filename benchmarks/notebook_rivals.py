@@ -27,7 +27,7 @@ from scipy.signal import lfilter
 from benchmarks.results_file import Part, write_stored
 from benchmarks.simulated_nights import duty, motor
 from leakage import Motor, OperatingConditions, fit_frame, regressors, total_flow_l_per_min
-from leakage.frame_samples import INPUTS
+from leakage.frame.samples import INPUTS
 
 HOURS, RATE_HZ, NIGHTS, REPEATS = 1.0, 2.0, 40, 5
 NOISE_L_PER_MIN, SLOW_L_PER_MIN = 0.05, 0.02

@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from benchmarks.model_verdict import CASES, MODEL, Case, Logged, logged, wander
 from benchmarks.results_file import Part
 from benchmarks.simulated_nights import true_coefficients
-from leakage.alarms import Levels, above_level
-from leakage.balanced_baseline import DutyBlocks, Rises, compare, told_rises
-from leakage.block_statistics import merge
-from leakage.certificate import certify
-from leakage.growth import Blocks, growth
-from leakage.hypotheses import weigh
-from leakage.model_verdict import (
+from leakage.course.alarms import Levels, above_level
+from leakage.course.balanced_baseline import DutyBlocks, Rises, compare, told_rises
+from leakage.course.growth import Blocks, growth
+from leakage.course.hypotheses import weigh
+from leakage.estimation.block_statistics import merge
+from leakage.estimation.certificate import certify
+from leakage.estimation.model_verdict import (
     DISPROVED_OVER_TEN,
     grown_misfit,
     misfit,
     structured_misfit,
 )
-from leakage.slow_errors import short_blocks
+from leakage.estimation.slow_errors import short_blocks
 
 Array = NDArray[np.float64]
 

@@ -29,10 +29,10 @@ from benchmarks.simulated_nights import (
     true_coefficients,
 )
 from leakage import AnnularGap, Motor, regressors
-from leakage.block_statistics import merge
-from leakage.estimation import fit
-from leakage.multi_start import SearchSettings
-from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
+from leakage.estimation.block_statistics import merge
+from leakage.estimation.least_squares import fit
+from leakage.estimation.multi_start import SearchSettings
+from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from pipeline.demo.noise import autoregression
 
 Array = NDArray[np.float64]

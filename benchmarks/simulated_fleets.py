@@ -17,9 +17,9 @@ from threadpoolctl import threadpool_limits
 from benchmarks.night_kinds import NIGHTS_A_DUTY, Kind, SimulatedNights, figures
 from benchmarks.simulated_nights import REFERENCE
 from leakage import regressors
-from leakage.block_statistics import merge
-from leakage.certificate import certify
-from leakage.multi_start import Parametrisation
+from leakage.estimation.block_statistics import merge
+from leakage.estimation.certificate import certify
+from leakage.estimation.multi_start import Parametrisation
 from pipeline.demo.noise import night_wander
 
 Array = NDArray[np.float64]

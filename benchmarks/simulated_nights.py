@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, regressors
-from leakage.multi_start import Parametrisation
+from leakage.estimation.multi_start import Parametrisation
 from pipeline.config.motor_types import MotorTypeFile, OilFile
 from pipeline.config.motors import FlushingTable
 from pipeline.demo.noise import lagging

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 
 from benchmarks.simulated_nights import motor
 from leakage import OperatingConditions, regressors
-from leakage.multi_start import Parametrisation, starting_points
+from leakage.estimation.multi_start import Parametrisation, starting_points
 
 PLAUSIBLE = {
     "pressure_difference": (-450.0, 450.0),

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.results_file import Part, write_parts
-from leakage.step_detection import (
+from leakage.course.step_detection import (
     BlockErrors,
     StepWatch,
     advance,

@@ -11,9 +11,9 @@ from benchmarks.night_kinds import ERRORS, NIGHTS_A_DUTY, Kind, SimulatedNights
 from benchmarks.simulated_fleets import SCATTER_OF_K, NightErrors, answers_to_wander, fleet
 from benchmarks.simulated_nights import BLOCK_S
 from leakage import regressors
-from leakage.block_statistics import factors
-from leakage.certificate import certify
-from leakage.multi_start import Parametrisation
+from leakage.estimation.block_statistics import factors
+from leakage.estimation.certificate import certify
+from leakage.estimation.multi_start import Parametrisation
 
 # 15 minutes: the last block is half a block.
 KIND = Kind(15.0, 1.0, 0.9)

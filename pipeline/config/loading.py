@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from leakage import FilmPressure, LeakageError, Motor, OperatingConditions, leakage_l_per_min
-from leakage.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config.defaults import at_their_place, completed
 from pipeline.config.faults import ConfigError, Fault, Place, fault_at, faults_of
 from pipeline.config.motor_types import MotorTypeFile, OilFile
@@ -24,7 +24,7 @@ from pipeline.config.oil_samples import FURTHEST, OilCircuitFile, OilSample, Wal
 from pipeline.config.settings import Execution, FleetFile, Folders, Retention, Settings
 
 if TYPE_CHECKING:
-    from leakage.model_verdict import LowSide
+    from leakage.estimation.model_verdict import LowSide
 
 Model = TypeVar("Model", bound=BaseModel)
 # Object stores that logs and tables may lie in.

@@ -11,10 +11,10 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
-from leakage.motor import FIXED_COLUMNS
-from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
-from leakage.simulated_curves import fit_deformation_pressure, fit_speed_curve
-from leakage.walther import walther_coefficients
+from leakage.physics.motor import FIXED_COLUMNS
+from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
+from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
+from leakage.physics.walther import walther_coefficients
 from pipeline.config.faults import Place, refuse
 from pipeline.config.settings import NonNegative, Positive, Section
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AwareDatetime, Field, field_validator, model_validator
 
 from leakage import Constant, Parameter
-from leakage.paths import FLUSHING_PARAMETER, FLUSHING_PATH
+from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH
 from pipeline.config.databases import Database
 from pipeline.config.faults import Place, refuse
 from pipeline.config.field_paths import field_path

@@ -9,8 +9,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from leakage.oil_in_use import curve_between
-from leakage.walther import walther_coefficients, walther_through
+from leakage.physics.oil_in_use import curve_between
+from leakage.physics.walther import walther_coefficients, walther_through
 from pipeline.config.faults import Place, refuse
 from pipeline.config.motor_types import OilFile
 from pipeline.config.settings import Section

@@ -5,8 +5,8 @@ from __future__ import annotations
 import datetime as dt
 from collections.abc import Iterable
 
-from leakage import sample_blocks
-from leakage.sample_blocks import Stretch
+from leakage.estimation import sample_blocks
+from leakage.estimation.sample_blocks import Stretch
 from pipeline.config.motors import Periods
 from pipeline.config.nights import Night
 

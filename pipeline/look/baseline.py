@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import Baseline
-from leakage.monitoring import track
-from leakage.step_detection import (
+from leakage.course.baseline import Baseline
+from leakage.course.monitoring import track
+from leakage.course.step_detection import (
     BlockErrors,
     StepWatch,
     advance,
     block_errors,
     limit_of_maxima,
 )
-from leakage.temperature_correction import TemperatureCorrection
+from leakage.course.temperature_correction import TemperatureCorrection
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of, model_hash

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, regressors
-from leakage.sample_blocks import NONE_CHOSEN, split_into_blocks
+from leakage.estimation.sample_blocks import NONE_CHOSEN, split_into_blocks
 from pipeline.arrays import SECOND_US, Mask, Times
 from pipeline.config import MotorSpec
 from pipeline.config.nights import Night

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from leakage.step_detection import StepWatch, advance
+from leakage.course.step_detection import StepWatch, advance
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.config.nights import night as night_labelled

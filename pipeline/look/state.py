@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from leakage.step_detection import StepWatch
+from leakage.course.step_detection import StepWatch
 from pipeline.arrays import utc
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.trends.motor_states import LookStanding

@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from leakage import AnnularGap
-from leakage.film import REGIMES, film_thickness_ratio
+from leakage.physics.film import REGIMES, film_thickness_ratio
 from pipeline.config.motor_types import BAR, MICROMETRE
 from pipeline.model_figures.canvas import QUIET, Array, label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.gaps import PRESSURE

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from leakage import Laminar, SpeedCurve
-from leakage.paths import LeakagePath
+from leakage.physics.paths import LeakagePath
 from pipeline.config.motor_types import BAR
 from pipeline.model_figures.canvas import QUIET, Array, dots, label, line, new_figure, pen
 from pipeline.model_figures.gaps import DIFFERENCE, MILLILITRES, ONE_INTERFACE, PRESSURE

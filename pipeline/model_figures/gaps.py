@@ -10,8 +10,8 @@ from matplotlib.contour import QuadContourSet
 from matplotlib.figure import Figure
 
 from leakage import AnnularGap
-from leakage.pressure_maximum import pressure_of_largest_leakage_pa
-from leakage.simulated_curves import FittedDeformation, fit_deformation_pressure
+from leakage.physics.pressure_maximum import pressure_of_largest_leakage_pa
+from leakage.physics.simulated_curves import FittedDeformation, fit_deformation_pressure
 from pipeline.config.motor_types import BAR, MICROMETRE
 from pipeline.model_figures.canvas import MAP_COLOURS, Array, dots, label, line, new_figure, pen
 from pipeline.model_figures.subject import ModelSubject, stated

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from leakage import AnnularGap, leakage_l_per_min
-from leakage.motor import path_flows_l_per_min
+from leakage.physics.motor import path_flows_l_per_min
 from pipeline.model_figures.canvas import Array, label, new_figure, pen
 from pipeline.model_figures.gaps import PRESSURE
 from pipeline.model_figures.subject import ModelSubject, stated

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from leakage.oil import density_kg_per_m3, dynamic_viscosity_pa_s
+from leakage.physics.oil import density_kg_per_m3, dynamic_viscosity_pa_s
 from pipeline.config.motor_types import BAR
 from pipeline.model_figures.canvas import label, line, new_figure, pen, plain_ticks
 from pipeline.model_figures.subject import ModelSubject

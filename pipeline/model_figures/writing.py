@@ -9,7 +9,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from leakage import AnnularGap, Constant, Laminar, LeakageError, SpeedCurve
-from leakage.paths import LeakagePath
+from leakage.physics.paths import LeakagePath
 from pipeline.errors import UsageError
 from pipeline.model_figures.canvas import ImageFormat, drawing, save
 from pipeline.model_figures.films import films_figure

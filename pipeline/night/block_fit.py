@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions, regressors
-from leakage.block_fit import fit_blocks
-from leakage.block_statistics import merge, with_free_known
-from leakage.certificate import Certificate
-from leakage.estimation import Fit, fit
-from leakage.identifiability import (
+from leakage.course.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
+from leakage.estimation.block_fit import fit_blocks
+from leakage.estimation.block_statistics import merge, with_free_known
+from leakage.estimation.certificate import Certificate
+from leakage.estimation.identifiability import (
     Excitation,
     Identification,
     Judgement,
@@ -27,7 +27,8 @@ from leakage.identifiability import (
     judge_by_total,
     judge_leakage,
 )
-from leakage.model_verdict import (
+from leakage.estimation.least_squares import Fit, fit
+from leakage.estimation.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
     Misfit,
@@ -35,9 +36,8 @@ from leakage.model_verdict import (
     model_errors,
     structured_misfit,
 )
-from leakage.multi_start import Parametrisation, SearchSettings
-from leakage.temperature_correction import UNKNOWN_PER_KELVIN, temperature_response
-from leakage.uncertainty import Bootstrap, block_bootstrap
+from leakage.estimation.multi_start import Parametrisation, SearchSettings
+from leakage.estimation.uncertainty import Bootstrap, block_bootstrap
 from pipeline.config import MotorSpec
 from pipeline.night.error_parts import ErrorParts, of_extrapolation, of_sensors, stated
 from pipeline.night.residuals import PartResiduals

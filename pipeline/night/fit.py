@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions, regressors
-from leakage.correlation import memory_s
-from leakage.sample_blocks import TRAINING
-from leakage.sensitivities import ErrorBudget, error_budget
+from leakage.estimation.correlation import memory_s
+from leakage.estimation.sample_blocks import TRAINING
+from leakage.estimation.sensitivities import ErrorBudget, error_budget
 from pipeline.arrays import chosen_rows
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import BlockFit, conditions, fit_stored_blocks

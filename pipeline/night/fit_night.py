@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor
-from leakage.sample_blocks import TRAINING
+from leakage.estimation.sample_blocks import TRAINING
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods

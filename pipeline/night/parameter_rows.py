@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, regressors
-from leakage.estimation import Fit
-from leakage.identifiability import Judgement
-from leakage.motor import path_flows_l_per_min
-from leakage.multi_start import Parametrisation
-from leakage.paths import LeakagePath
-from leakage.sensitivities import Effect, ErrorBudget
+from leakage.estimation.identifiability import Judgement
+from leakage.estimation.least_squares import Fit
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.sensitivities import Effect, ErrorBudget
+from leakage.physics.motor import path_flows_l_per_min
+from leakage.physics.paths import LeakagePath
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
 

@@ -15,10 +15,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import EstimationError, Motor, OperatingConditions
-from leakage.block_statistics import merge, with_free_known, with_path_known
-from leakage.model_verdict import Misfit
-from leakage.multi_start import Parametrisation
-from leakage.sensitivities import effects_elsewhere
+from leakage.estimation.block_statistics import merge, with_free_known, with_path_known
+from leakage.estimation.model_verdict import Misfit
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.sensitivities import effects_elsewhere
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import REFERENCE, BlockFit, conditions, fit_stored_blocks
 from pipeline.night.fit_night import NightOutcome, PreviousModel

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from leakage.residual_analysis import FAILED, LEVEL, NOT_TESTED, PASSED, LagTest
-from leakage.sample_blocks import TRAINING, VALIDATION
-from leakage.validation import effective_sample_count
+from leakage.estimation.residual_analysis import FAILED, LEVEL, NOT_TESTED, PASSED, LagTest
+from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.validation import effective_sample_count
 from pipeline.night.residuals import PartResiduals
 
 Row = dict[str, Any]

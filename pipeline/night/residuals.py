@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.residual_analysis import ResidualAnalysis, analyse_residuals
-from leakage.sample_blocks import TRAINING, VALIDATION
-from leakage.smoothing import smooth
-from leakage.validation import lag_one_autocorrelation
+from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
+from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.smoothing import smooth
+from leakage.estimation.validation import lag_one_autocorrelation
 from pipeline.arrays import chosen_rows
 from pipeline.config import Smoothing
 from pipeline.night.statistics import NightStatistics

@@ -10,19 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor
-from leakage.estimation import Fit
-from leakage.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
-from leakage.model_verdict import LowSide, model_verdict, verdict_in_words
-from leakage.motor import speed_beyond_curve
-from leakage.multi_start import Parametrisation
-from leakage.sample_blocks import TRAINING, VALIDATION
-from leakage.validation import (
+from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
+from leakage.estimation.least_squares import Fit
+from leakage.estimation.model_verdict import LowSide, model_verdict, verdict_in_words
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.sample_blocks import TRAINING, VALIDATION
+from leakage.estimation.validation import (
     Agreement,
     agreement,
     criteria,
     effective_sample_count,
     lag_one_autocorrelation,
 )
+from leakage.physics.motor import speed_beyond_curve
 from pipeline.arrays import chosen_rows, utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import Motor, OperatingConditions, regressors
-from leakage.compression import CompressedSamples, compress
-from leakage.multi_start import Parametrisation
-from leakage.sample_blocks import split_into_blocks
+from leakage.estimation.compression import CompressedSamples, compress
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.sample_blocks import split_into_blocks
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night

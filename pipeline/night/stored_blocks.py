@@ -11,11 +11,11 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage.block_fit import SampleBlocks
-from leakage.block_statistics import merge, with_free_known
-from leakage.identifiability import Excitation
-from leakage.sample_blocks import TRAINING, short_blocks_within
-from leakage.slow_errors import ShortBlocks
+from leakage.estimation.block_fit import SampleBlocks
+from leakage.estimation.block_statistics import merge, with_free_known
+from leakage.estimation.identifiability import Excitation
+from leakage.estimation.sample_blocks import TRAINING, short_blocks_within
+from leakage.estimation.slow_errors import ShortBlocks
 from pipeline.config import MotorSpec
 from pipeline.night.viscosity import driven, mean_ratio, viscosity_ratios
 from pipeline.schema import BLOCK_STATISTICS

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.oil import Oil, density_kg_per_m3
-from leakage.walther import kinematic_viscosity_mm2_per_s
+from leakage.physics.oil import Oil, density_kg_per_m3
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s
 from pipeline.config import MotorSpec
 from pipeline.night.time_base import VISCOSITIES, Samples
 

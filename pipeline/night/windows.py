@@ -10,7 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.sample_blocks import ChosenPeriods, within
+from leakage.estimation.sample_blocks import ChosenPeriods, within
 from pipeline.arrays import SECOND_US, Mask, Times
 from pipeline.config import Windows
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import datetime as dt
 from pathlib import Path
 
-from leakage.frame_result import FrameFit
+from leakage.frame.result import FrameFit
 from pipeline.config import Fleet, Nights
 from pipeline.config.nights import night, night_of, nights_between
 from pipeline.errors import UsageError

@@ -11,11 +11,11 @@ from typing import Any, Literal
 import numpy as np
 import polars as pl
 
-from leakage.frame_fit import fit_frame
-from leakage.frame_result import FrameFit
-from leakage.frame_samples import CHARGE, FLOW, FrameTable, Period
-from leakage.motor import Motor
-from leakage.sensitivities import Tolerances
+from leakage.estimation.sensitivities import Tolerances
+from leakage.frame.fit import fit_frame
+from leakage.frame.result import FrameFit
+from leakage.frame.samples import CHARGE, FLOW, FrameTable, Period
+from leakage.physics.motor import Motor
 from pipeline.clock import latest_us
 from pipeline.config import Fleet, MotorFile, MotorSpec, Settings, load_fleet
 from pipeline.config.nights import night, nights_between, nights_of

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage.validation import POOR_FIT_PERCENT
+from leakage.estimation.validation import POOR_FIT_PERCENT
 from pipeline.palette import COLOURS
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.first_screen import FirstScreen, Line

@@ -14,7 +14,7 @@ from typing import Any
 
 import polars as pl
 
-from leakage.sample_blocks import GUARD, TRAINING, VALIDATION
+from leakage.estimation.sample_blocks import GUARD, TRAINING, VALIDATION
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.tables import Read
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C

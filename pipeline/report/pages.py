@@ -13,7 +13,7 @@ from zoneinfo import ZoneInfo
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from leakage.validation import POOR_FIT_PERCENT, is_poor
+from leakage.estimation.validation import POOR_FIT_PERCENT, is_poor
 from pipeline.palette import COLOURS
 from pipeline.report.encoding import script_json
 from pipeline.report.findings import Score

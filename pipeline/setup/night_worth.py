@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError, Motor, OperatingConditions
-from leakage.motor import path_flows_l_per_min
+from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
 from pipeline.config.motors import FALLBACK_VALID_RANGE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from leakage.hypotheses import Posterior
+from leakage.course.hypotheses import Posterior
 from pipeline.trends.duty import duty_words
 from pipeline.trends.night_records import BALANCED, FLUSHING, OUTSIDE
 from pipeline.trends.standing import CHANGED, Standing

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from leakage.balanced_baseline import DutyBlocks
+from leakage.course.balanced_baseline import DutyBlocks
 from pipeline.config import MotorSpec
 from pipeline.config.hashes import hash_of
 from pipeline.errors import StoreError

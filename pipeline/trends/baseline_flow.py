@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import LEAKAGE_FLOOR
+from leakage.course.baseline import LEAKAGE_FLOOR
 from pipeline.trends.baseline_model import factors_of
 from pipeline.trends.history import History
 from pipeline.trends.indicators import DEVIATION, NO_BASELINE, Indicator

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError
-from leakage.block_statistics import merge
-from leakage.certificate import certify
-from leakage.multi_start import Parametrisation
+from leakage.estimation.block_statistics import merge
+from leakage.estimation.certificate import certify
+from leakage.estimation.multi_start import Parametrisation
 from pipeline.trends.history import History
 from pipeline.trends.night_records import whole_matrix
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import Baseline
-from leakage.change_points import find_changes
-from leakage.slope import LEAST_NIGHTS
+from leakage.course.baseline import Baseline
+from leakage.course.change_points import find_changes
+from leakage.course.slope import LEAST_NIGHTS
 from pipeline.trends.segments import Segment
 from pipeline.trends.standing import CHANGED, Standing
 

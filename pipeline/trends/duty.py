@@ -2,7 +2,8 @@
 
 A wrong model gives other loss factors at another duty, so a night whose mean pressure, temperature
 or speed is none of the baseline's is compared with the baseline's blocks, weighted until their
-conditions are the night's (`leakage.balanced_baseline`). Each night is compared once and keeps it.
+conditions are the night's (`leakage.course.balanced_baseline`). Each night is compared
+once and keeps it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import LeakageError
-from leakage.balanced_baseline import (
+from leakage.course.balanced_baseline import (
     LEAST_BLOCKS,
     NIGHTS_OF_NOW,
     Comparison,
@@ -25,7 +26,7 @@ from leakage.balanced_baseline import (
     compare,
     told_rises,
 )
-from leakage.multi_start import Parametrisation
+from leakage.estimation.multi_start import Parametrisation
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.baseline_blocks import BlockFiles

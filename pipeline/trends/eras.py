@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import BaselineSettings
-from leakage.temperature_correction import UNKNOWN_PER_KELVIN, TemperatureCorrection
+from leakage.course.baseline import BaselineSettings
+from leakage.course.temperature_correction import UNKNOWN_PER_KELVIN, TemperatureCorrection
 from pipeline.trends.baseline_flow import deviation, log_ratio
 from pipeline.trends.baseline_model import baseline_model
 from pipeline.trends.decisions import Decision

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from leakage.growth import Shift
-from leakage.hypotheses import PROBABLE, Posterior
-from leakage.oil import dynamic_viscosity_pa_s
+from leakage.course.growth import Shift
+from leakage.course.hypotheses import PROBABLE, Posterior
+from leakage.physics.oil import dynamic_viscosity_pa_s
 from pipeline.trends.history import History
 from pipeline.trends.oil import (
     grade_of,

@@ -15,10 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.block_statistics import with_path_known
-from leakage.growth import Blocks, Growth, growth
-from leakage.hypotheses import CommonFactor, Posterior, mean_factor, weigh
-from leakage.temperature_correction import TemperatureCorrection
+from leakage.course.growth import Blocks, Growth, growth
+from leakage.course.hypotheses import CommonFactor, Posterior, mean_factor, weigh
+from leakage.course.temperature_correction import TemperatureCorrection
+from leakage.estimation.block_statistics import with_path_known
 from pipeline.trends.baseline_model import factors_of
 from pipeline.trends.eras import Era
 from pipeline.trends.history import History

@@ -16,15 +16,15 @@ import polars as pl
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from leakage.block_statistics import merge
-from leakage.night_filter import (
+from leakage.course.night_filter import (
     FilterState,
     NightInformation,
     first_state,
     follow,
     night_information,
 )
-from leakage.temperature_correction import TemperatureCorrection
+from leakage.course.temperature_correction import TemperatureCorrection
+from leakage.estimation.block_statistics import merge
 from pipeline.config import MotorSpec
 from pipeline.night.rows import upper_triangle
 from pipeline.trends.decisions import Decision

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.model_verdict import model_verdict
+from leakage.estimation.model_verdict import model_verdict
 from pipeline.trends.baseline_flow import column_sums, expected_flow
 from pipeline.trends.indicators import (
     BASELINE_PROGRESS,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR
+from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR
 from pipeline.trends.filtered_nights import WIDEST_COEFFICIENT, Filtered, filtered
 from pipeline.trends.history import History
 from pipeline.trends.night_records import FLUSHING

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import polars as pl
 
-from leakage.validation import is_poor
+from leakage.estimation.validation import is_poor
 from pipeline.errors import StoreError
 from pipeline.schema import FITS, LATEST, TRENDS
 from pipeline.store.tables import published_rows, read_rows, whole_file

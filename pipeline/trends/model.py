@@ -10,8 +10,8 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import above_level
-from leakage.model_verdict import (
+from leakage.course.alarms import above_level
+from leakage.estimation.model_verdict import (
     DISPROVED_OVER_TEN,
     NIGHTS_TOGETHER,
     Misfit,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from leakage.validation import is_poor
+from leakage.estimation.validation import is_poor
 from pipeline.trends.decisions import Decision
 from pipeline.trends.words import FALL
 

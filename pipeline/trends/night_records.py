@@ -17,10 +17,10 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from leakage.identifiability import OUTSIDE as OUTSIDE_THE_SAMPLES
-from leakage.identifiability import TOLD
-from leakage.model_verdict import MISFIT_NUMBERS
-from leakage.multi_start import Parametrisation
+from leakage.estimation.identifiability import OUTSIDE as OUTSIDE_THE_SAMPLES
+from leakage.estimation.identifiability import TOLD
+from leakage.estimation.model_verdict import MISFIT_NUMBERS
+from leakage.estimation.multi_start import Parametrisation
 from pipeline.config import MotorSpec
 from pipeline.night.stored_blocks import StoredBlocks
 from pipeline.schema.fits import OK

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from leakage.hypotheses import Posterior
-from leakage.oil_in_use import likely_grade
+from leakage.course.hypotheses import Posterior
+from leakage.physics.oil_in_use import likely_grade
 from pipeline.config.oil_samples import OilSample
 from pipeline.night.time_base import VISCOSITIES
 from pipeline.trends.history import History

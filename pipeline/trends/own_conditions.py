@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from leakage import LeakageError, OperatingConditions, regressors
-from leakage.baseline import LEAKAGE_FLOOR
+from leakage.course.baseline import LEAKAGE_FLOOR
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.filtered_nights import WIDEST_LEAKAGE, Filtered, filtered
 from pipeline.trends.history import History

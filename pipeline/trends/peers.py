@@ -18,8 +18,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import BaselineSettings, fit_baseline
-from leakage.peers import NIGHTS_OF_NOW, medians_of_others
+from leakage.course.baseline import BaselineSettings, fit_baseline
+from leakage.course.peers import NIGHTS_OF_NOW, medians_of_others
 from pipeline.trends.history import History
 from pipeline.trends.indicators import Indicator
 from pipeline.trends.segments import Segment

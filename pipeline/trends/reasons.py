@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import sudden_nights
-from leakage.hypotheses import Posterior
-from leakage.monitoring import NIGHTS_OF_SIZE, weights_of_now
+from leakage.course.alarms import sudden_nights
+from leakage.course.hypotheses import Posterior
+from leakage.course.monitoring import NIGHTS_OF_SIZE, weights_of_now
 from pipeline.trends.attribution import why_not_named
 from pipeline.trends.duty import UNCERTAIN, duty_words
 from pipeline.trends.explanation_words import why_words

@@ -19,7 +19,7 @@ import numpy as np
 import polars as pl
 from threadpoolctl import threadpool_limits
 
-from leakage.slope import benjamini_hochberg
+from leakage.course.slope import benjamini_hochberg
 from pipeline.errors import StoreError
 from pipeline.schema import TREND_TABLES, TRENDS
 from pipeline.store.night_files import (

@@ -11,9 +11,9 @@ from typing import overload
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import OF_SEVERITY, Limits
-from leakage.hypotheses import Posterior
-from leakage.monitoring import ChangeSize, Track, change_size, track
+from leakage.course.alarms import OF_SEVERITY, Limits
+from leakage.course.hypotheses import Posterior
+from leakage.course.monitoring import ChangeSize, Track, change_size, track
 from pipeline.config.nights import night as night_labelled
 from pipeline.trends.eras import Era
 from pipeline.trends.explanations import Why

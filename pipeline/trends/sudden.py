@@ -15,8 +15,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.hypotheses import Posterior
-from leakage.jumps import AFTER, LEAST_BEFORE, MOST_BEFORE, Jump, find_jumps, is_undone
+from leakage.course.hypotheses import Posterior
+from leakage.course.jumps import AFTER, LEAST_BEFORE, MOST_BEFORE, Jump, find_jumps, is_undone
 from pipeline.trends.decisions import Decision
 from pipeline.trends.explanations import Why
 from pipeline.trends.history import History

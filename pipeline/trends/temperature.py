@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.temperature_correction import TemperatureCorrection, temperature_correction
+from leakage.course.temperature_correction import TemperatureCorrection, temperature_correction
 from pipeline.trends.baseline_model import baseline_model, bounds_of, factors_of
 from pipeline.trends.history import History
 from pipeline.trends.night_records import Records

@@ -9,8 +9,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import above_level
-from leakage.temperature_correction import (
+from leakage.course.alarms import above_level
+from leakage.course.temperature_correction import (
     NIGHTS_OF_NOW,
     TemperatureCorrection,
     latest_slopes,

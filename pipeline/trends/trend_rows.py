@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import Baseline
-from leakage.cusum import cusum_limit
-from leakage.hypotheses import Posterior
-from leakage.slope import Slope, fit_slope
-from leakage.time_to_limit import time_to_limit
+from leakage.course.baseline import Baseline
+from leakage.course.cusum import cusum_limit
+from leakage.course.hypotheses import Posterior
+from leakage.course.slope import Slope, fit_slope
+from leakage.course.time_to_limit import time_to_limit
 from pipeline.trends.attribution import path_behind, path_named, why_not_named
 from pipeline.trends.explanation_words import cannot_be_told
 from pipeline.trends.first_rows import first_rows, reference_flows

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.alarms import Levels, Limits
-from leakage.baseline import Baseline, BaselineSettings
-from leakage.cusum_limits import RATES
-from leakage.monitoring import Monitoring, MonitorSettings, monitor
+from leakage.course.alarms import Levels, Limits
+from leakage.course.baseline import Baseline, BaselineSettings
+from leakage.course.cusum_limits import RATES
+from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
 from pipeline.config import MotorSpec
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History

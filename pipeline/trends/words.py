@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from leakage.monitoring import ChangeSize
-    from leakage.temperature_correction import TemperatureCorrection
+    from leakage.course.monitoring import ChangeSize
+    from leakage.course.temperature_correction import TemperatureCorrection
 
 NAMES = {
     "reference_leakage": "reference leakage",
@@ -118,7 +118,7 @@ def temperature_words(frozen: TemperatureCorrection) -> str:
 
     Examples
     --------
-    >>> from leakage.temperature_correction import TemperatureCorrection
+    >>> from leakage.course.temperature_correction import TemperatureCorrection
     >>> temperature_words(TemperatureCorrection(-0.0097, 0.002, 50.0))
     "K falls by 0.97 % a kelvin: the sensor is not where the gap is, or the oil's curve is off"
     """
@@ -135,7 +135,7 @@ def size_words(indicator: str, size: ChangeSize, since: object) -> str:
 
     Examples
     --------
-    >>> from leakage.monitoring import ChangeSize
+    >>> from leakage.course.monitoring import ChangeSize
     >>> size_words("K_balance_sleeve", ChangeSize(9, 0.38, 0.29, 0.47, 10), "2026-10-03")
     'balance sleeve gap +11 % [9, 14] since 3 October 2026'
     >>> size_words("reference_leakage", ChangeSize(9, -0.057, -0.1, -0.014, 10), "2026-10-03")

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from leakage.alarms import Levels, above_level
-from leakage.sensor_zero import zero_course
+from leakage.course.alarms import Levels, above_level
+from leakage.course.sensor_zero import zero_course
 from pipeline.config import MotorSpec
 from pipeline.trends.decisions import Decision
 from pipeline.trends.history import History

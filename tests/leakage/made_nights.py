@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.baseline import Baseline
+from leakage.course.baseline import Baseline
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage.motor import Motor, OperatingConditions, regressors, total_flow_l_per_min
+from leakage.physics.motor import Motor, OperatingConditions, regressors, total_flow_l_per_min
 
 Array = NDArray[np.float64]
 

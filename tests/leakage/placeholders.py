@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Literal
 
-from leakage.motor import Motor
-from leakage.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil
-from leakage.paths import AnnularGap, Constant, LeakagePath, Parameter, SpeedCurve
+from leakage.physics.motor import Motor
+from leakage.physics.oil import THESIS_FILM_PRESSURE, FilmPressure, Oil
+from leakage.physics.paths import AnnularGap, Constant, LeakagePath, Parameter, SpeedCurve
 
 Flushing = Literal["none", "fixed", "estimated"]
 

@@ -15,7 +15,14 @@ import pytest
 from numpy.typing import NDArray
 from pydantic import Field
 
-from leakage.law import CoefficientUnit, DerivedFigure, Law, Parameter, PathTolerance, Values
+from leakage.physics.law import (
+    CoefficientUnit,
+    DerivedFigure,
+    Law,
+    Parameter,
+    PathTolerance,
+    Values,
+)
 from pipeline.config import Cleaning, MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.config.motor_types import (

@@ -566,7 +566,7 @@ def test_status_neither_fits_nor_draws(fleet: Path) -> None:
         "import contextlib, pipeline.cli.state as s; from pathlib import Path; from typer import "
         f"Exit\nwith contextlib.suppress(Exit): s.status(Path({str(fleet)!r}))"
     )
-    unused = (*NOT_FOR_STATUS, "pipeline.night.fit_night", "leakage.monitoring")
+    unused = (*NOT_FOR_STATUS, "pipeline.night.fit_night", "leakage.course.monitoring")
     assert loaded_by(code, unused) == []
 
 

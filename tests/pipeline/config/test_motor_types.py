@@ -11,8 +11,8 @@ import polars as pl
 import pytest
 
 from leakage import AnnularGap, Constant, Laminar, Motor, Parameter, SpeedCurve, leakage_l_per_min
-from leakage.conditions import OperatingConditions
-from leakage.film import film_thickness_ratio
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.film import film_thickness_ratio
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.run.fleet import RunRequest, run_fleet

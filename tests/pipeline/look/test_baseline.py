@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from leakage.step_detection import BlockErrors
-from leakage.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.course.step_detection import BlockErrors
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.hashes import model_hash
 from pipeline.config.oil_samples import OilSample

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from leakage.oil import density_kg_per_m3
-from leakage.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
+from leakage.physics.oil import density_kg_per_m3
+from leakage.physics.walther import kinematic_viscosity_mm2_per_s, walther_coefficients
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.oil_samples import OilSample
 from pipeline.night.fit_night import NightOutcome, fit_night

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from leakage.sample_blocks import (
+from leakage.estimation.sample_blocks import (
     GUARD,
     NONE_CHOSEN,
     TRAINING,

@@ -11,8 +11,8 @@ import pytest
 from numpy.typing import NDArray
 
 from benchmarks.notebook import figures_of, published_figures
-from leakage.frame_result import FrameFit
-from leakage.sample_blocks import DefaultWindows
+from leakage.estimation.sample_blocks import DefaultWindows
+from leakage.frame.result import FrameFit
 from pipeline.config import MotorSpec, Windows
 from pipeline.errors import UsageError
 from pipeline.night.fit_night import fit_night

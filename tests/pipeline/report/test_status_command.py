@@ -10,7 +10,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from leakage.monitoring import ChangeSize
+from leakage.course.monitoring import ChangeSize
 from pipeline.errors import UsageError
 from pipeline.report.status import (
     RAISED,

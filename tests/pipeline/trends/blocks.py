@@ -11,7 +11,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from leakage import OperatingConditions, regressors
-from leakage.block_statistics import factors
+from leakage.estimation.block_statistics import factors
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import BLOCK_STATISTICS, frame
 from pipeline.trends.filtered_nights import add_blocks, without_fit

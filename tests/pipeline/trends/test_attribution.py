@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from leakage.block_statistics import with_free_known
-from leakage.growth import Growth, Shift
-from leakage.hypotheses import weigh
-from leakage.temperature_correction import TemperatureCorrection
+from leakage.course.growth import Growth, Shift
+from leakage.course.hypotheses import weigh
+from leakage.course.temperature_correction import TemperatureCorrection
+from leakage.estimation.block_statistics import with_free_known
 from pipeline.night.rows import upper_triangle
 from pipeline.trends.attribution import path_behind, path_named
 from pipeline.trends.eras import Era

@@ -12,8 +12,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from leakage.balanced_baseline import DutyBlocks
-from leakage.model_verdict import StructuredMisfit
+from leakage.course.balanced_baseline import DutyBlocks
+from leakage.estimation.model_verdict import StructuredMisfit
 from pipeline.config import MotorSpec
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.tables import night_file, write_table

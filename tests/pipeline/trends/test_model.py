@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from leakage.model_verdict import Misfit
+from leakage.estimation.model_verdict import Misfit
 from pipeline.trends.first_rows import model_row
 from pipeline.trends.standing import Standing
 from pipeline.trends.words import day

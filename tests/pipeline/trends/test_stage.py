@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from leakage.slope import benjamini_hochberg
+from leakage.course.slope import benjamini_hochberg
 from pipeline.config import load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables

@@ -1,0 +1,1 @@
+"""A motor over its nights: baselines, monitoring of changes, forecasts."""

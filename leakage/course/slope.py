@@ -1,0 +1,285 @@
+r"""Rate of change of an indicator: Theil–Sen slope, interval by generalised least squares.
+
+Theil–Sen's slope [1]_ is the figure shown to users, as single odd nights do not move it. Its own
+interval assumes independent nights and falls to 68 % coverage where they are correlated, so the
+interval and p come from generalised least squares with first-order autoregressive errors in the
+transform of Prais and Winsten: φ from the residuals of ordinary least squares, corrected for its
+bias, φ^Δt across missing nights, and n − 3 degrees of freedom.
+
+References
+----------
+.. [1] P. K. Sen, "Estimates of the regression coefficient based on Kendall's tau", *Journal of the
+   American Statistical Association*, 63(324), 1968.
+.. [2] Y. Benjamini and Y. Hochberg, "Controlling the false discovery rate", *Journal of the Royal
+   Statistical Society B*, 57(1), 1995.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtr, stdtrit
+
+from leakage.course.autoregression import (
+    Array,
+    Nights,
+    correlation_to_previous,
+    estimated_phi,
+    whitened,
+)
+from leakage.errors import ParameterError, ShapeError
+
+SlopeStatus: TypeAlias = Literal["ok", "provisional", "too_few_nights", "no_scatter", "no_span"]
+
+LEAST_NIGHTS = 20
+SURE_NIGHTS = 60
+# Parameters that cost a degree of freedom: level, slope and φ.
+PARAMETERS = 3
+# Pairs of nights behind a Theil–Sen slope of a long series; below it, all pairs there are.
+MOST_PAIRS = 20_000
+# Scatter below this share of the values is rounding.
+RELATIVE_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, slots=True)
+class Slope:
+    """A straight line through the nights of an indicator.
+
+    Attributes
+    ----------
+    status
+        ``ok``; ``provisional`` below 60 nights; otherwise why there is no line:
+        ``too_few_nights`` (below 20) or ``no_span`` (all at one position). ``no_scatter``: the
+        nights lie on a line to within rounding, which has neither interval nor p.
+    n
+        Nights that count.
+    theil_sen
+        Median of the slopes between pairs of nights [unit a unit of position]; None where it was
+        not asked for.
+    slope, lower, upper
+        Generalised least squares, and its interval [unit a unit of position].
+    p_value
+        Two-sided, of no slope.
+    phi
+        Correlation of neighbouring nights.
+    residual_sd
+        Scatter of the nights about the line [unit]; of a night of weight 1, where they have
+        weights.
+    theil_sen_outside
+        Whether the Theil–Sen slope lies outside the interval: the nights are no line with errors.
+    """
+
+    status: SlopeStatus
+    n: int
+    theil_sen: float | None = None
+    slope: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+    p_value: float | None = None
+    phi: float | None = None
+    residual_sd: float | None = None
+    theil_sen_outside: bool = False
+
+
+def fit_slope(
+    nights: Nights,
+    values: Array,
+    position: Array | None = None,
+    sd: Array | None = None,
+    coverage: float = 0.95,
+    *,
+    median: bool = True,
+) -> Slope:
+    """Slope of an indicator over time or running hours, with an interval that holds.
+
+    Parameters
+    ----------
+    nights
+        Numbers of the nights, increasing, shape (n,); they say how far errors remember.
+    values
+        Indicator, shape (n,); nights that are not finite do not count.
+    position
+        What the slope is per unit of, such as running hours, shape (n,); the nights themselves
+        where it is left out.
+    sd
+        Relative scatter of each night, where it is known, shape (n,), positive; all alike where it
+        is left out.
+    coverage
+        Of the interval.
+    median
+        Whether the Theil–Sen slope is wanted, too; it takes longer than all the rest.
+
+    Returns
+    -------
+    Slope
+        Below 20 nights only its status.
+
+    Raises
+    ------
+    ShapeError
+        ``shape`` or ``night_order``.
+    ParameterError
+        ``night_scatter``.
+
+    Notes
+    -----
+    Simulated coverage of 95 % intervals: 92 to 96 % for 60 nights or more and φ up to 0.6; 86 %
+    for 20 nights and φ = 0.6, which is why those are provisional.
+
+    Examples
+    --------
+    >>> nights = np.arange(60)
+    >>> found = fit_slope(nights, 2.0 + 0.01 * nights + 0.1 * (-1.0) ** nights)
+    >>> found.status, round(found.theil_sen, 3), found.lower < 0.01 < found.upper
+    ('ok', 0.01, True)
+    """
+    scale = np.ones(len(values)) if sd is None else sd
+    x = nights.astype(np.float64) if position is None else position
+    check_series(nights, values, x, scale)
+    kept = np.isfinite(values) & np.isfinite(x) & np.isfinite(scale)
+    if not np.all(scale[kept] > 0.0):
+        raise ParameterError("night_scatter", "a night's scatter is not positive; expected above 0")
+    n = int(kept.sum())
+    if n < LEAST_NIGHTS:
+        return Slope("too_few_nights", n)
+    nights, values, x, scale = nights[kept], values[kept], x[kept], scale[kept]
+    if not np.ptp(x) > 0.0:
+        return Slope("no_span", n)
+    centred = x - float(np.mean(x))
+    median_slope = theil_sen(x, values) if median else None
+    design = np.column_stack([np.ones(n), centred]) / scale[:, None]
+    first, residuals = _least_squares(design, values / scale)
+    if float(np.std(residuals)) <= RELATIVE_ROUNDING * float(np.max(np.abs(values / scale))):
+        return Slope(
+            "no_scatter",
+            n,
+            median_slope,
+            slope=float(first[1]),
+            phi=0.0,
+            residual_sd=0.0,
+        )
+    phi = estimated_phi(residuals, nights)
+    rho = correlation_to_previous(phi, nights)
+    white = whitened(design, rho)
+    line, errors = _least_squares(white, whitened(values / scale, rho))
+    freedom = n - PARAMETERS
+    variance = float(errors @ errors) / freedom
+    error = float(np.sqrt(variance * np.linalg.inv(white.T @ white)[1, 1]))
+    half = float(stdtrit(freedom, 0.5 + coverage / 2)) * error
+    slope = float(line[1])
+    return Slope(
+        status="ok" if n >= SURE_NIGHTS else "provisional",
+        n=n,
+        theil_sen=median_slope,
+        slope=slope,
+        lower=slope - half,
+        upper=slope + half,
+        p_value=float(2.0 * stdtr(freedom, -abs(slope) / error)),
+        phi=phi,
+        residual_sd=float(np.sqrt(variance)),
+        theil_sen_outside=median_slope is not None and abs(median_slope - slope) > half,
+    )
+
+
+def theil_sen(position: Array, values: Array) -> float:
+    """Median slope between pairs of points.
+
+    Parameters
+    ----------
+    position
+        Shape (n,), increasing; pairs at one position do not count.
+    values
+        Shape (n,), finite.
+
+    Returns
+    -------
+    float
+        All pairs up to 200 points. Beyond, about 20 000 of them, at distances spread evenly from
+        the nearest points to the farthest, so that its cost does not grow; its standard error is
+        then within a tenth of that of all pairs.
+
+    Examples
+    --------
+    >>> theil_sen(np.arange(5.0), np.array([0.0, 1.0, 2.0, 3.0, 90.0]))
+    1.0
+    """
+    first, second = _pairs(len(values))
+    run = position[second] - position[first]
+    rise = values[second] - values[first]
+    apart = run > 0
+    return float(np.median(rise[apart] / run[apart]))
+
+
+def benjamini_hochberg(p_values: Array) -> Array:
+    """q-values: the false discovery rate at which each hypothesis would just be told [2]_.
+
+    Parameters
+    ----------
+    p_values
+        Shape (n,); nan where there is none, which does not count.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,); nan stays nan.
+
+    Examples
+    --------
+    >>> benjamini_hochberg(np.array([0.01, 0.04, np.nan, 0.03])).round(6).tolist()
+    [0.03, 0.04, nan, 0.04]
+    """
+    q_values = np.full(len(p_values), np.nan)
+    known = np.flatnonzero(np.isfinite(p_values))
+    if not len(known):
+        return q_values
+    order = known[np.argsort(p_values[known], kind="stable")]
+    scaled = p_values[order] * len(order) / np.arange(1, len(order) + 1)
+    q_values[order] = np.minimum(np.minimum.accumulate(scaled[::-1])[::-1], 1.0)
+    return q_values
+
+
+def check_series(nights: Nights, *columns: Array) -> None:
+    """Raise where arrays of a series do not belong together.
+
+    Raises
+    ------
+    ShapeError
+        ``shape`` or ``night_order``.
+    """
+    lengths = sorted({len(nights), *(len(column) for column in columns)})
+    if len(lengths) > 1:
+        raise ShapeError(
+            "shape", f"arrays of one series have lengths {lengths}; expected one length"
+        )
+    if len(nights) > 1 and int(np.min(np.diff(nights))) < 1:
+        raise ShapeError(
+            "night_order", "numbers of nights repeat or go back; expected them increasing"
+        )
+
+
+def _least_squares(design: Array, values: Array) -> tuple[Array, Array]:
+    """Coefficients and residuals, by QR."""
+    q, r = np.linalg.qr(design)
+    coefficients: Array = np.linalg.solve(r, q.T @ values)
+    return coefficients, values - design @ coefficients
+
+
+@lru_cache(maxsize=16)
+def _pairs(n: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Places of the points of each pair: all pairs, or as many as are worth their time."""
+    if n * (n - 1) // 2 <= MOST_PAIRS:
+        first, second = np.triu_indices(n, 1)
+    else:
+        # Distance d has n − d pairs, on average half of n.
+        several = 2 * MOST_PAIRS // n
+        distances = np.unique(((np.arange(several) + 0.5) * n / several).astype(np.intp))
+        first = np.concatenate([np.arange(n - distance) for distance in distances])
+        second = first + np.repeat(distances, n - distances)
+    # All indicators of all motors share these.
+    first.setflags(write=False)
+    second.setflags(write=False)
+    return first, second

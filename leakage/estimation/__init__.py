@@ -1,0 +1,1 @@
+"""Estimation from one night: statistics of blocks, least squares, intervals, residual analysis."""

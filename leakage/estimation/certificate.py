@@ -1,0 +1,246 @@
+r"""The global minimum of the criterion, computed directly and with a proof.
+
+In the loss factors K and the flushing C_f the model is linear and the bounds are a box, so
+
+.. math:: \min_{l \le \theta \le u} \lVert A\theta - b \rVert^2
+
+is convex: its minimum is global. The Karush–Kuhn–Tucker conditions prove it: the gradient is 0 in
+every coefficient off its bounds and points outwards at a bound. The largest violation is reported
+as the dual residual. This minimum is what is published; the multi-start search of the thesis
+(3.5) then shows that it finds the same.
+
+References
+----------
+.. [1] P. B. Stark and R. L. Parker, "Bounded-variable least-squares: an algorithm and
+   applications", *Computational Statistics* 10, 129-141, 1995.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.errors import EstimationError
+from leakage.estimation.block_statistics import criterion, sample_count
+
+Array = NDArray[np.float64]
+
+# A column counts as dependent below this share of the largest singular value: rounding, not noise.
+RANK_TOLERANCE = 1e-11
+# Share of the flow's mean square that rounding alone leaves in the criterion.
+ROUNDING_SHARE = 1e-24
+# Share of the column-scaled box within which a coefficient counts as lying on its bound.
+BOUND_TOLERANCE = 1e-12
+# A gradient into the box below this share of the flow's norm is rounding.
+PULL_TOLERANCE = 1e-14
+# Exchanges with the bounds before the search gives up; it takes one or two for each coefficient.
+MOST_EXCHANGES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """The minimum of a box-bounded linear least squares problem, with its proof.
+
+    Attributes
+    ----------
+    coefficients
+        θ: loss factors in the order of the columns, then the constant flow; shape (p + 1,).
+    cost
+        V(θ) [(l/min)²].
+    dual_residual
+        Largest violation of the Karush–Kuhn–Tucker conditions, relative to ‖A_j‖ ‖b‖.
+    at_lower, at_upper
+        Coefficients that lie on a bound and are not fixed; shape (p + 1,).
+    fixed
+        Coefficients whose bounds are equal; shape (p + 1,).
+    rank
+        Rank of the free, column-scaled regressors.
+    singular_values
+        Of the free regressors, each column scaled to norm 1; largest first.
+    n_estimated
+        Rank of the regressors whose coefficients are off their bounds: d of FPE and AIC.
+    rounding
+        Criterion below which nothing but rounding is left [(l/min)²].
+    """
+
+    coefficients: Array
+    cost: float
+    dual_residual: float
+    at_lower: NDArray[np.bool_]
+    at_upper: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+    rank: int
+    singular_values: Array
+    n_estimated: int
+    rounding: float
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest singular value; infinite for dependent columns, nan without any."""
+        values = self.singular_values
+        if not len(values):
+            return float("nan")
+        return float(values[0] / values[-1]) if values[-1] > 0 else float("inf")
+
+    @property
+    def is_short_of_rank(self) -> bool:
+        """Free columns depend on each other, so that the minimum is a set."""
+        return self.rank < len(self.singular_values)
+
+    @property
+    def off_bounds(self) -> NDArray[np.bool_]:
+        """Coefficients that are estimated and off their bounds; shape (p + 1,)."""
+        off: NDArray[np.bool_] = ~(self.fixed | self.at_lower | self.at_upper)
+        return off
+
+
+def certify(r: Array, lower: Array, upper: Array) -> Certificate:
+    """Global minimum of the criterion over a box of coefficients.
+
+    Parameters
+    ----------
+    r
+        Factor of the training samples, shape (c, c), columns: paths, one, known, measured.
+    lower, upper
+        Bounds of θ, shape (c − 2,) [m³, l/min or 1 as the column]; equal bounds fix a coefficient.
+
+    Returns
+    -------
+    Certificate
+        Where the minimum is a set (dependent columns), its element of least norm in scaled
+        columns if that lies in the box, else the one that the bounded solver ends at: both
+        deterministic.
+
+    Raises
+    ------
+    EstimationError
+        If bounds are out of order, not finite or not one for each coefficient, if the factor is
+        not finite, or holds fewer samples than there are free coefficients.
+
+    Examples
+    --------
+    A flow of exactly 2 per unit of the one regressor, with no constant flow:
+
+    >>> z = np.array([[1.0, 1, 0, 2], [2, 1, 0, 4], [4, 1, 0, 8]])
+    >>> from leakage.estimation.block_statistics import factor
+    >>> certify(factor(z), np.array([0.0, 0.0]), np.array([9.0, 0.0])).coefficients.round(9)
+    array([2., 0.])
+    """
+    lower, upper = np.asarray(lower, float), np.asarray(upper, float)
+    _require_well_posed(r, lower, upper)
+    fixed = lower == upper
+    free = ~fixed
+    matrix, target = r[:, :-2], r[:, -1] - r[:, -2]
+    remaining = target - matrix[:, fixed] @ lower[fixed]
+    norms = np.linalg.norm(matrix, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    scaled = matrix / scale
+    singular_values = _singular_values(scaled[:, free])
+    solution = lower.copy()
+    box = (lower * scale)[free], (upper * scale)[free]
+    found = _bounded_minimum(scaled[:, free], remaining, *box)
+    # A bound that was scaled and scaled back is off by rounding: take the bound itself.
+    sides = [found <= box[0], found >= box[1]]
+    solution[free] = np.select(sides, [lower[free], upper[free]], found / scale[free])
+    solution = np.clip(solution, lower, upper)
+    width = np.where(fixed, 1.0, upper - lower)
+    at_lower = free & (solution - lower <= BOUND_TOLERANCE * width)
+    at_upper = free & (upper - solution <= BOUND_TOLERANCE * width)
+    gradient = scaled.T @ (scaled @ (solution * scale) - target)
+    violation = np.where(at_lower, -gradient, np.where(at_upper, gradient, np.abs(gradient)))
+    size = float(np.linalg.norm(target)) or 1.0
+    return Certificate(
+        coefficients=solution,
+        cost=criterion(r, solution),
+        dual_residual=float(max(0.0, violation[free].max(initial=0.0)) / size),
+        at_lower=at_lower,
+        at_upper=at_upper,
+        fixed=fixed,
+        rank=_rank(singular_values),
+        singular_values=singular_values,
+        n_estimated=_rank(_singular_values(scaled[:, free & ~at_lower & ~at_upper])),
+        rounding=ROUNDING_SHARE * size**2 / max(float(r[:, -3] @ r[:, -3]), 1.0),
+    )
+
+
+def _require_well_posed(r: Array, lower: Array, upper: Array) -> None:
+    """Refuse bounds that are no box, and a factor that cannot determine a minimum."""
+    expected = (r.shape[1] - 2,)
+    if lower.shape != expected or upper.shape != expected:
+        raise EstimationError(
+            "bounds",
+            f"bounds must be of shape {expected}, one for each coefficient, not {lower.shape} and"
+            f" {upper.shape}",
+        )
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all() and (lower <= upper).all()):
+        raise EstimationError(
+            "bounds", "bounds must be finite, each lower one at most its upper one"
+        )
+    if not np.isfinite(r).all():
+        raise EstimationError("not_finite", "the factor holds a value that is not finite")
+    n, n_free = sample_count(r), int((lower < upper).sum())
+    if n < max(n_free, 1):
+        raise EstimationError(
+            "too_few_samples", f"{n} samples are too few for {n_free} free coefficients"
+        )
+
+
+def _singular_values(matrix: Array) -> Array:
+    return np.linalg.svd(matrix, compute_uv=False).astype(np.float64)
+
+
+def _rank(singular_values: Array) -> int:
+    return int((singular_values > RANK_TOLERANCE * singular_values.max(initial=0.0)).sum())
+
+
+def _bounded_minimum(matrix: Array, target: Array, lower: Array, upper: Array) -> Array:
+    """Minimum over the box: the unbounded one where it fits, else found by active sets [1]_.
+
+    SciPy's bounded solver stops on a small change of cost, so a coefficient whose box is tiny can
+    end it far above the minimum. This one stops on nothing but the proof.
+    """
+    if not matrix.shape[1]:
+        return np.empty(0)
+    unbounded = _least_norm(matrix, target)
+    x = np.clip(unbounded, lower, upper)
+    inside = (lower < unbounded) & (unbounded < upper)
+    for _ in range(MOST_EXCHANGES):
+        x, inside = _minimum_of_face(matrix, target, (lower, upper), x, inside)
+        gradient = matrix.T @ (matrix @ x - target)
+        pull = np.where(inside, 0.0, np.where(x == lower, -gradient, gradient))
+        if pull.max() <= PULL_TOLERANCE * max(np.linalg.norm(target), np.abs(x).max()):
+            break
+        inside[np.argmax(pull)] = True
+    return x
+
+
+def _minimum_of_face(
+    matrix: Array, target: Array, box: tuple[Array, Array], x: Array, inside: NDArray[np.bool_]
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Go from x to the minimum over the coefficients inside, putting on its bound what meets it.
+
+    By the least step, not to the least solution: with dependent columns only the step is sure to
+    lead down, and so away from the bound that a coefficient was just let go from.
+    """
+    lower, upper = box
+    x, inside = x.copy(), inside.copy()
+    while inside.any():
+        step = np.zeros_like(x)
+        step[inside] = _least_norm(matrix[:, inside], target - matrix @ x)
+        room = np.where(step < 0, lower - x, upper - x)
+        beyond = inside & (np.abs(step) > np.abs(room))
+        if not beyond.any():
+            return np.clip(x + step, lower, upper), inside
+        shares = np.full(len(x), np.inf)
+        shares[beyond] = room[beyond] / step[beyond]
+        first = int(np.argmin(shares))
+        x = np.clip(x + shares[first] * step, lower, upper)
+        x[first] = lower[first] if step[first] < 0 else upper[first]
+        inside[first] = False
+    return x, inside
+
+
+def _least_norm(matrix: Array, target: Array) -> Array:
+    return np.linalg.lstsq(matrix, target, rcond=RANK_TOLERANCE)[0].astype(np.float64)

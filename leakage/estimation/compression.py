@@ -1,0 +1,136 @@
+"""Samples compressed to the statistics of their blocks: of a night, and of a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.robust import huber_weights, weight_inflation
+from leakage.estimation.sample_blocks import Block, ShortMeans, merge_neighbours, short_means
+from leakage.estimation.smoothing import smooth
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CompressedSamples:
+    """Samples with their columns, and the statistics of their blocks.
+
+    Attributes
+    ----------
+    z
+        Their columns, smoothed where that was asked for; shape (n, c).
+    unsmoothed
+        The same before smoothing; z itself where none was asked for.
+    short_block
+        Number of each sample's block before neighbours are merged, whose borders no smoothing
+        crosses; shape (n,).
+    blocks
+        Blocks as they are stored.
+    factors
+        Triangular factor of each, shape (b, c, c); of weighted samples under a robust loss.
+    plain_factors
+        The same without weights: what a fit is judged on.
+    short_means
+        What each stored block keeps of the short blocks that were merged into it.
+    inflation
+        Factor on standard errors that robust weights ask for; 1 without them.
+    """
+
+    z: Array
+    unsmoothed: Array
+    short_block: NDArray[np.int64]
+    blocks: tuple[Block, ...]
+    factors: Array
+    plain_factors: Array
+    short_means: ShortMeans
+    inflation: float
+
+    def judged_on(self, part: str | None = None) -> Array:
+        """Factor of the samples of a part as they are, or of all."""
+        chosen = [part is None or block.part == part for block in self.blocks]
+        return merge(self.plain_factors[np.array(chosen, dtype=bool)])
+
+    def rows_of(self, part: str) -> NDArray[np.bool_]:
+        """Mask of the samples of a part, shape (n,)."""
+        chosen = np.array([block.part == part for block in self.blocks], dtype=np.bool_)
+        return np.repeat(chosen, [block.n for block in self.blocks])
+
+    def error_of(self, coefficients: Array) -> Array:
+        """Prediction errors of the samples [l/min], shape (n,)."""
+        error: Array = self.z @ -np.concatenate([coefficients, (1.0, -1.0)])
+        return error
+
+
+def compress(
+    columns: Array,
+    index: NDArray[np.int64],
+    period_us: int,
+    short: tuple[Block, ...],
+    bounds: tuple[Array, Array],
+    *,
+    maximum_blocks: int,
+    smoothing_s: float = 0.0,
+    smoothing_of: Literal["all", "leakage"] = "all",
+    loss: Literal["squared", "huber"] = "squared",
+    weighted_parts: Sequence[str] | None = None,
+) -> CompressedSamples:
+    """Smooth, weight and compress samples.
+
+    Parameters
+    ----------
+    columns
+        Columns of the samples as ``motor.columns``, shape (n, c).
+    index, period_us
+        Place of each sample on the time base, shape (n,), and its period [µs].
+    short
+        Short blocks.
+    bounds
+        Bounds of θ; the weights need them.
+    maximum_blocks
+        Neighbours are merged until no more are left.
+    smoothing_s, smoothing_of
+        As of :func:`leakage.estimation.smoothing.smooth`.
+    loss
+        ``squared``, or Huber's by weights on the samples.
+    weighted_parts
+        Parts whose samples find the weights; None: all.
+
+    Returns
+    -------
+    CompressedSamples
+
+    Raises
+    ------
+    EstimationError
+        If Huber's weights are asked for and there are fewer samples than coefficients.
+    """
+    sizes = [block.n for block in short]
+    number = np.repeat(np.arange(len(short)), sizes)
+    z = smooth(columns, index, number, period_us, smoothing_s, smoothing_of)
+    stored = merge_neighbours(short, maximum_blocks)
+    borders = np.array([*(block.first_row for block in stored), len(z)])
+    plain = factors(z, borders)
+    made, inflation, weighted = plain, 1.0, z
+    if loss == "huber":
+        chosen = [weighted_parts is None or block.part in weighted_parts for block in short]
+        rows = np.repeat(np.array(chosen, dtype=np.bool_), sizes)
+        weights = np.ones(len(z))
+        weights[rows] = huber_weights(z[rows], *bounds)
+        weighted = z * np.sqrt(weights)[:, None]
+        made, inflation = factors(weighted, borders), weight_inflation(weights[rows])
+    return CompressedSamples(
+        z=z,
+        unsmoothed=columns,
+        short_block=number,
+        blocks=stored,
+        factors=made,
+        plain_factors=plain,
+        short_means=short_means(weighted, short, stored),
+        inflation=inflation,
+    )

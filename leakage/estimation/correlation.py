@@ -1,0 +1,167 @@
+"""Autocorrelation of prediction errors in series with gaps; no pair spans a gap."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.estimation.lagged_products import Segments, lagged_products
+
+Array = NDArray[np.float64]
+
+# Lags that are looked at first: most errors forget sooner, and more lags take longer.
+FIRST_LAGS = 500
+# Longest memory of the errors that is looked for in the samples.
+LONGEST_MEMORY_S = 600.0
+# Means over this time show a slow error under a larger fast one.
+MEMORY_CELL_S = 30.0
+
+
+def autocorrelation(values: Array, index: NDArray[np.int64], longest_lag: int) -> Array:
+    """Autocorrelation of a series with gaps, each lag over the pairs that exist.
+
+    Parameters
+    ----------
+    values
+        Series in time order, shape (n,); its mean is removed.
+    index
+        Place of each value on an even time base, increasing, shape (n,).
+    longest_lag
+        Largest lag [samples].
+
+    Returns
+    -------
+    ndarray
+        ρ(0) = 1 to ρ(longest_lag), shape (longest_lag + 1,); nan where no pair has that lag, or
+        the series has no spread.
+
+    Examples
+    --------
+    >>> autocorrelation(np.array([1.0, -1, 1, -1]), np.arange(4), 2).round(6)
+    array([ 1., -1.,  1.])
+    """
+    place = index - index[0]
+    # Of what is present, and of the values; 0 where a sample is missing.
+    series = np.zeros((2, int(place[-1]) + 1))
+    series[0, place] = 1.0
+    series[1, place] = values - values.mean()
+    together = Segments.of(np.arange(series.shape[1]))
+    pairs, products = lagged_products(series, together, longest_lag, [(0, 0), (1, 1)])
+    pairs = np.round(pairs)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(pairs > 0, products / pairs, np.nan)
+        result: Array = mean / mean[0] if mean[0] > 0 else np.full(longest_lag + 1, np.nan)
+    return result
+
+
+def correlation_time(values: Array, index: NDArray[np.int64], longest_lag: int) -> float:
+    """Lag over which the autocorrelation falls to 1/e of what it is at lag one [samples].
+
+    Counted from lag one, so that white noise on top of a slow error does not hide the slow one.
+
+    Parameters
+    ----------
+    values, index
+        As for :func:`autocorrelation`.
+    longest_lag
+        Largest lag looked at [samples].
+
+    Returns
+    -------
+    float
+        0 for errors without memory; infinite where it is longer than `longest_lag`, or than the
+        series can tell.
+
+    Notes
+    -----
+    For a first-order autoregression of coefficient φ, with or without white noise on top, this is
+    −1/ln φ, corrected for the bias that the removed mean causes in a short series [1]_.
+
+    References
+    ----------
+    .. [1] M. G. Kendall, "Note on bias in the estimation of autocorrelation", *Biometrika*,
+       41(3/4), 1954.
+    """
+    if longest_lag > FIRST_LAGS >= index[1] - index[0]:
+        found = correlation_time(values, index, FIRST_LAGS)
+        if math.isfinite(found):
+            return found
+    rho = autocorrelation(values, index, longest_lag)
+    n = len(values)
+    # Of every second sample there is no pair at lag one: the first lag there is stands in.
+    lags = np.flatnonzero(np.isfinite(rho[1:])) + 1
+    # Below the band of white noise there is no memory to measure.
+    if not len(lags) or not rho[lags[0]] > 2.576 / math.sqrt(n):
+        return 0.0
+    start = float(rho[lags[0]])
+    below = np.flatnonzero(rho[lags] <= start / math.e)
+    if not len(below):
+        return math.inf
+    before, lag = lags[below[0] - 1], lags[below[0]]
+    # Linear in the logarithm between the last lag above and the first below.
+    above, under = float(rho[before]), max(float(rho[lag]), 1e-12)
+    share = math.log(above * math.e / start) / math.log(above / under)
+    found = before - lags[0] + share * (lag - before)
+    # Removing the mean of n samples lowers an autoregression's coefficient by 4/n of a lag.
+    rate = 1.0 / max(found, 1e-12) - 4.0 / n
+    return 1.0 / rate if rate > 0 else math.inf
+
+
+def slowest_correlation_time(
+    values: Array, index: NDArray[np.int64], longest_lag: int, cell: int
+) -> float:
+    """The longer of the correlation times of a series and of its means over cells [samples].
+
+    A slow error under a larger fast one falls to 1/e with the fast one; in means over cells that
+    are long against the fast one, the slow one is left.
+
+    Parameters
+    ----------
+    values, index, longest_lag
+        As for :func:`autocorrelation`.
+    cell
+        Length of a cell [samples].
+
+    Returns
+    -------
+    float
+        As from :func:`correlation_time`.
+    """
+    fast = correlation_time(values, index, longest_lag)
+    number, first = np.unique(index // cell, return_index=True)
+    if len(number) < 4 or cell < 2:
+        return fast
+    sizes = np.diff(np.append(first, len(values)))
+    whole = sizes >= cell / 2
+    means = np.add.reduceat(values, first)[whole] / sizes[whole]
+    longest = min(longest_lag // cell, int(whole.sum()) // 4)
+    if longest < 2:
+        return fast
+    return max(fast, cell * correlation_time(means, number[whole], longest))
+
+
+def memory_s(error: Array, index: NDArray[np.int64], period_s: float, rounding: float) -> float:
+    """Time over which prediction errors forget [s].
+
+    Parameters
+    ----------
+    error, index
+        Errors in time order and their places on an even time base, shape (n,).
+    period_s
+        Period of the time base [s].
+    rounding
+        Errors of this size are rounding, and what rounding remembers is nothing.
+
+    Returns
+    -------
+    float
+        0 without memory; infinite where it is longer than the samples can tell.
+    """
+    longest = int(min(LONGEST_MEMORY_S / period_s, len(error) // 4))
+    if longest <= 1 or not float(np.abs(error).max()) > rounding:
+        return 0.0
+    return (
+        slowest_correlation_time(error, index, longest, round(MEMORY_CELL_S / period_s)) * period_s
+    )

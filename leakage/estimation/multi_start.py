@@ -1,0 +1,330 @@
+r"""The search of the thesis: bounded least squares in gap heights and eccentricities (3.4, 3.5).
+
+The trust-region-reflective method runs from several starting points over the triangular factor of
+the samples, so that a start costs milliseconds however long the window. h and e of one path enter
+only as K ∝ h³(1 + 1.5e²): runs from different points end at one minimum of the criterion with
+different (h, e). The starts therefore show that the thesis's search agrees with the certificate,
+and how far the thesis's parameters spread at the minimum.
+
+The optimiser sees µm and l/min, never metres: its step test is on an unscaled norm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.estimation.block_statistics import criterion, sample_count
+from leakage.estimation.trust_region import (
+    FAILED,
+    FUNCTION,
+    FUNCTION_AND_STEP,
+    GRADIENT,
+    ITERATION_LIMIT,
+    STEP,
+    Ends,
+    Tolerances,
+    minimise,
+)
+from leakage.physics.motor import Motor
+from leakage.physics.paths import LeakagePath, Parameter
+
+Array = NDArray[np.float64]
+
+# A start is at the minimum when its criterion is within this share of the certificate's.
+AT_MINIMUM = 1e-4
+# At e = 0 the derivative by e vanishes: a search that starts there never leaves.
+ECCENTRICITY_NUDGE = 1e-3
+# No more than rounding: without one the search divides 0 by 0 where the gradient vanishes exactly.
+GRADIENT_TOLERANCE = float(np.finfo(np.float64).eps)
+
+STATUS = {
+    FAILED: ("failed", "the residuals at the starting point are not finite"),
+    ITERATION_LIMIT: ("iteration_limit", "the maximum number of iterations was used up"),
+    GRADIENT: ("gradient_tolerance", "the gradient vanishes"),
+    FUNCTION: ("function_tolerance", "the criterion changes by less than the tolerance"),
+    STEP: ("step_tolerance", "the step is shorter than the tolerance"),
+    FUNCTION_AND_STEP: (
+        "function_and_step_tolerance",
+        "criterion and step change by less than their tolerances",
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """Settings of the search under the names that MATLAB's lsqnonlin gives them.
+
+    Attributes
+    ----------
+    starting_points
+        W, the configured point first; 0 for no search.
+    gradient_type
+        ``analytic``, ``2-point`` or ``3-point``.
+    step_tolerance, function_tolerance
+        Relative; 1e-10 (MATLAB's own 1e-6 and 1e-5 leave half of the starts short).
+    maximum_iterations
+        Evaluations of the criterion that a start may take.
+    only_at_short_rank
+        Make the starts only where the certificate finds the rank of the regressors short.
+    """
+
+    starting_points: int = 10
+    gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
+    step_tolerance: float = 1e-10
+    function_tolerance: float = 1e-10
+    maximum_iterations: int = 200
+    only_at_short_rank: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """Outcome of one starting point; a failure is a row with its reason, not an exception.
+
+    Attributes
+    ----------
+    number
+        0 for the configured point.
+    status, reason
+        Why the search stopped: one of `STATUS`, or ``failed``; and in words.
+    cost
+        V at the end [(l/min)²]; nan where it failed.
+    iterations
+        Evaluations of the criterion.
+    initial, final
+        Values of the free parameters [µm, 1, m³ or l/min as the parameter's unit].
+    """
+
+    number: int
+    status: str
+    reason: str
+    cost: float
+    iterations: int
+    initial: Array
+    final: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Parametrisation:
+    """The thesis's parameters, and how they make the coefficients of the columns.
+
+    Attributes
+    ----------
+    paths
+        One for each coefficient: the column paths, then the constant (None: no constant flow).
+    """
+
+    paths: tuple[LeakagePath | None, ...]
+
+    @classmethod
+    def of(cls, motor: Motor) -> Parametrisation:
+        """The parametrisation of a motor, in the order of its columns."""
+        return cls((*motor.column_paths, motor.constant))
+
+    @property
+    def free(self) -> tuple[Parameter, ...]:
+        """The parameters that are estimated, in the order of the columns."""
+        return tuple(
+            parameter
+            for path in self.paths
+            if path
+            for parameter in path.parameters
+            if parameter.is_free
+        )
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Bounds of the free parameters, each of shape (number of free parameters,)."""
+        lower = np.array([parameter.minimum for parameter in self.free])
+        return lower, np.array([parameter.maximum for parameter in self.free])
+
+    def coefficient_bounds(self) -> tuple[Array, Array]:
+        """Bounds of θ that those of the parameters imply, each of shape (p + 1,)."""
+        limits = [path.coefficient_bounds() if path else (0.0, 0.0) for path in self.paths]
+        lower, upper = zip(*limits, strict=True)
+        return np.array(lower), np.array(upper)
+
+    def coefficients(self, free: Array) -> tuple[Array, Array]:
+        """θ and its Jacobian by the free parameters.
+
+        Parameters
+        ----------
+        free
+            Values of the free parameters, shape (…, k).
+
+        Returns
+        -------
+        tuple of ndarray
+            θ, shape (…, p + 1), and dθ/dx, shape (…, p + 1, k).
+        """
+        points, k = free.shape[:-1], free.shape[-1]
+        theta = np.zeros((*points, len(self.paths)))
+        jacobian = np.zeros((*points, len(self.paths), k))
+        taken = 0
+        for row, path in enumerate(self.paths):
+            if path is None:
+                continue
+            unknown = [parameter.is_free for parameter in path.parameters]
+            own = slice(taken, taken + sum(unknown))
+            values = np.empty((*points, len(unknown)))
+            values[...] = [parameter.value for parameter in path.parameters]
+            values[..., unknown] = free[..., own]
+            theta[..., row] = path.coefficient(values)
+            jacobian[..., row, own] = path.coefficient_gradient(values)[..., unknown]
+            taken = own.stop
+        return theta, jacobian
+
+
+def starting_points(
+    parameters: Sequence[Parameter], count: int, generator: np.random.Generator
+) -> Array:
+    """The configured point, then a Latin hypercube within the bounds.
+
+    Parameters
+    ----------
+    parameters
+        The free parameters.
+    count
+        W ≥ 1.
+    generator
+        Source of the draw; seed it from run, motor and night.
+
+    Returns
+    -------
+    ndarray
+        Shape (W, number of parameters), in the parameters' units.
+
+    Examples
+    --------
+    >>> gap = Parameter("h", "um", 8.0, 1.0, 60.0)
+    >>> points = starting_points([gap], 3, np.random.default_rng(1))
+    >>> float(points[0, 0]), points.shape
+    (8.0, (3, 1))
+    """
+    lower = np.array([parameter.minimum for parameter in parameters])
+    upper = np.array([parameter.maximum for parameter in parameters])
+    configured = np.array([parameter.value for parameter in parameters])
+    strata = np.tile(np.arange(count - 1), (len(parameters), 1))
+    drawn = (
+        generator.permuted(strata, axis=1).T + generator.random((count - 1, len(parameters)))
+    ) / max(count - 1, 1)
+    points = np.vstack([configured, lower + drawn * (upper - lower)])
+    eccentric = np.array([parameter.name.startswith("e_") for parameter in parameters], dtype=bool)
+    nudged: Array = np.where(eccentric & (points == 0.0), ECCENTRICITY_NUDGE, points)
+    return np.clip(nudged, lower, upper)
+
+
+def search(
+    r: Array, motor: Motor, settings: SearchSettings, generator: np.random.Generator
+) -> tuple[Start, ...]:
+    """Minimise the criterion from each starting point.
+
+    Parameters
+    ----------
+    r
+        Factor of the training samples, shape (c, c), columns as ``motor.columns``.
+    motor
+        Paths with their parameters and bounds.
+    settings
+        Tolerances, limits and the number of starting points.
+    generator
+        Source of the starting points.
+
+    Returns
+    -------
+    tuple of Start
+        One a starting point; empty where nothing is free.
+    """
+    parametrisation = Parametrisation.of(motor)
+    if not parametrisation.free or not settings.starting_points:
+        return ()
+    points = starting_points(parametrisation.free, settings.starting_points, generator)
+    scale = np.sqrt(max(sample_count(r), 1))
+    matrix, target = r[:, :-2] / scale, (r[:, -1] - r[:, -2]) / scale
+    lower, upper = parametrisation.bounds()
+
+    def residual(free: Array) -> Array:
+        error: Array = parametrisation.coefficients(free)[0] @ matrix.T - target
+        return error
+
+    def analytic(free: Array) -> Array:
+        slope: Array = matrix @ parametrisation.coefficients(free)[1]
+        return slope
+
+    def by_differences(free: Array) -> Array:
+        return _differences(
+            residual, free, lower, upper, central=settings.gradient_type == "3-point"
+        )
+
+    ends = minimise(
+        residual,
+        analytic if settings.gradient_type == "analytic" else by_differences,
+        points,
+        lower,
+        upper,
+        Tolerances(
+            step=settings.step_tolerance,
+            function=settings.function_tolerance,
+            gradient=GRADIENT_TOLERANCE,
+            evaluations=settings.maximum_iterations,
+        ),
+    )
+    return tuple(
+        _start(number, points[number], ends, r, parametrisation) for number in range(len(points))
+    )
+
+
+def _start(
+    number: int, initial: Array, ends: Ends, r: Array, parametrisation: Parametrisation
+) -> Start:
+    """One start's end as a row, whether it succeeded or not."""
+    status, reason = STATUS[int(ends.status[number])]
+    evaluations = int(ends.evaluations[number])
+    if status == "failed":
+        return Start(number, status, reason, float("nan"), evaluations, initial, initial)
+    final = ends.x[number]
+    cost = criterion(r, parametrisation.coefficients(final)[0])
+    return Start(number, status, reason, cost, evaluations, initial, final)
+
+
+def _differences(
+    residual: Callable[[Array], Array], free: Array, lower: Array, upper: Array, *, central: bool
+) -> Array:
+    """Jacobian by 2-point or 3-point differences that stay within the bounds, shape (m, r, k)."""
+    share = np.finfo(np.float64).eps ** (1 / 3 if central else 1 / 2)
+    room = np.minimum(free - lower, upper - free)
+    step = np.minimum(share * np.maximum(np.abs(free), 1e-3 * (upper - lower)), room / 2)
+    here = residual(free)
+    columns = []
+    for place in range(free.shape[1]):
+        move = np.zeros_like(free)
+        move[:, place] = step[:, place]
+        behind = residual(free - move) if central else here
+        width = (2.0 if central else 1.0) * step[:, place, None]
+        columns.append((residual(free + move) - behind) / width)
+    return np.stack(columns, axis=2)
+
+
+def at_minimum(starts: Sequence[Start], minimum: float, rounding: float = 0.0) -> NDArray[np.bool_]:
+    """Starts that ended at the minimum: V ≤ V*(1 + 1e-4), V* the certificate's.
+
+    Parameters
+    ----------
+    starts
+        W of them.
+    minimum
+        V* [(l/min)²].
+    rounding
+        Criterion below which nothing but rounding is left [(l/min)²].
+
+    Returns
+    -------
+    ndarray of bool
+        Shape (W,).
+    """
+    costs = np.array([start.cost for start in starts])
+    reached: NDArray[np.bool_] = costs <= max(minimum * (1 + AT_MINIMUM), rounding)
+    return reached

@@ -1,0 +1,264 @@
+"""Blocks of samples on the clock, and which train or validate.
+
+The split is decided on the short blocks, before neighbours are merged for storage; smoothing never
+crosses a block's border, so blocks do not depend on the split.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.estimation.slow_errors import ShortBlocks, short_blocks
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+Times = NDArray[np.int64]
+Stretch: TypeAlias = tuple[int, int]
+
+TRAINING, VALIDATION, GUARD = "training", "validation", "guard"
+# Interleaved: this many blocks train and validate in turn (seven to three).
+INTERLEAVED = (7, 3)
+SECOND_US = 1_000_000
+
+
+class Windows(Protocol):
+    """Settings of blocks and their split, as `[windows]` of a fleet's config."""
+
+    @property
+    def block_s(self) -> float:
+        """Length of a short block [s]."""
+
+    @property
+    def maximum_blocks(self) -> int:
+        """Neighbours are merged until no more are left."""
+
+    @property
+    def split(self) -> str:
+        """chronological or interleaved."""
+
+    @property
+    def training_share(self) -> float:
+        """Share of the samples that trains."""
+
+    @property
+    def guard_blocks(self) -> int:
+        """Blocks left out at each border between training and validation."""
+
+
+@dataclass(frozen=True, slots=True)
+class DefaultWindows:
+    """The settings of a fleet that states none."""
+
+    block_s: float = 120.0
+    maximum_blocks: int = 96
+    split: str = "chronological"
+    training_share: float = 0.8
+    guard_blocks: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenPeriods:
+    """Periods chosen by hand, in order of time; each begin and end, UTC microseconds, half open."""
+
+    training: tuple[Stretch, ...] = ()
+    validation: tuple[Stretch, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.training or self.validation)
+
+
+NONE_CHOSEN = ChosenPeriods()
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Consecutive kept samples of one part of a night.
+
+    Attributes
+    ----------
+    first_row, end_row
+        Rows of the kept samples, half open.
+    start_us, end_us
+        Borders on the clock, half open, UTC microseconds.
+    part
+        training, validation or guard.
+    """
+
+    first_row: int
+    end_row: int
+    start_us: int
+    end_us: int
+    part: str
+
+    @property
+    def n(self) -> int:
+        """Kept samples."""
+        return self.end_row - self.first_row
+
+
+def split_into_blocks(
+    time_us: Times,
+    night_start_us: int,
+    settings: Windows,
+    chosen_periods: ChosenPeriods = NONE_CHOSEN,
+) -> tuple[Block, ...]:
+    """Short blocks of the kept samples, counted from the night's start, with their parts."""
+    length = round(settings.block_s * SECOND_US)
+    if not len(time_us):
+        return ()
+    number = (time_us - night_start_us) // length
+    starts = np.flatnonzero(np.diff(number, prepend=-1))
+    ends = np.append(starts[1:], len(time_us))
+    numbers, sizes = number[starts], ends - starts
+    parts = _parts(numbers, sizes, settings)
+    if chosen_periods:
+        parts = _parts_as_chosen(time_us, starts, chosen_periods)
+    return tuple(
+        Block(
+            int(first),
+            int(end),
+            night_start_us + int(k) * length,
+            night_start_us + (int(k) + 1) * length,
+            part,
+        )
+        for first, end, k, part in zip(starts, ends, numbers, parts, strict=True)
+    )
+
+
+def _parts(numbers: NDArray[np.int64], sizes: NDArray[np.int64], settings: Windows) -> list[str]:
+    if settings.split == "interleaved":
+        return _interleaved(numbers, settings)
+    before = np.cumsum(sizes) - sizes
+    n_training = int((before < settings.training_share * sizes.sum()).sum())
+    border = numbers[n_training - 1] + settings.guard_blocks
+    late = [GUARD if number <= border else VALIDATION for number in numbers[n_training:]]
+    return [TRAINING] * n_training + late
+
+
+def _parts_as_chosen(
+    time_us: Times, starts: NDArray[np.intp], chosen_periods: ChosenPeriods
+) -> list[str]:
+    periods = {TRAINING: chosen_periods.training, VALIDATION: chosen_periods.validation}
+    whole = {
+        part: np.logical_and.reduceat(within(time_us, stretches), starts)
+        for part, stretches in periods.items()
+    }
+    found = np.select(list(whole.values()), list(whole), GUARD)
+    return [str(part) for part in found]
+
+
+def within(time_us: Times, stretches: Sequence[Stretch]) -> Mask:
+    """Samples that lie in one of some stretches, shape (n,)."""
+    mask = np.zeros(len(time_us), dtype=np.bool_)
+    for begin, end in stretches:
+        mask |= (time_us >= begin) & (time_us < end)
+    return mask
+
+
+def _interleaved(numbers: NDArray[np.int64], settings: Windows) -> list[str]:
+    guard = settings.guard_blocks
+    # A night of many blocks takes longer turns: a cycle has four parts, which cannot be merged.
+    cycles = settings.maximum_blocks // 4
+    shortest = -(-int(numbers[-1] - numbers[0] + 1) // cycles)
+    stretch = max(1, -(-(shortest - 2 * guard) // sum(INTERLEAVED)))
+    training, validation = (count * stretch for count in INTERLEAVED)
+    cycle = [TRAINING] * training + [GUARD] * guard + [VALIDATION] * validation + [GUARD] * guard
+    return [cycle[int(number - numbers[0]) % len(cycle)] for number in numbers]
+
+
+def merge_neighbours(blocks: tuple[Block, ...], maximum: int) -> tuple[Block, ...]:
+    """Blocks for storage: neighbours of the same part merged until at most `maximum` are left."""
+    group = 1
+    merged = blocks
+    while len(merged) > maximum and group < len(blocks):
+        group += 1
+        merged = _merged_by(blocks, group)
+    return merged
+
+
+def _merged_by(blocks: tuple[Block, ...], group: int) -> tuple[Block, ...]:
+    merged: list[Block] = []
+    count = 0
+    for block in blocks:
+        if merged and merged[-1].part == block.part and count < group:
+            last = merged[-1]
+            merged[-1] = Block(
+                last.first_row, block.end_row, last.start_us, block.end_us, block.part
+            )
+            count += 1
+        else:
+            merged.append(block)
+            count = 1
+    return tuple(merged)
+
+
+ShortMeans: TypeAlias = tuple[list[float] | None, ...]
+
+
+def short_means(z: Array, short: Sequence[Block], stored: Sequence[Block]) -> ShortMeans:
+    """Place, samples and means of the short blocks within each stored one, in a row each.
+
+    In single precision, as the tables hold them. The mean of the ones is left out; None for a
+    stored block that is a short one.
+    """
+    if len(short) == len(stored):
+        return (None,) * len(stored)
+    first = np.array([block.first_row for block in short])
+    rows = (slice(block.first_row, block.end_row) for block in short)
+    sums = np.stack([z[part, -3] @ z[part] for part in rows])
+    n = sums[:, -3]
+    means = sums / n[:, None]
+    owner = np.searchsorted([block.first_row for block in stored], first, side="right") - 1
+    start_us = np.array([block.start_us for block in short])
+    length_us = short[0].end_us - short[0].start_us
+    place = (start_us - np.array([block.start_us for block in stored])[owner]) // length_us
+    table = np.column_stack([place, n, np.delete(means, -3, axis=1)]).astype(np.float32)
+    parts = (table[owner == place] for place in range(len(stored)))
+    return tuple(part.ravel().tolist() if len(part) > 1 else None for part in parts)
+
+
+def short_blocks_within(
+    factors: Array,
+    number: NDArray[np.int64],
+    inside: Sequence[list[float] | None],
+    scale: Array | None = None,
+) -> ShortBlocks:
+    """The short blocks that stored ones were merged from; themselves where they were not.
+
+    Parameters
+    ----------
+    factors, number
+        Factors of the stored blocks, shape (b, c, c), and the place of each on the clock, in short
+        blocks, shape (b,).
+    inside
+        From :func:`short_means`, one a stored block.
+    scale
+        Factor on the columns since then, shape (b, c).
+    """
+    whole = short_blocks(factors, number)
+    if not any(inside):
+        return whole
+    size = factors.shape[2] + 1
+    parts = []
+    for place, values in enumerate(inside):
+        if values:
+            part = np.reshape(values, (-1, size)).astype(np.float64)
+            part[:, 0] += number[place]
+            if scale is not None:
+                part[:, 2:] *= np.delete(scale[place], -3)
+        else:
+            means = np.delete(whole.means[place], -3)
+            part = np.array([[number[place], whole.n[place], *means]])
+        parts.append(part)
+    table = np.concatenate(parts)
+    return ShortBlocks(
+        table[:, 1],
+        np.insert(table[:, 2:], -2, 1.0, axis=1),
+        table[:, 0].astype(np.int64),
+        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+    )

@@ -1,0 +1,221 @@
+"""Quality of a fitted model: fit percent, prediction error, information criteria (2.5.5–2.5.9).
+
+All figures come from the triangular factor of the samples, so judging last night's model on
+tonight's samples costs one product.
+
+References
+----------
+.. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, Luleå University
+   of Technology, 2021: equations (23) and (25).
+.. [2] K. P. Burnham and D. R. Anderson, *Model Selection and Multimodel Inference*, 2nd ed., 2002.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.estimation.block_statistics import column_means, flow_summary, squared_error
+
+Array = NDArray[np.float64]
+
+# A fit below it is poor: the mean of the samples judged describes them better than the model.
+POOR_FIT_PERCENT = 0.0
+# Share of the size of equal values that their mean may be off by.
+ROUNDING = 1e-14
+
+
+@dataclass(frozen=True, slots=True)
+class Agreement:
+    """Agreement of a model with some samples.
+
+    Attributes
+    ----------
+    n
+        Number of samples.
+    fit_percent
+        100 (1 − ‖y − ŷ‖/‖y − ȳ‖) [%], (23); None if the flow varies no more than its
+        resolution.
+    rmse_l_per_min
+        Root mean squared prediction error [l/min]; None without samples.
+    mean_error_l_per_min
+        Mean of y − ŷ [l/min]: positive where more was measured than predicted; None without
+        samples.
+    """
+
+    n: int
+    fit_percent: float | None
+    rmse_l_per_min: float | None
+    mean_error_l_per_min: float | None
+
+
+def agreement(r: Array, coefficients: Array, resolution_l_per_min: float = 0.0) -> Agreement:
+    """Fit percent (23), root mean squared and mean error of a model on some samples.
+
+    Parameters
+    ----------
+    r
+        Factor of the judged samples, shape (c, c).
+    coefficients
+        θ of the model, shape (c − 2,).
+    resolution_l_per_min
+        Smallest step of the flow sensor [l/min].
+
+    Returns
+    -------
+    Agreement
+        The fit is at most 100 and negative where the model is worse than the mean of the data
+        (the thesis reads that as 0; the sign is kept, it tells how bad). It is None where
+        ‖y − ȳ‖ is not above the sensor's resolution times √N.
+    """
+    summary = flow_summary(r)
+    if not summary.n:
+        return Agreement(0, None, None, None)
+    error = math.sqrt(squared_error(r, coefficients))
+    mean_error = -float(column_means(r) @ np.concatenate([coefficients, (1.0, -1.0)]))
+    root_n = math.sqrt(summary.n)
+    floor = max(resolution_l_per_min * root_n, 1e-12 * abs(summary.mean_l_per_min) * root_n)
+    spread = summary.centred_norm_l_per_min
+    fit = 100.0 * (1.0 - error / spread) if spread > floor else None
+    return Agreement(summary.n, fit, error / root_n, mean_error)
+
+
+def is_poor(fit_percent: float | None) -> bool:
+    """True if a fit is worse than that of a constant flow; False if there is no fit.
+
+    Examples
+    --------
+    >>> is_poor(-1295.0), is_poor(0.0), is_poor(None)
+    (True, False, False)
+    """
+    return fit_percent is not None and fit_percent < POOR_FIT_PERCENT
+
+
+@dataclass(frozen=True, slots=True)
+class Criteria:
+    """Prediction error and information criteria; None where N leaves them undefined."""
+
+    fpe: float | None
+    aic: float | None
+    aicc: float | None
+    bic: float | None
+
+
+def criteria(cost: float, d: int, n: float) -> Criteria:
+    r"""FPE (25), AIC, AICc and BIC [2]_ of a least squares fit.
+
+    .. math::
+        FPE = V\frac{1 + d/N}{1 - d/N},\quad AIC = N\ln V + 2d + N(\ln 2\pi + 1),
+
+        AICc = AIC + \frac{2d(d+1)}{N-d-1},\quad BIC = N\ln V + N(\ln 2\pi + 1) + d\ln N .
+
+    Parameters
+    ----------
+    cost
+        V of the training samples [(l/min)²].
+    d
+        Rank of the regressors of the coefficients off their bounds: what was fitted, whether or
+        not the samples tell the coefficients apart (`Certificate.n_estimated`).
+    n
+        Number of training samples, or their effective number where residuals are correlated.
+
+    Returns
+    -------
+    Criteria
+        FPE in (l/min)², the others without unit.
+
+    Examples
+    --------
+    >>> found = criteria(0.5, 3, 100)
+    >>> round(found.fpe, 6), round(found.aic, 4), round(found.aicc, 4), round(found.bic, 4)
+    (0.530928, 220.473, 220.723, 228.2885)
+    """
+    if not (cost > 0.0 and n > d):
+        return Criteria(None, None, None, None)
+    fpe = cost * (1 + d / n) / (1 - d / n)
+    likelihood = n * math.log(cost) + n * (math.log(2 * math.pi) + 1)
+    aic = likelihood + 2 * d
+    aicc = aic + 2 * d * (d + 1) / (n - d - 1) if n > d + 1 else None
+    return Criteria(fpe, aic, aicc, likelihood + d * math.log(n))
+
+
+def lag_one_autocorrelation(residual: Array, consecutive: NDArray[np.bool_]) -> float | None:
+    """Correlation of each residual with the one before it in the same stretch of samples.
+
+    Parameters
+    ----------
+    residual
+        Prediction errors in time order, shape (n,) [l/min].
+    consecutive
+        Whether sample i + 1 directly follows sample i on the time base, shape (n − 1,).
+
+    Returns
+    -------
+    float or None
+        φ̂; None where there is no pair or no spread.
+    """
+    if not consecutive.any():
+        return None
+    centred = residual - residual.mean()
+    variance = float(centred @ centred) / len(centred)
+    # The mean of equal residuals is off by rounding, which would correlate perfectly.
+    if variance <= (ROUNDING * float(np.abs(residual).max())) ** 2:
+        return None
+    products = (centred[1:] * centred[:-1])[consecutive]
+    return float(products.mean() / variance)
+
+
+def effective_sample_count(n: int, autocorrelation: float | None) -> float | None:
+    """N (1 − φ̂)/(1 + φ̂): the number of independent samples that carry as much, at most N."""
+    if autocorrelation is None:
+        return None
+    phi = min(max(autocorrelation, 0.0), 1.0 - 1.0 / max(n, 2))
+    return n * (1 - phi) / (1 + phi)
+
+
+def summed_effective_sample_count(n: int, autocorrelation: Array) -> float | None:
+    r"""N / (1 + 2 Σ ρ(k)): the effective number of samples by all correlations, at most N.
+
+    White noise on top of a slow error lowers the correlation of neighbours and hides the slow error
+    from :func:`effective_sample_count`, which then counts too many. For a first-order
+    autoregression both are the same.
+
+    Parameters
+    ----------
+    n
+        Number of samples.
+    autocorrelation
+        ρ(0) = 1 to the longest lag that can be told, shape (k,).
+
+    Returns
+    -------
+    float or None
+        None where the correlations do not come to an end within the lags given: the errors
+        remember longer than can be told.
+
+    Notes
+    -----
+    The sum ends before the first ρ(2m) + ρ(2m + 1) that is not positive [1]_: from there on the
+    estimates are noise.
+
+    References
+    ----------
+    .. [1] C. J. Geyer, "Practical Markov chain Monte Carlo", *Statistical Science*, 7(4), 1992:
+       initial positive sequence.
+
+    Examples
+    --------
+    >>> rho = np.append(0.5 ** np.arange(60), [0.0, 0.0])
+    >>> round(summed_effective_sample_count(1000, rho), 6), effective_sample_count(1000, 0.5)
+    (333.333333, 333.3333333333333)
+    """
+    whole = len(autocorrelation) // 2 * 2
+    sums = autocorrelation[:whole].reshape(-1, 2).sum(axis=1)
+    ended = np.flatnonzero(sums <= 0.0)
+    if not len(ended):
+        return None
+    inflation = 2.0 * float(sums[: ended[0]].sum()) - 1.0
+    return n / max(inflation, 1.0)

@@ -1,0 +1,398 @@
+"""A motor fitted to a frame: everything that one asks of such a fit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal
+
+import narwhals as nw
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.errors import LeakageError
+from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
+from leakage.estimation.block_statistics import factor
+from leakage.estimation.identifiability import (
+    Identification,
+    Judgement,
+    LeakageJudgement,
+    judge_by_total,
+    judge_leakage,
+)
+from leakage.estimation.model_verdict import (
+    COEFFICIENT_FACTOR,
+    LEAKAGE_FACTOR,
+    StructuredMisfit,
+    model_errors,
+)
+from leakage.estimation.multi_start import Parametrisation
+from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
+from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
+from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
+from leakage.estimation.validation import Agreement, agreement
+from leakage.frame.samples import FrameSamples, read_samples
+from leakage.frame.words import Summary, Words, explanation, short_form, summary
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import Motor, regressors
+from leakage.physics.paths import LeakagePath
+
+if TYPE_CHECKING:
+    import polars as pl
+    from matplotlib.axes import Axes
+
+Array = NDArray[np.float64]
+Part = Literal["training", "validation"]
+
+PARTS: tuple[Part, Part] = ("training", "validation")
+# Samples that carry the stated tolerances.
+THINNED = 1500
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class FrameFit:
+    """A motor fitted to a frame.
+
+    Attributes
+    ----------
+    motor, samples
+        The motor as fitted, and the complete samples of the frame.
+    parts
+        Part of each sample, training, validation or guard, shape (n,).
+    used
+        Mask of the samples behind the estimates, shape (n,).
+    blocks, estimate
+        The blocks of these, and what was estimated from them.
+    identification
+        Verdicts on the coefficients, with what sensors and the model can do to them.
+    structured
+        Structured misfit; None where the blocks are too few to tell.
+    memory_s
+        Time over which the errors of the training samples forget [s].
+    training, validation
+        Agreement of the fit to the training samples with these, and with the validation samples.
+    beside_samples
+        ± of each coefficient of θ by the model and the sensors, shape (p + 1,).
+    """
+
+    motor: Motor
+    samples: FrameSamples
+    parts: NDArray[np.str_]
+    used: NDArray[np.bool_]
+    blocks: SampleBlocks
+    estimate: BlockEstimate
+    structured: StructuredMisfit | None
+    block_s: float
+    memory_s: float
+    training: Agreement
+    validation: Agreement
+    tolerances: Tolerances | None
+    identification: Identification
+    beside_samples: Array
+    _tests: dict[str, ResidualAnalysis] = field(default_factory=dict)
+
+    @property
+    def paths(self) -> dict[int, LeakagePath]:
+        """Path of each coefficient by its place in θ."""
+        paths = Parametrisation.of(self.motor).paths
+        return {at: path for at, path in enumerate(paths) if path is not None}
+
+    @property
+    def free_places(self) -> list[int]:
+        """Places in θ of the coefficients that are estimated."""
+        return np.flatnonzero(~self.estimate.fit.certificate.fixed).tolist()
+
+    @property
+    def params(self) -> dict[str, float]:
+        """Estimates by name: loss factors K [m³], scales [-], and the flushing C_f [l/min]."""
+        theta = self.estimate.fit.coefficients
+        return {path.coefficient_name: float(theta[at]) for at, path in self.paths.items()}
+
+    @property
+    def judgements(self) -> dict[str, Judgement]:
+        """Verdict, reason and interval of each coefficient by name."""
+        found = self.identification.coefficients
+        return {path.coefficient_name: found[at] for at, path in self.paths.items()}
+
+    def conf_int(self, level: float = 0.95) -> dict[str, tuple[float, float] | None]:
+        """Intervals from the samples by name; None for a coefficient that has none.
+
+        Parameters
+        ----------
+        level
+            Coverage.
+        """
+        return {path.coefficient_name: self._interval(at, level) for at, path in self.paths.items()}
+
+    def _interval(self, at: int, level: float) -> tuple[float, float] | None:
+        distribution = self.identification.distribution
+        if distribution is None or self.identification.coefficients[at].interval is None:
+            return None
+        theta = self.estimate.fit.coefficients
+        interval = distribution.interval(np.eye(len(theta))[at], level)
+        if interval is None:
+            return None
+        return float(theta[at] - interval.half_width), float(theta[at] + interval.half_width)
+
+    def predict(self, frame: Any = None, columns: Mapping[str, str] | None = None) -> Array:
+        """Predicted drain flow of the rows of a frame, nan where a row is incomplete.
+
+        Parameters
+        ----------
+        frame, columns
+            As of :func:`fit_frame`, without the measured flow; None: the samples of the fit.
+
+        Returns
+        -------
+        ndarray
+            Shape (rows,), [l/min].
+        """
+        samples = self.samples if frame is None else read_samples(frame, columns, with_flow=False)
+        return _on_rows(self._predicted(samples), samples, frame)
+
+    def residuals(self, frame: Any = None, columns: Mapping[str, str] | None = None) -> Array:
+        """Measured less predicted drain flow of the rows of a frame, nan where one is incomplete.
+
+        Returns
+        -------
+        ndarray
+            Shape (rows,), [l/min].
+        """
+        samples = self.samples if frame is None else read_samples(frame, columns)
+        return _on_rows(samples.measured_l_per_min - self._predicted(samples), samples, frame)
+
+    def _predicted(self, samples: FrameSamples) -> Array:
+        theta = np.append(self.estimate.fit.coefficients, 1.0)
+        flow: Array = regressors(self.motor, samples.conditions) @ theta
+        return flow
+
+    def leakage(
+        self,
+        pressure_bar: float,
+        temperature_c: float,
+        speed_rpm: float,
+        charge_over_case_bar: float | None = None,
+    ) -> LeakageJudgement:
+        """Leakage at one condition, flushing excluded, with verdict and interval.
+
+        Parameters
+        ----------
+        pressure_bar, temperature_c, speed_rpm, charge_over_case_bar
+            The condition.
+
+        Returns
+        -------
+        LeakageJudgement
+            Its interval is from the samples; the verdict counts model and sensors, too.
+        """
+        if self.samples.charge_over_case_bar is not None and charge_over_case_bar is None:
+            charge_over_case_bar = float(np.mean(self.samples.charge_over_case_bar))
+        at = OperatingConditions.from_bar(
+            pressure_bar, temperature_c, speed_rpm, charge_over_case_bar
+        )
+        row = regressors(self.motor, at)[0]
+        model = self._model_errors(np.append(row[:-2], 0.0)[None], LEAKAGE_FACTOR)[0]
+        sensors = self._sensors([at]).leakages_l_per_min()
+        systematic = math.hypot(model, 0.0 if sensors is None else float(sensors[0]))
+        return judge_leakage(
+            self.estimate.fit, self.identification, self.blocks.excitation, at, systematic
+        )
+
+    def total_half_widths(self, rows: Array, at: OperatingConditions) -> Array:
+        """Total ± of the leakage at some conditions, by their regressors [l/min]; nan: unknown."""
+        contrasts = np.column_stack([rows[:, :-2], np.zeros(len(rows))])
+        told = self.identification.distribution
+        intervals = [None if told is None else told.interval(one) for one in contrasts]
+        samples = np.array([np.nan if one is None else one.half_width for one in intervals])
+        model = self._model_errors(contrasts, LEAKAGE_FACTOR)
+        each = [at.part(slice(place, place + 1)) for place in range(len(rows))]
+        sensors = self._sensors(each).leakages_l_per_min()
+        total: Array = np.hypot(np.hypot(samples, model), 0.0 if sensors is None else sensors)
+        return total
+
+    def judged(self) -> FrameFit:
+        """The fit with what the model and the sensors can do to its coefficients."""
+        free, beside = self.free_places, np.zeros_like(self.beside_samples)
+        beside[free] = self._model_errors(np.eye(len(beside))[free], COEFFICIENT_FACTOR)
+        sensors = self._sensors().coefficients()
+        if sensors is not None:
+            beside[free] = [math.hypot(sensors[at], beside[at]) for at in free]
+        totals = {
+            at: None if told is None else math.hypot(told.half_width, beside[at])
+            for at in free
+            for told in (self.identification.coefficients[at].information,)
+        }
+        identification = judge_by_total(self.estimate.fit, self.identification, totals)
+        return replace(self, identification=identification, beside_samples=beside)
+
+    def _model_errors(self, contrasts: Array, factor: float) -> Array:
+        """± of some contrasts of θ by the structured misfit."""
+        if self.structured is None:
+            return np.zeros(len(contrasts))
+        fixed = self.estimate.fit.certificate.fixed
+        reach = model_errors(self.blocks.factors, fixed, contrasts, 1.0)
+        return factor * reach * self.structured.l_per_min
+
+    def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:
+        """The stated tolerances of sensors carried through the fit; empty without, or beyond it."""
+        if self.tolerances is None:
+            return ErrorBudget(())
+        rows = np.flatnonzero(self.used)
+        thinned = np.zeros(len(self.used), dtype=np.bool_)
+        few = np.linspace(0, len(rows) - 1, min(THINNED, len(rows))).round().astype(np.int64)
+        thinned[rows[few]] = True
+        samples = self.samples.only(thinned)
+        try:
+            flow, seen = samples.measured_l_per_min, samples.conditions
+            return error_budget(self.motor, seen, flow, self.tolerances, at).of_sensors()
+        except LeakageError:
+            return ErrorBudget(())
+
+    def compare(
+        self, other: FrameFit, frame: Any, columns: Mapping[str, str] | None = None
+    ) -> tuple[Agreement, Agreement]:
+        """Agreement of this fit and of another with the samples of a frame.
+
+        Parameters
+        ----------
+        other
+            Another fit, of this motor or of another model of it.
+        frame, columns
+            As of :func:`fit_frame`.
+        """
+        samples = read_samples(frame, columns)
+        first, second = (
+            agreement(factor(columns_of(one.motor, samples)), one.estimate.fit.coefficients)
+            for one in (self, other)
+        )
+        return first, second
+
+    def residual_tests(self, part: Part = "validation") -> ResidualAnalysis:
+        """Whiteness and independence of what the fit to the training samples leaves in a part."""
+        if part not in self._tests:
+            rows, samples = self.parts == part, self.samples
+            theta = np.append(self.estimate.training.coefficients, 1.0)
+            chosen = samples.only(rows)
+            error = chosen.measured_l_per_min - regressors(self.motor, chosen.conditions) @ theta
+            self._tests[part] = analyse_residuals(
+                error,
+                chosen.inputs,
+                samples.index[rows],
+                self.memory_s * SECOND_US / samples.period_us,
+                samples.rounding_l_per_min,
+            )
+        return self._tests[part]
+
+    def _words(self) -> Words:
+        return Words(
+            self.motor.motor_type,
+            self.columns(),
+            self.structured,
+            {TRAINING: self.training, VALIDATION: self.validation},
+            {part: self.residual_tests(part) for part in PARTS if (self.parts == part).any()},
+            int(self.used.sum()),
+            len(self.samples.kept) - int(self.samples.kept.sum()),
+            self.samples.time_us[self.used][[0, -1]],
+            self.samples.on_clock,
+            self.identification.slow.memory_s(self.block_s),
+            self.blocks.excitation,
+        )
+
+    def summary(self) -> Summary:
+        """Summary: warnings first, then estimates with intervals and verdicts, then the fit."""
+        return summary(self._words())
+
+    def explain(self) -> str:
+        """Explanation of the fit in sentences."""
+        return explanation(self._words())
+
+    def _repr_html_(self) -> str:
+        return self.summary()._repr_html_()
+
+    def __repr__(self) -> str:
+        return short_form(self.motor.motor_type, self.columns(), self.training, self.validation)
+
+    def columns(self) -> dict[str, list[Any]]:
+        """Estimates as columns, one row a coefficient."""
+        return {name: list(values) for name, values in self._columns()}
+
+    def _columns(self) -> Iterator[tuple[str, Any]]:
+        paths, intervals = self.paths, list(self.conf_int().values())
+        judged = list(self.judgements.values())
+        halves = [
+            one.information.half_width if one.interval and one.information else None
+            for one in judged
+        ]
+        yield "parameter", (path.coefficient_name for path in paths.values())
+        yield "path", (path.name for path in paths.values())
+        yield "unit", (path.coefficient_unit for path in paths.values())
+        yield "value", self.params.values()
+        yield "lower", (None if one is None else one[0] for one in intervals)
+        yield "upper", (None if one is None else one[1] for one in intervals)
+        yield (
+            "total_half_width",
+            (
+                None if half is None else math.hypot(half, self.beside_samples[at])
+                for at, half in zip(paths, halves, strict=True)
+            ),
+        )
+        yield "configured", (path.configured_coefficient for path in paths.values())
+        yield "verdict", (one.verdict for one in judged)
+        yield "reason", (one.reason for one in judged)
+
+    def to_polars(self) -> pl.DataFrame:
+        """The estimates as a frame of Polars."""
+        return nw.from_dict(self.columns(), backend="polars").to_polars()
+
+    def to_pandas(self) -> Any:
+        """The estimates as a frame of pandas, which states no types."""
+        return nw.from_dict(self.columns(), backend="pandas").to_pandas()
+
+    def plot(self, ax: Axes | None = None) -> Axes:
+        """Measured and predicted flow over time, with the parts."""
+        from leakage.frame import plots
+
+        return plots.plot(self, ax)
+
+    def plot_residuals(
+        self, part: Part = "validation", axes: Sequence[Axes] | None = None
+    ) -> list[Axes]:
+        """Autocorrelation of the errors, and their correlation with each input, with 99 % bands."""
+        from leakage.frame import plots
+
+        return plots.plot_residuals(self, part, axes)
+
+    def plot_leakage(
+        self,
+        temperature_c: float | None = None,
+        speed_rpm: float | None = None,
+        ax: Axes | None = None,
+    ) -> Axes:
+        """Leakage by path over pressure, with the total ± of the sum; at the means by default."""
+        from leakage.frame import plots
+
+        return plots.plot_leakage(self, temperature_c, speed_rpm, ax)
+
+    def plot_profile(self, axes: Sequence[Axes] | None = None) -> list[Axes]:
+        """Profile of the criterion over each coefficient that is estimated."""
+        from leakage.frame import plots
+
+        return plots.plot_profile(self, axes)
+
+
+def columns_of(motor: Motor, samples: FrameSamples) -> Array:
+    """Columns of the samples as ``motor.columns``, shape (n, c)."""
+    z = np.empty((len(samples.time_us), len(motor.columns)))
+    regressors(motor, samples.conditions, out=z[:, :-1])
+    z[:, -1] = samples.measured_l_per_min
+    return z
+
+
+def _on_rows(values: Array, samples: FrameSamples, frame: Any) -> Array:
+    """Values of samples on the rows of their frame; on the samples themselves without one."""
+    if frame is None:
+        return values
+    rows = np.full(len(samples.kept), np.nan)
+    rows[samples.kept] = values
+    return rows

@@ -1,0 +1,290 @@
+"""Samples of a motor from a frame with named columns, or from arrays by name."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import narwhals as nw
+import numpy as np
+from numpy.typing import NDArray
+
+from leakage.errors import LeakageError, ShapeError, StatisticsError
+from leakage.estimation.sample_blocks import SECOND_US, Stretch
+from leakage.physics.conditions import OperatingConditions
+
+Array = NDArray[np.float64]
+Columns: TypeAlias = Mapping[str, Array]
+Period: TypeAlias = tuple[Any, Any]
+
+TIME = "time"
+INPUTS = ("pressure_bar", "oil_temperature_c", "speed_rpm")
+FLOW = "leakage_l_per_min"
+CHARGE = "charge_over_case_bar"
+# Errors below this share of the flow are rounding.
+ROUNDING = 1e-9
+# Unit of each column, in words; what stands before the unit tells a column of another one.
+UNITS = {"pressure_bar": "bar", "oil_temperature_c": "°C", "speed_rpm": "rpm", FLOW: "l/min"}
+QUANTITIES = {
+    "pressure_bar": "pressure",
+    "oil_temperature_c": "oil_temperature",
+    "speed_rpm": "speed",
+    FLOW: "leakage",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSamples:
+    """Complete samples of a motor in time order.
+
+    Attributes
+    ----------
+    time_us
+        Since 1970 in UTC, or since where the seconds of the frame count from, shape (n,) [µs].
+    on_clock
+        True if the times are dates.
+    pressure_bar, oil_temperature_c, speed_rpm
+        Shape (n,); pressure and speed without their sign.
+    flow_l_per_min
+        Measured drain flow, shape (n,); None where it is not needed.
+    charge_over_case_bar
+        Charge above case pressure, shape (n,); None: one-sided leakage.
+    kept
+        Mask of the rows of the frame that are complete, shape (rows,).
+    """
+
+    time_us: NDArray[np.int64]
+    on_clock: bool
+    pressure_bar: Array
+    oil_temperature_c: Array
+    speed_rpm: Array
+    flow_l_per_min: Array | None
+    charge_over_case_bar: Array | None
+    kept: NDArray[np.bool_]
+
+    @property
+    def conditions(self) -> OperatingConditions:
+        """The conditions that drive the leakage."""
+        return OperatingConditions.from_bar(
+            self.pressure_bar, self.oil_temperature_c, self.speed_rpm, self.charge_over_case_bar
+        )
+
+    @property
+    def inputs(self) -> dict[str, Array]:
+        """Inputs of the residual tests by name."""
+        return {
+            "pressure_difference": self.pressure_bar,
+            "oil_temperature": self.oil_temperature_c,
+            "speed": self.speed_rpm,
+        }
+
+    @property
+    def measured_l_per_min(self) -> Array:
+        """Measured drain flow, shape (n,), of samples that were read with it."""
+        assert self.flow_l_per_min is not None
+        return self.flow_l_per_min
+
+    @property
+    def rounding_l_per_min(self) -> float:
+        """Errors below this are rounding."""
+        return ROUNDING * float(np.abs(self.measured_l_per_min).max())
+
+    @property
+    def period_us(self) -> int:
+        """Median time between samples [µs]."""
+        return max(int(np.median(np.diff(self.time_us))), 1) if len(self.time_us) > 1 else SECOND_US
+
+    @property
+    def index(self) -> NDArray[np.int64]:
+        """Place of each sample on an even time base, increasing, shape (n,)."""
+        period_us = self.period_us
+        place = (self.time_us - self.time_us[0] + period_us // 2) // period_us
+        # Two samples that are closer than half a period still are two.
+        later = np.arange(len(place))
+        index: NDArray[np.int64] = np.maximum.accumulate(place - later) + later
+        return index
+
+    def only(self, chosen: NDArray[np.bool_]) -> FrameSamples:
+        """The chosen ones of these samples."""
+        kept = self.kept.copy()
+        kept[kept] = chosen
+        flow, charge = self.flow_l_per_min, self.charge_over_case_bar
+        return replace(
+            self,
+            time_us=self.time_us[chosen],
+            pressure_bar=self.pressure_bar[chosen],
+            oil_temperature_c=self.oil_temperature_c[chosen],
+            speed_rpm=self.speed_rpm[chosen],
+            flow_l_per_min=None if flow is None else flow[chosen],
+            charge_over_case_bar=None if charge is None else charge[chosen],
+            kept=kept,
+        )
+
+    def stretches(self, periods: Period | Sequence[Period] | None) -> tuple[Stretch, ...]:
+        """Periods as a user writes them, in the times of these samples."""
+        if periods is None:
+            return ()
+        pair = len(periods) == 2 and not isinstance(periods[0], tuple | list)
+        found = []
+        for begin, end in [periods] if pair else periods:
+            stretch = (self._moment(begin), self._moment(end))
+            if not stretch[0] < stretch[1]:
+                raise LeakageError("period", f"the period {begin} to {end} ends before it begins")
+            found.append(stretch)
+        return tuple(sorted(found))
+
+    def _moment(self, value: Any) -> int:
+        if isinstance(value, int | float | np.number):
+            if self.on_clock:
+                raise LeakageError("period", f"{value}: this frame's times are dates, not seconds")
+            return round(float(value) * SECOND_US)
+        if not self.on_clock:
+            raise LeakageError("period", f"{value}: this frame's times are seconds, not dates")
+        try:
+            moment = dt.datetime.fromisoformat(str(value))
+        except ValueError as error:
+            raise LeakageError("period", f"{value!r} is no date: write 2026-03-01T22:00") from error
+        if moment.tzinfo is None:
+            moment = moment.replace(tzinfo=dt.UTC)
+        return (moment - dt.datetime(1970, 1, 1, tzinfo=dt.UTC)) // dt.timedelta(microseconds=1)
+
+
+def read_samples(
+    frame: Any, columns: Mapping[str, str] | None = None, *, with_flow: bool = True
+) -> FrameSamples:
+    """The complete samples of a frame.
+
+    Parameters
+    ----------
+    frame
+        A frame of pandas, Polars, PyArrow or any other that narwhals knows, or arrays by name:
+        ``time`` (dates, naive ones in UTC, or seconds), ``pressure_bar``, ``oil_temperature_c``,
+        ``speed_rpm``, ``leakage_l_per_min``, and ``charge_over_case_bar`` for two-sided leakage.
+    columns
+        Other names of these columns in the frame, by the names above.
+    with_flow
+        Read the measured flow.
+
+    Returns
+    -------
+    FrameSamples
+        Rows in which a value is missing or not finite are left out.
+
+    Raises
+    ------
+    ShapeError
+        If a column is missing (``column_missing``), is in another unit by its name
+        (``column_unit``), holds no numbers (``column_type``), or lengths differ (``shape``).
+    StatisticsError
+        If times fall or repeat (``time_order``), or no row is complete (``no_samples``).
+    """
+    table = FrameTable(frame, columns or {})
+    time_us, on_clock = table.times()
+    values = {name: table.numbers(name) for name in (*INPUTS, FLOW)[: 3 + with_flow]}
+    if table.has(CHARGE):
+        values[CHARGE] = table.numbers(CHARGE)
+    sizes = {name: len(one) for name, one in ({TIME: time_us} | values).items()}
+    if len(set(sizes.values())) > 1:
+        raise ShapeError("shape", f"columns differ in length: {sizes}")
+    kept = np.logical_and.reduce([np.isfinite(one) for one in values.values()])
+    if not kept.any():
+        empty = [name for name, one in values.items() if not np.isfinite(one).any()]
+        of = f"{', '.join(empty)} has no values" if empty else "each lacks a value"
+        raise StatisticsError("no_samples", f"no row of {len(kept)} is complete: {of}")
+    falls = np.flatnonzero(np.diff(time_us) <= 0)
+    if len(falls):
+        row = int(falls[0]) + 1
+        what = "repeats" if time_us[row] == time_us[row - 1] else "falls"
+        raise StatisticsError(
+            "time_order",
+            f"time {what} at row {row} ({len(falls)} such rows): sort the frame by time and keep"
+            " one row of each, or let pipeline.notebook.prepare do it",
+        )
+    made = FrameSamples(
+        time_us,
+        on_clock,
+        np.abs(values["pressure_bar"]),
+        values["oil_temperature_c"],
+        np.abs(values["speed_rpm"]),
+        values.get(FLOW),
+        values.get(CHARGE),
+        np.ones(len(kept), dtype=np.bool_),
+    )
+    return made if kept.all() else made.only(kept)
+
+
+class FrameTable:
+    """Columns of a frame, or arrays by name."""
+
+    def __init__(self, frame: Any, names: Mapping[str, str]) -> None:
+        self._names = names
+        self._index: Any = None
+        if isinstance(frame, Mapping):
+            self._columns: Any = frame
+            self._known = list(frame)
+            return
+        try:
+            table = nw.from_native(frame)
+        except TypeError as error:
+            raise ShapeError(
+                "frame_type", f"{type(frame).__name__} is no frame and no mapping of arrays"
+            ) from error
+        self._columns = table.collect() if isinstance(table, nw.LazyFrame) else table
+        self._known = list(self._columns.columns)
+        index = nw.maybe_get_index(self._columns)
+        if index is not None and index.dtype.kind == "M":
+            self._index = nw.from_native(index.to_series(), series_only=True)
+
+    def has(self, name: str) -> bool:
+        return self._names.get(name, name) in self._known
+
+    def _column(self, name: str) -> Any:
+        if self.has(name):
+            return self._columns[self._names.get(name, name)]
+        known = ", ".join(map(str, self._known))
+        stem = QUANTITIES.get(name, name)
+        other = [one for one in self._known if str(one).startswith(stem) and one != CHARGE]
+        if other and name in UNITS:
+            raise ShapeError(
+                "column_unit",
+                f"column {other[0]} is not in {UNITS[name]} by its name: convert it and call it"
+                f' {name}, or, if it is, say columns={{"{name}": "{other[0]}"}}',
+            )
+        raise ShapeError(
+            "column_missing",
+            f'no column {name}; there are {known}: rename one, or say columns={{"{name}": ...}}',
+        )
+
+    def numbers(self, name: str) -> Array:
+        column = self._column(name)
+        try:
+            if isinstance(column, nw.Series):
+                column = column.cast(nw.Float64).to_numpy()
+            values = np.asarray(column, dtype=np.float64)
+        except Exception as error:  # each backend has errors of its own
+            raise ShapeError("column_type", f"column {name} holds no numbers: {error}") from error
+        if values.ndim != 1:
+            raise ShapeError("shape", f"column {name} is of shape {values.shape}, not a row")
+        return values
+
+    def times(self) -> tuple[NDArray[np.int64], bool]:
+        """Microseconds, and whether they are dates."""
+        column = self._column(TIME) if self.has(TIME) or self._index is None else self._index
+        if isinstance(column, nw.Series):
+            if isinstance(column.dtype, nw.String):
+                column = column.str.to_datetime()
+            if isinstance(column.dtype, nw.Datetime):
+                if column.null_count():
+                    raise StatisticsError("time_missing", "a row has no time: drop such rows")
+                return column.dt.timestamp("us").to_numpy().astype(np.int64), True
+        elif np.asarray(column).dtype.kind in "MUO":
+            dates = np.asarray(column, dtype="datetime64[us]")
+            if np.isnat(dates).any():
+                raise StatisticsError("time_missing", "a row has no time: drop such rows")
+            return dates.astype(np.int64), True
+        seconds = self.numbers(TIME)
+        if not np.isfinite(seconds).all():
+            raise StatisticsError("time_missing", "a row has no time: drop such rows")
+        return np.round(seconds * SECOND_US).astype(np.int64), False

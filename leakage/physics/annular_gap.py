@@ -1,0 +1,343 @@
+"""The annular gap: piston ring, balance piston and balance sleeve in one law."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from leakage.errors import ParameterError
+from leakage.physics.film import film_thickness_ratio
+from leakage.physics.law import (
+    LITRES_PER_MINUTE,
+    CoefficientUnit,
+    DerivedFigure,
+    Law,
+    Parameter,
+    PathTolerance,
+    Values,
+    require_parameter,
+    require_positive,
+)
+
+MICROMETRE = 1e-6
+MICROMETRES_PER_METRE = 1e6
+# A gap shows below about 0.83 X: at 100 bar for the piston ring's 120 bar.
+VISIBLE_BELOW = 0.83
+
+
+@dataclass(frozen=True, slots=True)
+class AnnularGap(Law):
+    r"""Laminar flow through an annular gap that pressure may close and eccentricity widens.
+
+    .. math:: Q = n \frac{\pi r\,(c\,h\,e^{-|\Delta P|/X})^3}{6 l}\,(1 + 1.5 e^2)\,
+        \frac{|\Delta P|}{\eta} = K\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
+
+    The piston ring, the balance piston and the balance sleeve follow this one law: the ring with
+    a deformation constant, the piston with an eccentricity, the sleeve with both and c = 1.1.
+
+    Parameters
+    ----------
+    name
+        Name of the path.
+    count
+        Number n of interfaces at high pressure, [-].
+    radius_m, length_m
+        Radius r of the interface and length l of the gap in the direction of flow, [m].
+    gap
+        Gap height h, [um].
+    eccentricity
+        Eccentricity e, 0 to 1, [1]; None: none.
+    deformation_pressure_pa
+        Deformation constant X, [Pa]; None: no deformation.
+    height_factor
+        Factor c on the gap height, [-].
+    geometry_is_placeholder
+        Whether r, l or n are placeholders, so that h in micrometres means nothing.
+    deformation_tolerance
+        Stated tolerance of X, relative; 0: none stated.
+
+    Raises
+    ------
+    ParameterError
+        If a constant is not positive, a bound outside the physical range or a unit another.
+
+    Notes
+    -----
+    Laminar, thin gap (h much smaller than r), the part at rest: the velocity term of (9) is
+    dropped. h and e enter through K alone: no data of pressure, temperature, speed and flow tell
+    them apart.
+
+    Examples
+    --------
+    >>> ring = AnnularGap("o", 32, 0.035, 0.004, Parameter("h_o", "um", 8.0, 1.0, 60.0), None,
+    ...                   deformation_pressure_pa=120e5)
+    >>> f"{ring.coefficient([8.0]):.6e}"
+    '7.506312e-14'
+
+    References
+    ----------
+    .. [1] N. Ydebäck, *Grey Box Model of Leakage in Radial Piston Hydraulic Motors*, 2021,
+       equations (6), (7), (10), (11) and (28) to (31).
+    """
+
+    coefficient_unit: ClassVar[CoefficientUnit] = "m3"
+
+    name: str
+    count: int
+    radius_m: float
+    length_m: float
+    gap: Parameter
+    eccentricity: Parameter | None
+    deformation_pressure_pa: float | None = None
+    height_factor: float = 1.0
+    geometry_is_placeholder: bool = True
+    deformation_tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(
+            self.name,
+            count=self.count,
+            radius_m=self.radius_m,
+            length_m=self.length_m,
+            height_factor=self.height_factor,
+        )
+        if self.deformation_pressure_pa is not None:
+            require_positive(self.name, deformation_pressure_pa=self.deformation_pressure_pa)
+        require_parameter(self.name, self.gap, "um")
+        if self.eccentricity is not None:
+            require_parameter(self.name, self.eccentricity, "1", maximum=1.0)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Gap height and, where there is one, eccentricity."""
+        return (self.gap,) if self.eccentricity is None else (self.gap, self.eccentricity)
+
+    @property
+    def visible_below_pa(self) -> float:
+        """Pressure difference above which the deformed gap hardly shows in the leakage [Pa]."""
+        deformation = self.deformation_pressure_pa
+        return math.inf if deformation is None else VISIBLE_BELOW * deformation
+
+    @property
+    def coefficient_name(self) -> str:
+        """Name of K in tables."""
+        return f"K_{self.name}"
+
+    def coefficient(self, values: Values) -> NDArray[np.float64]:
+        r"""Lumped loss factor of all interfaces of the path.
+
+        .. math:: K = n \frac{\pi r (c h)^3}{6 l} (1 + 1.5 e^2)
+
+        Parameters
+        ----------
+        values
+            Gap height h, [µm], and eccentricity e where the path has one, [-], along the last
+            axis.
+
+        Returns
+        -------
+        ndarray
+            K, shape of `values` without its last axis, [m³].
+        """
+        given = np.asarray(values, dtype=np.float64)
+        gap_um = given[..., 0]
+        volume: NDArray[np.float64] = gap_um * gap_um * gap_um * self._widening(given)
+        return self._concentric_m3_per_um3 * volume
+
+    def coefficient_gradient(self, values: Values) -> NDArray[np.float64]:
+        r"""Derivative of K by gap height and eccentricity.
+
+        .. math:: \frac{\partial K}{\partial h} = \frac{3 K}{h}, \qquad
+            \frac{\partial K}{\partial e} = n \frac{\pi r (c h)^3}{6 l}\, 3 e
+
+        Parameters
+        ----------
+        values
+            Gap height h, [µm], and eccentricity e where the path has one, [-], along the last
+            axis.
+
+        Returns
+        -------
+        ndarray
+            Shape of `values`, [m³/µm] and [m³].
+        """
+        given = np.asarray(values, dtype=np.float64)
+        gap_um = given[..., 0]
+        square = self._concentric_m3_per_um3 * gap_um * gap_um
+        gradient = np.empty(given.shape)
+        gradient[..., 0] = 3.0 * square * self._widening(given)
+        if self.eccentricity is not None:
+            gradient[..., 1] = 3.0 * square * gap_um * given[..., 1]
+        return gradient
+
+    def regressor(
+        self,
+        drive_per_s: NDArray[np.float64],
+        pressure_difference_pa: NDArray[np.float64],
+        speed_rpm: NDArray[np.float64],  # noqa: ARG002
+    ) -> NDArray[np.float64]:
+        r"""Flow per unit of K.
+
+        .. math:: \varphi = 60\,000\, e^{-3|\Delta P|/X}\,\frac{|\Delta P|}{\eta}
+
+        Parameters
+        ----------
+        drive_per_s
+            ΔP/η, shape (n,), [1/s].
+        pressure_difference_pa
+            Pressure difference, shape (n,), [Pa]; its sign has no effect.
+        speed_rpm
+            Not used by this law.
+
+        Returns
+        -------
+        ndarray
+            φ, shape (n,), [l/min per m³].
+
+        Notes
+        -----
+        At constant viscosity the flow has its maximum at ΔP = X/3.
+        """
+        flow: NDArray[np.float64] = LITRES_PER_MINUTE * drive_per_s
+        if self.deformation_pressure_pa is None:
+            return flow
+        closing = np.abs(pressure_difference_pa)
+        closing *= -3.0 / self.deformation_pressure_pa
+        flow *= np.exp(closing, out=closing)
+        return flow
+
+    def gap_um_from_coefficient(
+        self, coefficient_m3: ArrayLike, eccentricity: float = 0.0
+    ) -> NDArray[np.float64]:
+        r"""Gap height that gives a loss factor at an eccentricity: the inverse of `coefficient`.
+
+        .. math:: h = \frac{1}{c} \left(\frac{6 l K}{n \pi r (1 + 1.5 e^2)}\right)^{1/3}
+
+        Parameters
+        ----------
+        coefficient_m3
+            K, shape (n,) or scalar, [m³]; not negative.
+        eccentricity
+            Eccentricity e, [-].
+
+        Returns
+        -------
+        ndarray
+            h, shape of `coefficient_m3`, [µm].
+
+        Raises
+        ------
+        ParameterError
+            If a coefficient is negative, or the eccentricity outside 0 to 1.
+        """
+        coefficient = np.asarray(coefficient_m3, dtype=np.float64)
+        if np.any(coefficient < 0.0) or not 0.0 <= eccentricity <= 1.0:
+            raise ParameterError(
+                "path_inverse",
+                f"path {self.name!r}: no gap height belongs to K = {np.min(coefficient):g} m³ at"
+                f" e = {eccentricity:g}; K must not be negative and e lie between 0 and 1",
+            )
+        widening = 1.0 + 1.5 * eccentricity * eccentricity
+        gap_um: NDArray[np.float64] = np.cbrt(
+            coefficient / (self._concentric_m3_per_um3 * widening)
+        )
+        return gap_um
+
+    def feasible_gap_um(self, coefficient_m3: float) -> tuple[float, float]:
+        """Smallest and largest gap height that a loss factor leaves possible.
+
+        Parameters
+        ----------
+        coefficient_m3
+            K, [m³]; not negative.
+
+        Returns
+        -------
+        tuple of float
+            h at the largest and at the smallest eccentricity of the bounds, [µm]; a factor
+            2.5^(1/3) = 1.357 apart where e is free between 0 and 1, equal where there is no
+            eccentricity or a fixed one.
+        """
+        if self.eccentricity is None:
+            gap_um = float(self.gap_um_from_coefficient(coefficient_m3))
+            return gap_um, gap_um
+        return (
+            float(self.gap_um_from_coefficient(coefficient_m3, self.eccentricity.highest)),
+            float(self.gap_um_from_coefficient(coefficient_m3, self.eccentricity.lowest)),
+        )
+
+    def tolerances(self) -> tuple[PathTolerance, ...]:
+        """The path with a larger deformation constant, where a tolerance is stated."""
+        share, pressure = self.deformation_tolerance, self.deformation_pressure_pa
+        if not share or pressure is None:
+            return ()
+        stiffer = replace(self, deformation_pressure_pa=pressure * (1 + share))
+        return (PathTolerance("deformation constant", share, stiffer),)
+
+    def derived_figures(
+        self,
+        coefficient: float,
+        limits: tuple[float, float] | None,
+        roughness_m: tuple[float, float],
+    ) -> tuple[DerivedFigure, ...]:
+        """Gap height, eccentricity where there is one, and film thickness ratio."""
+        gaps_um, eccentricities = self._feasible(coefficient)
+        ratios = film_thickness_ratio(
+            np.array(gaps_um) * MICROMETRE, np.array(eccentricities)[::-1], *roughness_m
+        ).tolist()
+        e = self.eccentricity
+        shared = e is not None and e.is_free and self.gap.is_free
+        gap_limits = None
+        if limits is not None and self.gap.is_free and eccentricities[0] == eccentricities[1]:
+            # Alone in its loss factor, a gap is known as well as that: h goes with its cube root.
+            low, high = self.gap_um_from_coefficient(np.maximum(limits, 0.0), eccentricities[0])
+            gap_limits = float(low), float(high)
+
+        def figure(
+            name: str, unit: str, ends: tuple[float, float], own: tuple[float, float] | None = None
+        ) -> DerivedFigure:
+            combination = f"{self.coefficient_name} ∝ h³(1 + 1.5e²)" if shared else ""
+            placeholder = self.geometry_is_placeholder
+            return DerivedFigure(f"{name}_{self.name}", unit, *ends, own, combination, placeholder)
+
+        figures = [figure("h", "um", gaps_um, gap_limits)]
+        if e is not None:
+            figures.append(figure("e", "1", eccentricities))
+        return (*figures, figure("film_thickness_ratio", "1", ratios))
+
+    def _feasible(self, coefficient_m3: float) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Gap heights [µm] and eccentricities that a loss factor and the bounds leave possible."""
+        e = self.eccentricity
+        smallest, largest = self.feasible_gap_um(coefficient_m3)
+        if e is None:
+            return (smallest, largest), (0.0, 0.0)
+        low = min(max(smallest, self.gap.lowest), self.gap.highest)
+        high = max(min(largest, self.gap.highest), low)
+
+        def eccentricity(h: float) -> float:
+            # The ends of the range as they are: the root below makes 1e-8 of a rounding error.
+            if h in (smallest, largest):
+                return e.highest if h == smallest else e.lowest
+            widening = coefficient_m3 / float(self.coefficient([h, 0.0])) - 1.0
+            return float(np.clip(np.sqrt(max(widening, 0.0) / 1.5), e.lowest, e.highest))
+
+        if not e.is_free:
+            return (low, high), (e.value, e.value)
+        return (low, high), (eccentricity(high), eccentricity(low))
+
+    @property
+    def _concentric_m3_per_um3(self) -> float:
+        """K of concentric parts per cube of the gap height in micrometres."""
+        height_m_per_um = self.height_factor / MICROMETRES_PER_METRE
+        return self.count * math.pi * self.radius_m * height_m_per_um**3 / (6.0 * self.length_m)
+
+    def _widening(self, values: NDArray[np.float64]) -> NDArray[np.float64] | float:
+        """1 + 1.5 e², or 1 where the path has no eccentricity."""
+        if self.eccentricity is None:
+            return 1.0
+        eccentricity: NDArray[np.float64] = values[..., 1]
+        return 1.0 + 1.5 * eccentricity * eccentricity

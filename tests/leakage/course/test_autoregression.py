@@ -1,0 +1,74 @@
+"""First-order autoregressions on uneven nights, against their covariance written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from leakage.course.autoregression import (
+    correlation_to_previous,
+    estimated_phi,
+    long_run_factor,
+    variance_of_mean,
+    whitened,
+)
+from tests.leakage.made_nights import autoregression
+
+UNEVEN = np.array([0, 1, 2, 5, 6, 20, 21, 23])
+
+
+def covariance(phi: float, nights: np.ndarray) -> np.ndarray:
+    return phi ** np.abs(np.subtract.outer(nights, nights))
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.3, 0.6, 0.95])
+def test_whitening_takes_the_covariance_to_the_identity(phi: float) -> None:
+    transform = whitened(np.eye(len(UNEVEN)), correlation_to_previous(phi, UNEVEN))
+    assert transform @ covariance(phi, UNEVEN) @ transform.T == pytest.approx(np.eye(len(UNEVEN)))
+
+
+@pytest.mark.parametrize("phi", [0.0, 0.4, 0.9])
+def test_the_variance_of_a_mean_is_that_of_its_covariance(phi: float) -> None:
+    ones = np.ones(len(UNEVEN)) / len(UNEVEN)
+    assert variance_of_mean(phi, UNEVEN) == pytest.approx(ones @ covariance(phi, UNEVEN) @ ones)
+
+
+def test_means_of_very_many_nights_spread_by_the_long_run_factor() -> None:
+    nights = np.arange(800)
+    for phi in (0.0, 0.3, 0.8):
+        assert 800 * variance_of_mean(phi, nights) == pytest.approx(long_run_factor(phi), rel=0.01)
+
+
+@pytest.mark.parametrize(("n", "phi"), [(30, 0.0), (30, 0.4), (60, 0.6), (200, 0.8)])
+def test_phi_is_found_without_the_bias_of_a_fitted_line(n: int, phi: float) -> None:
+    """The uncorrected estimate falls short by (2 + 4 φ) / n: 0.12 for n = 30, φ = 0.4."""
+    generator = np.random.default_rng(n)
+    nights = np.arange(n)
+    found = []
+    for _ in range(400):
+        values = autoregression(n, phi, generator)
+        residual = values - np.polyval(np.polyfit(nights, values, 1), nights)
+        found.append(estimated_phi(residual, nights))
+    # Clipped at 0, which lifts the mean of small ones.
+    assert np.mean(found) == pytest.approx(phi, abs=0.04 if phi else 0.1)
+
+
+def test_phi_is_one_nights_where_the_motor_runs_every_second() -> None:
+    generator = np.random.default_rng(3)
+    nights = 2 * np.arange(600)
+    found = [estimated_phi(autoregression(1200, 0.6, generator)[::2], nights) for _ in range(20)]
+    assert np.mean(found) == pytest.approx(0.6, abs=0.03)
+
+
+def test_series_that_say_nothing_of_their_memory_have_none() -> None:
+    assert estimated_phi(np.zeros(50), np.arange(50)) == 0.0
+    assert estimated_phi(np.ones(5), np.arange(5)) == 0.0
+    assert estimated_phi(np.empty(0), np.empty(0, dtype=np.int64)) == 0.0
+    # Every distance between nights but once: no pairs to compare.
+    triangular = np.cumsum(np.arange(1, 30))
+    assert estimated_phi(np.random.default_rng(1).normal(size=29), triangular) == 0.0
+
+
+def test_phi_stays_below_one() -> None:
+    slow = np.cumsum(np.random.default_rng(5).standard_normal(400))
+    assert 0.9 < estimated_phi(slow - slow.mean(), np.arange(400)) <= 0.95

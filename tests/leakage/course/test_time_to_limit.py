@@ -1,0 +1,156 @@
+"""Time to a limit: against draws from its definition, its statuses, and how often it holds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from leakage.course.time_to_limit import KAPPAS, POWERS, TimeToLimit, time_to_limit
+from tests.leakage.made_nights import autoregression
+
+Array = NDArray[np.float64]
+
+FAR = 5000.0
+SHAPES: list[Callable[[Array], Array]] = [
+    *(lambda u, k=k: np.expm1(k * u) / np.expm1(k) for k in KAPPAS),
+    *(lambda u, p=p: u**p for p in POWERS),
+]
+
+
+def found_of(values: Array, limit: float, horizon: float = FAR) -> TimeToLimit:
+    """Of nights one after the other, a position each."""
+    nights = np.arange(len(values))
+    return time_to_limit(nights, nights.astype(np.float64), values, limit, horizon)
+
+
+def crossings_by_draws(y: Array, limit: float, generator: np.random.Generator) -> Array:
+    """Crossings in units of what was seen, of draws of (a, b) of every shape; white errors."""
+    n = len(y)
+    u, ahead = np.linspace(0.0, 1.0, n), np.linspace(1.0, 9.0, 4001)
+    kinds = np.array(
+        [0 if abs(k) < 0.3 else np.sign(k) for k in KAPPAS] + [np.sign(p - 1) for p in POWERS]
+    )
+    log_weights, crossings = [], []
+    for shape, kind in zip(SHAPES, kinds, strict=True):
+        x = np.column_stack([np.ones(n), shape(u)])
+        gram = x.T @ x
+        best = np.linalg.solve(gram, x.T @ y)
+        squares = float(np.sum((y - x @ best) ** 2))
+        prior = 1.0 / 3.0 / np.sum(kinds == kind)
+        tempered = 0.25 * (n - 3) / 2.0 * np.log(squares)
+        log_weights.append(np.log(prior) - tempered - 0.5 * np.log(np.linalg.det(gram)))
+        root = np.linalg.cholesky(squares / (n - 3) * np.linalg.inv(gram))
+        a, b = best[:, None] + root @ generator.standard_normal((2, 2000)) / np.sqrt(
+            generator.chisquare(n - 3, 2000) / (n - 3)
+        )
+        course = a[:, None] + b[:, None] * shape(ahead)
+        reached = course[:, -1] >= limit
+        crossings.append(np.where(reached, ahead[np.argmax(course >= limit, axis=1)], np.inf))
+    weights = np.exp(np.array(log_weights) - max(log_weights))
+    drawn = generator.choice(len(SHAPES), 40_000, p=weights / weights.sum())
+    return np.array([crossings[shape][generator.integers(2000)] for shape in drawn]) - 1.0
+
+
+def test_the_set_and_the_middle_are_those_of_draws_from_the_mixture() -> None:
+    generator = np.random.default_rng(4)
+    # White by construction, so that the draws need no model of the errors; the gap of this course
+    # grows evenly, so the gamma process adds next to nothing to the set.
+    values = (1.0 + 0.08 * np.linspace(0.0, 1.0, 120)) ** 3
+    values += 0.004 * np.tile([1.0, -1.0, -1.0, 1.0], 30)
+    found = found_of(values, 1.35)
+    drawn = 119.0 * np.quantile(crossings_by_draws(values, 1.35, generator), [0.05, 0.5, 0.95])
+    assert found.status == "finite"
+    assert found.time == pytest.approx(drawn[1], rel=0.05)
+    assert drawn[0] * 0.7 <= found.lower <= drawn[0] * 1.05
+    assert drawn[2] * 0.95 <= found.upper <= drawn[2] * 1.3
+
+
+def with_noise(course: Array, generator: np.random.Generator, phi: float = 0.3) -> Array:
+    return course * (1.0 + 0.015 * autoregression(len(course), phi, generator))
+
+
+COURSES = {
+    "linear": lambda t: 0.3 * t,
+    "gap": lambda t: (1.0 + 0.0914 * t) ** 3 - 1.0,
+    "accelerating": lambda t: 0.3 * np.expm1(3.0 * t) / np.expm1(3.0),
+    "running_in": lambda t: 0.3 * (0.5 * t - 0.5 * np.expm1(-5.0 * t)) / (1.0 - 0.5 * np.exp(-5.0)),
+}
+
+
+@pytest.mark.parametrize("course", COURSES)
+def test_sets_hold_the_truth_whatever_the_course(course: str) -> None:
+    generator = np.random.default_rng(1)
+    held = told = 0
+    for _ in range(80):
+        life = 120.0 * (1.0 + generator.uniform(0.1, 2.0))
+        values = 1.0 + COURSES[course](np.arange(120) / life)
+        found = found_of(with_noise(values, generator), 1.3)
+        told += found.status != "no_trend"
+        upper = np.inf if found.upper is None else found.upper
+        held += found.status != "no_trend" and (found.lower or 0.0) <= life - 119.0 <= upper
+    assert told >= 72
+    # 90 % of 80, less two and a half standard deviations.
+    assert held >= told - 15
+
+
+def test_jumps_have_an_earliest_time_alone() -> None:
+    generator = np.random.default_rng(2)
+    jumps = np.repeat([1.0, 1.08, 1.11, 1.2], 90)
+    found = found_of(jumps * (1.0 + 0.005 * generator.standard_normal(360)), 1.3)
+    smooth = found_of(np.linspace(1.0, 1.2, 360) + 0.005 * generator.standard_normal(360), 1.3)
+    assert (found.status, found.time, found.upper) == ("not_before", None, None)
+    assert 0.0 < found.lower < 180.0
+    assert smooth.status == "finite"
+
+
+def test_a_range_ends_no_further_ahead_than_the_nights_reach_back() -> None:
+    generator = np.random.default_rng(3)
+    noise = 0.003 * generator.standard_normal(100)
+    near = found_of(np.linspace(1.0, 1.2, 100) + noise, 1.25)
+    far = found_of(np.linspace(1.0, 1.2, 100) + noise, 1.6)
+    assert near.status == "finite"
+    assert 0.0 < near.lower < near.time < near.upper <= 99.0
+    assert (far.status, far.upper) == ("not_before", None)
+    assert 0.0 < far.lower < 198.0
+
+
+def test_the_other_statuses() -> None:
+    generator = np.random.default_rng(5)
+    noise = 0.005 * generator.standard_normal(100)
+    rising = np.linspace(1.0, 1.2, 100) + noise
+    assert found_of(rising, 1.15).status == "already_crossed"
+    assert found_of(rising, 1.15).lower == 0.0
+    assert found_of(2.2 - rising, 1.3).status == "no_trend"
+    beyond = found_of(rising, 9.0, horizon=100.0)
+    assert (beyond.status, beyond.lower, beyond.upper) == ("beyond_horizon", 100.0, None)
+    assert found_of(rising[:19], 1.3).status == "insufficient"
+    assert found_of(np.where(np.arange(100) < 81, np.nan, rising), 1.3).status == "insufficient"
+    stands = time_to_limit(np.arange(100), np.full(100, 8.0), rising, 1.3, FAR)
+    assert stands.status == "insufficient"
+
+
+def test_units_and_nights_that_do_not_count_change_nothing_else() -> None:
+    generator = np.random.default_rng(6)
+    nights = np.arange(120)
+    values = np.linspace(1.0, 1.2, 120) + 0.004 * generator.standard_normal(120)
+    one = found_of(values, 1.3)
+    in_hours = time_to_limit(nights, 7.0 * nights, 1e-14 * values, 1.3e-14, 7.0 * FAR)
+    assert in_hours.status == one.status == "finite"
+    assert [in_hours.lower / 7, in_hours.time / 7, in_hours.upper / 7] == pytest.approx(
+        [one.lower, one.time, one.upper]
+    )
+    later = nights[20:] + 1000
+    gated = np.where(nights < 20, np.nan, values)
+    assert time_to_limit(nights, 1.0 * nights, gated, 1.3, FAR) == time_to_limit(
+        later, 1.0 * later, values[20:], 1.3, FAR
+    )
+
+
+def test_nights_without_scatter_have_the_time_of_their_course() -> None:
+    found = found_of((1.0 + 0.001 * np.arange(100.0)) ** 3, 1.15**3)
+    assert found.status == "finite"
+    assert found.lower <= 51.0 <= found.upper
+    assert found.time == pytest.approx(51.0, rel=0.06)

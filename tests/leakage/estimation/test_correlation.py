@@ -1,0 +1,84 @@
+"""Autocorrelation of errors: against the definition, and on series of known correlation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from leakage.estimation.correlation import (
+    autocorrelation,
+    correlation_time,
+    slowest_correlation_time,
+)
+
+
+def test_it_equals_the_sum_over_pairs_across_no_gap() -> None:
+    generator = np.random.default_rng(1)
+    index = np.sort(generator.choice(120, size=70, replace=False))
+    values = generator.normal(size=70)
+    centred = dict(zip(index.tolist(), (values - values.mean()).tolist(), strict=True))
+    variance = sum(value * value for value in centred.values()) / 70
+    for lag, found in enumerate(autocorrelation(values, index, 15)):
+        pairs = [centred[i] * centred[i + lag] for i in centred if i + lag in centred]
+        assert found == pytest.approx(sum(pairs) / len(pairs) / variance, abs=1e-12)
+
+
+@pytest.mark.parametrize("phi", [0.9, 0.95, 0.99])
+@pytest.mark.parametrize("white", [0.0, 1.0])
+def test_the_time_of_an_autoregression_is_known_with_white_noise_on_top_too(
+    phi: float, white: float
+) -> None:
+    generator = np.random.default_rng(2)
+    times = []
+    for _ in range(10):
+        slow = lfilter([1.0], [1.0, -phi], generator.normal(size=41_000))[1000:]
+        slow /= slow.std()
+        noisy = slow + white * generator.normal(size=40_000)
+        times.append(correlation_time(noisy, np.arange(40_000), 4000))
+    assert np.median(times) == pytest.approx(-1 / math.log(phi), rel=0.1)
+
+
+def test_white_errors_have_no_memory() -> None:
+    generator = np.random.default_rng(3)
+    times = [
+        correlation_time(generator.normal(size=5000), np.arange(5000), 500) for _ in range(100)
+    ]
+    # The band at lag one is one-sided 99.5 %.
+    assert np.mean(np.array(times) > 0) <= 0.03
+
+
+def test_a_memory_longer_than_looked_at_has_no_end() -> None:
+    drift = np.linspace(-1, 1, 2000)
+    assert math.isinf(correlation_time(drift, np.arange(2000), 100))
+
+
+def test_every_second_sample_remembers_as_long() -> None:
+    generator = np.random.default_rng(4)
+    slow = lfilter([1.0], [1.0, -0.98], generator.normal(size=41_000))[1000:]
+    every_second = correlation_time(slow[::2], np.arange(0, 40_000, 2), 4000)
+    assert every_second == pytest.approx(-1 / math.log(0.98), rel=0.15)
+
+
+def test_a_slow_error_under_a_larger_fast_one_is_found() -> None:
+    """Errors of 2 s and, at a third of their size, of 200 s, over 4 hours at 10 Hz."""
+    generator = np.random.default_rng(5)
+    n = 144_000
+
+    def errors(time_s: float) -> np.ndarray:
+        phi = math.exp(-0.1 / time_s)
+        made = lfilter([1.0], [1.0, -phi], generator.normal(size=n + 20_000))[20_000:]
+        return made / made.std()
+
+    mixed = errors(2.0) + 0.3 * errors(200.0)
+    index = np.arange(n)
+    assert correlation_time(mixed, index, 6000) < 100
+    assert slowest_correlation_time(mixed, index, 6000, 150) > 500
+    fast = errors(2.0)
+    assert slowest_correlation_time(fast, index, 6000, 150) == pytest.approx(20.0, rel=0.15)
+
+
+def test_errors_without_spread_have_no_memory() -> None:
+    assert correlation_time(np.full(100, 3.0), np.arange(100), 10) == 0.0

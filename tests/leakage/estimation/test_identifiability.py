@@ -1,0 +1,298 @@
+"""Verdicts: what a duty can tell, what it cannot, and what is said of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from leakage import Motor, OperatingConditions, leakage_l_per_min
+from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.identifiability import (
+    Excitation,
+    Identification,
+    identify,
+    judge_leakage,
+)
+from leakage.estimation.least_squares import Fit, fit
+from leakage.estimation.multi_start import SearchSettings
+from leakage.estimation.slow_errors import NOT_SLOW, SlowErrors
+from leakage.physics.annular_gap import AnnularGap
+from tests.leakage.made_samples import made_samples
+from tests.leakage.placeholders import placeholder_motor
+
+REFERENCE = OperatingConditions.from_bar(200.0, 50.0, 30.0)
+PER_BLOCK, BLOCKS = 120, 60
+NO_SEARCH = SearchSettings(starting_points=0)
+
+
+def duty(low_bar: float, high_bar: float, seed: int = 1) -> OperatingConditions:
+    generator = np.random.default_rng(seed)
+    n = PER_BLOCK * BLOCKS
+    return OperatingConditions.from_bar(
+        np.repeat(generator.uniform(low_bar, high_bar, n // 30), 30),
+        np.linspace(40.0, 60.0, n),
+        np.repeat(generator.uniform(3.0, 110.0, n // 60), 60),
+    )
+
+
+def judged(
+    motor: Motor,
+    conditions: OperatingConditions,
+    noise: float = 0.02,
+    blocks_kept: int = BLOCKS,
+) -> tuple[Fit, Identification, Excitation]:
+    z = made_samples(motor, noise_l_per_min=noise, conditions=conditions)
+    blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))[:blocks_kept]
+    estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+    bar = conditions.pressure_difference_pa / 1e5
+    seen = Excitation((float(bar.min()), float(bar.max())), (40.0, 60.0), (3.0, 110.0))
+    return estimate, identify(estimate, blocks, seen), seen
+
+
+def verdicts(identification: Identification) -> list[str]:
+    return [judgement.verdict for judgement in identification.coefficients]
+
+
+def test_a_wide_duty_identifies_every_gap_with_an_interval_that_holds() -> None:
+    motor = placeholder_motor("CB560")
+    estimate, found, seen = judged(motor, duty(10.0, 300.0))
+    assert verdicts(found) == ["identified"] * 3 + ["fixed"]
+    truth = [path.configured_coefficient for path in motor.column_paths]
+    for value, true, judgement in zip(
+        estimate.coefficients, truth, found.coefficients, strict=False
+    ):
+        assert judgement.interval is not None
+        assert abs(value - true) <= 2 * judgement.interval.half_width
+    leakage = judge_leakage(estimate, found, seen, REFERENCE)
+    assert (leakage.verdict, leakage.reason) == ("identified", "")
+    assert leakage.leakage_l_per_min == pytest.approx(1.371423, rel=0.01)
+    assert leakage.interval is not None
+    assert leakage.interval.half_width < 0.02 * leakage.leakage_l_per_min
+
+
+def test_a_motor_at_one_pressure_shows_no_gap_but_its_own_leakage() -> None:
+    motor = placeholder_motor("CB1120")
+    conditions = duty(179.7, 180.3)
+    estimate, found, seen = judged(motor, conditions)
+    assert "identified" not in verdicts(found)
+    assert all(judgement.interval is None for judgement in found.coefficients)
+    assert "no samples below 100 bar" in found.coefficients[0].reason
+    at_reference = judge_leakage(estimate, found, seen, REFERENCE)
+    assert at_reference.verdict == "outside_fitted_range"
+    assert "pressure" in at_reference.reason
+    own = judge_leakage(estimate, found, seen, OperatingConditions.from_bar(180.0, 50.0, 50.0))
+    assert own.verdict == "identified"
+    assert own.interval is not None
+    assert own.interval.half_width < 0.01 * own.leakage_l_per_min
+
+
+def test_paths_that_noise_hides_together_name_their_partner() -> None:
+    """Without its deformation a sleeve is a balance piston: only their sum can show."""
+    motor = placeholder_motor("CB560")
+    paths = tuple(
+        replace(path, deformation_pressure_pa=5e11)
+        if isinstance(path, AnnularGap) and path.height_factor > 1
+        else path
+        for path in motor.paths
+    )
+    twins = replace(motor, paths=paths)
+    _, found, _ = judged(twins, duty(10.0, 300.0))
+    gap, piston, sleeve, _ = found.coefficients
+    assert gap.verdict == "identified"
+    for judgement, other in ((piston, twins.column_paths[2]), (sleeve, twins.column_paths[1])):
+        assert judgement.verdict == "only_in_combination"
+        assert other.coefficient_name in judgement.reason
+        assert judgement.interval is None
+
+
+@pytest.mark.parametrize(("blocks", "reason"), [(1, "a single block"), (4, "degrees of freedom")])
+def test_too_few_blocks_say_so(blocks: int, reason: str) -> None:
+    estimate, found, seen = judged(
+        placeholder_motor("CB560"), duty(10.0, 300.0), noise=1e-4, blocks_kept=blocks
+    )
+    assert "identified" not in verdicts(found)
+    assert found.coefficients[1].verdict == "too_little_data"
+    assert reason in found.coefficients[1].reason
+    assert found.coefficients[1].interval is None
+    if blocks == 1:
+        leakage = judge_leakage(estimate, found, seen, REFERENCE)
+        assert (leakage.verdict, leakage.is_told) == ("too_little_data", False)
+        assert reason in leakage.reason
+
+
+def test_five_blocks_tell_a_leakage_and_no_loss_factor() -> None:
+    """Ten minutes of cycles, simulated: the leakage was told in 94–99 %, and 94–97 % held."""
+    motor, held, told = placeholder_motor("CB560"), 0, 0
+    truth = judge_leakage_of(motor)
+    for seed in range(60):
+        conditions = duty(10.0, 300.0, seed)
+        z = made_samples(motor, seed=seed, conditions=conditions)
+        blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))[:5]
+        estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+        found = identify(estimate, blocks, Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0)))
+        assert "identified" not in verdicts(found)
+        leakage = judge_leakage(
+            estimate, found, Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0)), REFERENCE
+        )
+        if leakage.is_told:
+            assert leakage.interval is not None
+            told += 1
+            held += abs(leakage.leakage_l_per_min - truth) <= leakage.interval.half_width
+    assert told >= 45
+    assert held >= 0.86 * told
+
+
+def test_a_figure_that_passes_rests_on_enough_blocks() -> None:
+    _, found, _ = judged(placeholder_motor("CB560"), duty(10.0, 300.0), blocks_kept=15)
+    for judgement in found.coefficients[:3]:
+        assert judgement.verdict == "identified"
+        assert judgement.interval is not None
+        assert judgement.interval.degrees_of_freedom >= 4.0
+
+
+def test_slow_errors_widen_every_interval_by_a_quarter() -> None:
+    motor, conditions = placeholder_motor("CB560"), duty(10.0, 300.0)
+    blocks = factors(
+        made_samples(motor, conditions=conditions),
+        np.arange(0, PER_BLOCK * BLOCKS + 1, PER_BLOCK),
+    )
+    estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
+    halves = []
+    for slow in (NOT_SLOW, SlowErrors(0.9, 10.0, 5.0, 20.0)):
+        interval = identify(estimate, blocks, seen, slow=slow).coefficients[0].interval
+        assert interval is not None
+        halves.append(interval.half_width)
+    assert halves[1] == pytest.approx(1.25 * halves[0])
+
+
+@pytest.mark.parametrize(
+    ("systematic_percent", "verdict"),
+    [(9.9, "identified"), (10.1, "uncertain"), (24.9, "uncertain"), (25.1, "not_identified")],
+)
+def test_a_leakage_is_as_sure_as_statistics_and_tolerances_leave_it(
+    systematic_percent: float, verdict: str
+) -> None:
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0), noise=1e-4)
+    systematic = systematic_percent / 100 * 1.371423
+    leakage = judge_leakage(estimate, found, seen, REFERENCE, systematic)
+    assert leakage.verdict == verdict
+    assert leakage.is_told == (verdict != "not_identified")
+    assert (f"± {systematic_percent} %" in leakage.reason) == (verdict != "identified")
+
+
+@pytest.mark.parametrize(
+    ("low_bar", "high_bar", "celsius", "systematic_percent", "verdict"),
+    [
+        (10.0, 185.0, 50.0, 0.0, "extrapolated"),
+        (10.0, 179.0, 50.0, 0.0, "outside_fitted_range"),
+        (10.0, 300.0, 31.0, 0.0, "extrapolated"),
+        (10.0, 300.0, 29.0, 0.0, "outside_fitted_range"),
+        (10.0, 185.0, 50.0, 11.8, "extrapolated"),
+        (10.0, 185.0, 50.0, 12.1, "outside_fitted_range"),
+    ],
+)
+def test_a_leakage_near_what_was_seen_is_extrapolated(
+    low_bar: float, high_bar: float, celsius: float, systematic_percent: float, verdict: str
+) -> None:
+    """Model.md: up to 20 bar or 10 K short of the reference, up to 12 %."""
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(low_bar, high_bar), noise=1e-3)
+    seen = replace(seen, pressure_bar=(low_bar, high_bar))
+    at = OperatingConditions.from_bar(200.0, celsius, 30.0)
+    systematic = systematic_percent / 100 * float(leakage_l_per_min(estimate.motor, at)[0])
+    leakage = judge_leakage(estimate, found, seen, at, systematic)
+    assert leakage.verdict == verdict
+    assert leakage.interval is not None
+    assert "lies outside the night's" in leakage.reason
+
+
+def test_a_speed_that_was_not_seen_is_not_extrapolated() -> None:
+    estimate, found, seen = judged(placeholder_motor("CB560"), duty(10.0, 300.0))
+    leakage = judge_leakage(estimate, found, replace(seen, speed_rpm=(31.0, 110.0)), REFERENCE)
+    assert leakage.verdict == "outside_fitted_range"
+
+
+def test_a_coefficient_on_its_bound_has_no_interval() -> None:
+    motor = placeholder_motor("CB560")
+    narrow = tuple(
+        replace(path, gap=replace(path.gap, maximum=path.gap.value - 1, value=path.gap.value - 2))
+        if isinstance(path, AnnularGap) and path.eccentricity is None
+        else path
+        for path in motor.paths
+    )
+    conditions = duty(10.0, 300.0)
+    z = made_samples(motor, conditions=conditions)
+    blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
+    bounded = replace(motor, paths=narrow)
+    estimate = fit(merge(blocks), bounded, NO_SEARCH, np.random.default_rng(0))
+    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
+    found = identify(estimate, blocks, seen)
+    assert found.coefficients[0].verdict == "at_bound"
+    assert found.coefficients[0].interval is None
+    assert found.coefficients[2].interval is not None
+
+
+def test_conditions_outside_what_was_seen_are_named() -> None:
+    motor = placeholder_motor("CB560")
+    estimate, found, seen = judged(motor, duty(10.0, 150.0))
+    leakage = judge_leakage(estimate, found, seen, REFERENCE)
+    assert leakage.verdict == "outside_fitted_range"
+    assert "200" in leakage.reason
+
+
+def test_a_bound_is_no_knowledge() -> None:
+    """A true flushing of 0.001 l/min: a good part of the nights ends on its bound at 0.
+
+    Intervals that took the bound for the truth held the reference leakage in 67 % of nights.
+    """
+    motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=0.001)
+    conditions = duty(10.0, 300.0)
+    held, on_bound = 0, 0
+    seen = Excitation((10.0, 300.0), (40.0, 60.0), (3.0, 110.0))
+    truth = judge_leakage_of(motor)
+    for seed in range(60):
+        z = made_samples(motor, seed=seed, conditions=conditions, noise_l_per_min=0.05)
+        blocks = factors(z, np.arange(0, len(z) + 1, PER_BLOCK))
+        estimate = fit(merge(blocks), motor, NO_SEARCH, np.random.default_rng(0))
+        leakage = judge_leakage(estimate, identify(estimate, blocks, seen), seen, REFERENCE)
+        assert leakage.interval is not None
+        held += abs(leakage.leakage_l_per_min - truth) <= leakage.interval.half_width
+        on_bound += bool(estimate.certificate.at_lower[-1])
+    assert on_bound > 10
+    assert held >= 54
+
+
+def judge_leakage_of(motor: Motor) -> float:
+    return float(leakage_l_per_min(motor, REFERENCE)[0])
+
+
+def test_one_stretch_at_low_pressure_does_not_identify_the_ring() -> None:
+    motor = placeholder_motor("CB560")
+    bar = np.repeat(np.random.default_rng(3).uniform(230, 300, PER_BLOCK * BLOCKS // 30), 30)
+    bar[PER_BLOCK * 20 : PER_BLOCK * 20 + 100] = 40.0
+    wide = duty(230.0, 300.0)
+    conditions = OperatingConditions.from_bar(bar, wide.oil_temperature_c, wide.speed_rpm)
+    _, found, _ = judged(motor, conditions, noise=0.002)
+    assert found.coefficients[0].verdict == "not_excited"
+    assert "one short stretch" in found.coefficients[0].reason
+    assert found.coefficients[0].interval is None
+
+
+def test_leakage_of_which_only_the_flushing_is_estimated_is_fixed() -> None:
+    motor = placeholder_motor("CB560", flushing="estimated", flushing_l_per_min=2.0)
+    known = tuple(
+        replace(
+            path,
+            gap=replace(path.gap, fixed=True),
+            eccentricity=path.eccentricity and replace(path.eccentricity, fixed=True),
+        )
+        if isinstance(path, AnnularGap)
+        else path
+        for path in motor.paths
+    )
+    estimate, found, seen = judged(replace(motor, paths=known), duty(10.0, 300.0))
+    assert verdicts(found) == ["identified"]
+    leakage = judge_leakage(estimate, found, seen, REFERENCE)
+    assert (leakage.verdict, leakage.interval) == ("fixed", None)

@@ -1,0 +1,111 @@
+"""Sums of lagged products: against the definition, pair by pair, over segments of any length."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from leakage.estimation.lagged_products import Segments, lagged_products
+
+Array = NDArray[np.float64]
+BOTH_WAYS = [(0, 0), (1, 1), (0, 1), (1, 0)]
+
+
+def places(lengths: list[int], gap: int = 1) -> NDArray[np.int64]:
+    """Stretches of samples with `gap` missing ones between them, from place 7 on."""
+    parts, begin = [], 7
+    for length in lengths:
+        parts.append(np.arange(begin, begin + length))
+        begin += length + gap
+    return np.concatenate(parts)
+
+
+def by_definition(series: Array, lengths: list[int], longest: int) -> Array:
+    """Each pair of samples of a segment, one lag after the other."""
+    sums = np.zeros((len(BOTH_WAYS), longest + 1))
+    for part in np.split(series, np.cumsum(lengths)[:-1], axis=1):
+        n = part.shape[1]
+        for lag in range(min(longest, n - 1) + 1):
+            for row, (a, b) in enumerate(BOTH_WAYS):
+                sums[row, lag] += part[a, : n - lag] @ part[b, lag:]
+    return sums
+
+
+@settings(max_examples=60)
+@given(
+    lengths=st.lists(st.integers(1, 90), min_size=1, max_size=12),
+    longest=st.integers(0, 120),
+    gap=st.integers(1, 30),
+    seed=st.integers(0, 1000),
+)
+def test_short_segments(lengths: list[int], longest: int, gap: int, seed: int) -> None:
+    series = np.random.default_rng(seed).normal(size=(2, sum(lengths)))
+    found = lagged_products(series, Segments.of(places(lengths, gap)), longest, BOTH_WAYS)
+    assert found == pytest.approx(by_definition(series, lengths, longest), abs=1e-10)
+
+
+@pytest.mark.parametrize("longest", [0, 1, 25, 350])
+@pytest.mark.parametrize(
+    "lengths", [[20_000], [1, 2048, 2047, 2049, 1, 16, 17, 4096], [9000, 3, 5000, 1023, 1024, 1025]]
+)
+def test_segments_of_many_chunks(lengths: list[int], longest: int) -> None:
+    """Around powers of two, where transforms change their length."""
+    series = np.random.default_rng(1).normal(size=(2, sum(lengths)))
+    found = lagged_products(series, Segments.of(places(lengths)), longest, BOTH_WAYS)
+    assert found == pytest.approx(by_definition(series, lengths, longest), abs=1e-9)
+
+
+def test_more_chunks_than_are_transformed_at_a_time() -> None:
+    lengths = [40] * 3000
+    series = np.random.default_rng(2).normal(size=(2, sum(lengths)))
+    found = lagged_products(series, Segments.of(places(lengths)), 25, BOTH_WAYS)
+    assert found == pytest.approx(by_definition(series, lengths, 25), abs=1e-9)
+
+
+def test_lags_longer_than_every_segment_have_no_sum() -> None:
+    found = lagged_products(np.ones((1, 30)), Segments.of(places([10, 20])), 25, [(0, 0)])
+    assert found[0, :20] == pytest.approx(np.maximum(10 - np.arange(20), 0) + 20 - np.arange(20))
+    assert found[0, 20:] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_what_lies_across_a_gap_is_not_touched() -> None:
+    """A huge value in one segment leaves no trace in the sums of the others."""
+    generator = np.random.default_rng(3)
+    series = generator.normal(size=(2, 500))
+    silent = series.copy()
+    silent[:, 200:230] = 0.0
+    loud = silent.copy()
+    loud[0, 200:230] = 1e6  # its partner is silent there: within the segment it adds nothing
+    index = places([200, 30, 270])
+    lags = [(0, 1), (1, 0)]
+    found = lagged_products(loud, Segments.of(index), 60, lags)
+    assert found == pytest.approx(lagged_products(silent, Segments.of(index), 60, lags), abs=1e-7)
+
+
+@given(
+    lengths=st.lists(st.integers(1, 40), min_size=1, max_size=12),
+    gap=st.integers(1, 5),
+    margin=st.integers(0, 12),
+)
+def test_segments_tell_what_they_hold(lengths: list[int], gap: int, margin: int) -> None:
+    index = places(lengths, gap)
+    segments = Segments.of(index)
+    assert segments.lengths.tolist() == lengths
+    assert segments.n == len(index) == sum(lengths)
+    pairs = [sum(max(n - lag, 0) for n in lengths) for lag in range(50)]
+    assert segments.pair_counts(49).tolist() == pairs
+    inner = np.concatenate(
+        [(np.arange(n) >= margin) & (np.arange(n) < n - margin) for n in lengths]
+    )
+    assert segments.without_ends(margin).mask(len(index)).tolist() == inner.tolist()
+
+
+def test_no_segment() -> None:
+    nothing = Segments.of(np.arange(5)).without_ends(3)
+    assert nothing.n == 0
+    assert nothing.pair_counts(2).tolist() == [0, 0, 0]
+    assert not nothing.mask(5).any()
+    assert not lagged_products(np.ones((1, 5)), nothing, 2, [(0, 0)]).any()

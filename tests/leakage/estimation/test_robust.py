@@ -1,0 +1,71 @@
+"""Huber's weights: against SciPy's robust least squares, and by what they withstand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from leakage.estimation.block_statistics import factor
+from leakage.estimation.certificate import certify
+from leakage.estimation.robust import MAD_TO_SD, TUNING, huber_weights, weight_inflation
+
+FREE = np.array([-99.0, -99.0]), np.array([99.0, 99.0])
+
+
+def made(seed: int, spoilt: float) -> np.ndarray:
+    """y = 2 x + 1 with noise of 0.1, and a share of samples that are 5 too high."""
+    generator = np.random.default_rng(seed)
+    x = generator.uniform(0, 10, 2000)
+    y = 2 * x + 1 + 0.1 * generator.normal(size=2000)
+    y[generator.random(2000) < spoilt] += 5.0
+    return np.column_stack([x, np.ones(2000), np.zeros(2000), y])
+
+
+def weighted_fit(z: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    return certify(factor(z * np.sqrt(weights)[:, None]), *FREE).coefficients
+
+
+def test_it_ends_where_scipys_huber_loss_does() -> None:
+    z = made(1, 0.05)
+    weights = huber_weights(z, *FREE)
+    found = weighted_fit(z, weights)
+    error = z @ np.concatenate([found, (1.0, -1.0)])
+    scale = MAD_TO_SD * np.median(np.abs(error))
+    scipy = least_squares(
+        lambda p: z[:, 0] * p[0] + p[1] - z[:, -1],
+        [0.0, 0.0],
+        loss="huber",
+        f_scale=TUNING * scale,
+        xtol=1e-14,
+        ftol=1e-14,
+    )
+    assert found == pytest.approx(scipy.x, rel=1e-5)
+
+
+def test_spoilt_samples_hardly_count() -> None:
+    z = made(2, 0.1)
+    plain, robust = certify(factor(z), *FREE).coefficients, weighted_fit(z, huber_weights(z, *FREE))
+    assert abs(plain[1] - 1) > 0.3
+    assert robust == pytest.approx([2.0, 1.0], abs=0.05)
+
+
+def test_normal_errors_keep_their_weight() -> None:
+    weights = huber_weights(made(3, 0.0), *FREE)
+    # P(|e| > 1.345 sd) = 17.9 % of normal errors are weighted down at all.
+    assert np.mean(weights < 1) == pytest.approx(0.179, abs=0.03)
+    assert weights.min() > 0.25
+    assert weights.max() == 1.0
+
+
+def test_errors_without_spread_all_count() -> None:
+    x = np.arange(10.0)
+    z = np.column_stack([x, np.ones(10), np.zeros(10), 2 * x + 1])
+    assert weighted_fit(z, huber_weights(z, *FREE)) == pytest.approx([2.0, 1.0])
+
+
+def test_standard_errors_are_inflated_by_what_theory_says_of_normal_errors() -> None:
+    """E ψ' = P(|e| < 1.345) = 0.8214; E w = that + 1.345 E(1/|e|; |e| > 1.345) = 0.9599."""
+    weights = np.concatenate([huber_weights(made(seed, 0.0), *FREE) for seed in range(20)])
+    assert weight_inflation(weights) == pytest.approx(0.9599 / 0.8214, rel=0.02)
+    assert weight_inflation(np.ones(5)) == 1.0

@@ -1,0 +1,224 @@
+"""Intervals: against the sandwich written out over the samples, and by how often they hold."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+from scipy.stats import t as student_t
+
+from leakage.estimation.block_statistics import factors, merge
+from leakage.estimation.certificate import certify
+from leakage.estimation.uncertainty import block_bootstrap, cluster_robust
+
+Array = NDArray[np.float64]
+
+
+def made_blocks(
+    seed: int, sizes: tuple[int, ...], k: int = 3
+) -> tuple[Array, NDArray[np.int64], Array]:
+    """Samples with columns (paths…, one, known, measured) of unlike scale, block borders, θ."""
+    generator = np.random.default_rng(seed)
+    n = sum(sizes)
+    regressors = generator.gamma(2.0, size=(n, k)) * 10.0 ** np.arange(10, 10 + k)
+    theta = np.append(10.0 ** -np.arange(10, 10 + k, dtype=float), 2.0)
+    known = generator.normal(size=n)
+    noise = np.repeat(generator.normal(size=len(sizes)), sizes) + generator.normal(size=n)
+    measured = regressors @ theta[:-1] + theta[-1] + known + 0.3 * noise
+    z = np.column_stack([regressors, np.ones(n), known, measured])
+    return z, np.concatenate([[0], np.cumsum(sizes)]), theta
+
+
+def least_squares(z: Array) -> Array:
+    columns = z[:, :-2]
+    scale = np.linalg.norm(columns, axis=0)
+    solution: Array = np.linalg.lstsq(columns / scale, z[:, -1] - z[:, -2])[0] / scale
+    return solution
+
+
+def sandwich_over_samples(
+    z: Array, borders: NDArray[np.int64], theta: Array, contrast: Array
+) -> tuple[float, float]:
+    """CR2 standard error and Bell–McCaffrey degrees of freedom, by their definitions.
+
+    Bell and McCaffrey (2002): A_b = (I − H_bb)^(−1/2), V = B ΣX_b'A_b e_b e_b'A_b X_b B; the
+    degrees of freedom are (ΣΩ_bb)²/ΣΩ² with Ω = G'G and g_b = (I − H)_·b A_b X_b B c.
+    """
+    columns = z[:, :-2]
+    scale = np.linalg.norm(columns, axis=0)
+    x, c = columns / scale, contrast / scale
+    bread = np.linalg.inv(x.T @ x)
+    error = z[:, -1] - z[:, -2] - z[:, :-2] @ theta
+    annihilator = np.eye(len(z)) - x @ bread @ x.T
+    variance, spread = 0.0, []
+    for first, end in itertools.pairwise(borders):
+        part = slice(first, end)
+        values, vectors = np.linalg.eigh(annihilator[part, part])
+        adjust = (vectors / np.sqrt(values)) @ vectors.T
+        direction = adjust @ x[part] @ bread @ c
+        variance += float(direction @ error[part]) ** 2
+        spread.append(annihilator[:, part] @ direction)
+    g = np.array(spread).T
+    omega = g.T @ g
+    return np.sqrt(variance), float(np.trace(omega) ** 2 / np.sum(omega**2))
+
+
+@pytest.mark.parametrize("sizes", [(40,) * 8, (5, 60, 30, 8, 41, 22), (30, 30, 30)])
+def test_it_equals_the_sandwich_written_out_over_the_samples(sizes: tuple[int, ...]) -> None:
+    z, borders, _ = made_blocks(1, sizes)
+    theta = least_squares(z)
+    distribution = cluster_robust(factors(z, borders), theta, np.ones(4, dtype=bool))
+    assert distribution is not None
+    for contrast in (*np.eye(4), np.array([1e10, 2e11, -1e12, 0.5])):
+        error, freedom = sandwich_over_samples(z, borders, theta, contrast)
+        interval = distribution.interval(contrast)
+        assert interval is not None
+        assert interval.standard_error == pytest.approx(error, rel=1e-7)
+        assert interval.degrees_of_freedom == pytest.approx(freedom, rel=1e-7)
+        quantile = student_t.ppf(0.975, freedom)
+        assert interval.half_width == pytest.approx(quantile * error, rel=1e-7)
+
+
+def test_covariance_and_inflation_agree_with_their_definitions() -> None:
+    z, borders, _ = made_blocks(2, (50,) * 10)
+    theta = least_squares(z)
+    distribution = cluster_robust(factors(z, borders), theta, np.ones(4, dtype=bool))
+    assert distribution is not None
+    errors = [sandwich_over_samples(z, borders, theta, unit)[0] for unit in np.eye(4)]
+    assert np.sqrt(np.diag(distribution.covariance())) == pytest.approx(errors, rel=1e-7)
+    unit = z[:, :-2] / np.linalg.norm(z[:, :-2], axis=0)
+    inflation = np.diag(np.linalg.inv(unit.T @ unit))
+    assert distribution.variance_inflation() == pytest.approx(inflation, rel=1e-9)
+
+
+def test_inactive_coefficients_do_not_count() -> None:
+    z, borders, _ = made_blocks(3, (40,) * 9)
+    z[:, 1] = 0.0
+    theta = least_squares(z[:, [0, 2, 3, 4, 5]])
+    whole = np.insert(theta, 1, 0.0)
+    active = np.array([True, False, True, True])
+    distribution = cluster_robust(factors(z, borders), whole, active)
+    smaller = z[:, [0, 2, 3, 4, 5]]
+    error, _ = sandwich_over_samples(smaller, borders, theta, np.array([1.0, 0, 0]))
+    assert distribution is not None
+    interval = distribution.interval(np.array([1.0, 5.0, 0, 0]))
+    assert interval is not None
+    assert interval.standard_error == pytest.approx(error, rel=1e-7)
+
+
+def test_only_what_dependent_columns_span_has_an_interval() -> None:
+    z, borders, _ = made_blocks(4, (40,) * 9)
+    z[:, 1] = 3.0 * z[:, 0]
+    theta = least_squares(z)
+    distribution = cluster_robust(factors(z, borders), theta, np.ones(4, dtype=bool))
+    assert distribution is not None
+    assert distribution.interval(np.array([1.0, 0, 0, 0])) is None
+    together = distribution.interval(np.array([1.0, 3.0, 0, 0]))
+    assert together is not None
+    reduced = z[:, [0, 2, 3, 4, 5]]
+    error, _ = sandwich_over_samples(
+        reduced, borders, least_squares(reduced), np.array([1.0, 0, 0])
+    )
+    assert together.standard_error == pytest.approx(error, rel=1e-6)
+    assert np.isinf(distribution.variance_inflation()[:2]).all()
+
+
+@pytest.mark.parametrize("blocks", [0, 1])
+def test_fewer_than_two_blocks_have_no_distribution(blocks: int) -> None:
+    z, borders, theta = made_blocks(5, (40, 40))
+    some = factors(z, borders)[:blocks]
+    assert cluster_robust(some, theta, np.ones(4, dtype=bool)) is None
+
+
+def test_empty_blocks_change_nothing() -> None:
+    z, borders, _ = made_blocks(6, (40,) * 6)
+    theta = least_squares(z)
+    blocks = factors(z, borders)
+    padded = np.concatenate([np.zeros((1, 6, 6)), blocks, np.zeros((2, 6, 6))])
+    one = cluster_robust(blocks, theta, np.ones(4, dtype=bool))
+    other = cluster_robust(padded, theta, np.ones(4, dtype=bool))
+    assert one is not None
+    assert other is not None
+    assert one.interval(np.eye(4)[0]) == other.interval(np.eye(4)[0])
+
+
+def test_intervals_of_strongly_correlated_errors_hold_the_truth() -> None:
+    """95 % over 400 nights is 93–97 % in 19 of 20 runs; ordinary intervals held 11–35 %."""
+    generator = np.random.default_rng(8)
+    n, per_block = 4800, 200
+    borders = np.arange(0, n + 1, per_block)
+    x = np.repeat(generator.uniform(1, 10, n // 50), 50)
+    held = 0
+    for _ in range(400):
+        noise = lfilter([1.0], [1.0, -0.9], generator.normal(size=n + 200))[200:]
+        z = np.column_stack([x, np.ones(n), np.zeros(n), 2.0 * x + noise])
+        blocks = factors(z, borders)
+        found = certify(merge(blocks), np.array([-99.0, -99.0]), np.array([99.0, 99.0]))
+        distribution = cluster_robust(blocks, found.coefficients, np.ones(2, dtype=bool))
+        assert distribution is not None
+        interval = distribution.interval(np.array([1.0, 0.0]))
+        assert interval is not None
+        held += abs(found.coefficients[0] - 2.0) <= interval.half_width
+    assert 0.92 <= held / 400 <= 0.98
+
+
+def test_the_bootstrap_agrees_with_the_intervals() -> None:
+    z, borders, _ = made_blocks(9, (40,) * 60)
+    theta = least_squares(z)
+    blocks = factors(z, borders)
+    active = np.ones(4, dtype=bool)
+    distribution = cluster_robust(blocks, theta, active)
+    assert distribution is not None
+    drawn = block_bootstrap(blocks, theta, distribution, np.random.default_rng(1), resamples=2000)
+    for place, unit in enumerate(np.eye(4)):
+        interval = distribution.interval(unit)
+        assert interval is not None
+        half = (drawn.upper[place] - drawn.lower[place]) / 2
+        assert half == pytest.approx(interval.half_width, rel=0.15)
+        assert drawn.lower[place] < theta[place] < drawn.upper[place]
+
+
+def test_the_bootstrap_is_seeded() -> None:
+    z, borders, _ = made_blocks(10, (40,) * 12)
+    theta, active = least_squares(z), np.ones(4, dtype=bool)
+    blocks = factors(z, borders)
+    distribution = cluster_robust(blocks, theta, active)
+    one, other = (
+        block_bootstrap(blocks, theta, distribution, np.random.default_rng(3)) for _ in range(2)
+    )
+    assert np.array_equal(one.lower, other.lower)
+
+
+def test_no_resamples_are_no_limits() -> None:
+    z, borders, _ = made_blocks(11, (40,) * 6)
+    theta, active = least_squares(z), np.ones(4, dtype=bool)
+    blocks = factors(z, borders)
+    distribution = cluster_robust(blocks, theta, active)
+    drawn = block_bootstrap(blocks, theta, distribution, np.random.default_rng(1), resamples=0)
+    assert np.isnan(drawn.lower).all()
+    assert np.isnan(drawn.upper).all()
+
+
+def test_an_inflation_widens_every_interval_and_a_share_is_a_share() -> None:
+    z, borders, _ = made_blocks(12, (40,) * 9)
+    theta, active = least_squares(z), np.ones(4, dtype=bool)
+    blocks = factors(z, borders)
+    plain = cluster_robust(blocks, theta, active)
+    wide = cluster_robust(blocks, theta, active, inflation=1.2)
+    assert plain is not None
+    assert wide is not None
+    for unit in np.eye(4):
+        one, other = plain.interval(unit), wide.interval(unit)
+        assert one is not None
+        assert other is not None
+        assert other.half_width == pytest.approx(1.2 * one.half_width)
+        assert 1 / 9 <= one.largest_block_share < 0.5
+    z[: borders[8], 0] = 0.0
+    alone = cluster_robust(factors(z, borders), least_squares(z), active)
+    assert alone is not None
+    rests_on_one = alone.interval(np.eye(4)[0])
+    assert rests_on_one is not None
+    assert rests_on_one.largest_block_share > 0.9

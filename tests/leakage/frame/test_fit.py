@@ -1,0 +1,250 @@
+"""A motor fitted to a frame: made samples of known loss factors, in any kind of frame."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Mapping
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pytest
+from numpy.typing import NDArray
+
+from leakage.errors import EstimationError, LeakageError, ShapeError, StatisticsError
+from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
+from leakage.frame.fit import fit_frame
+from leakage.frame.result import FrameFit
+from leakage.physics.conditions import OperatingConditions
+from leakage.physics.motor import total_flow_l_per_min
+from tests.leakage.placeholders import placeholder_motor
+
+Samples = dict[str, NDArray[Any]]
+NOISE = 0.02
+MOTOR = placeholder_motor()
+BEGIN = np.datetime64("2026-03-01T22:00", "us")
+
+
+def made(n: int = 7200, *, flushing: float = 0.0, seed: int = 1) -> Samples:
+    """Samples at 1 Hz: load steps, warming oil."""
+    rng = np.random.default_rng(seed)
+    bar = np.repeat(rng.uniform(15, 300, -(-n // 60)), 60)[:n]
+    celsius = np.linspace(42.0, 57.0, n)
+    rpm = np.repeat(rng.uniform(3, 110, -(-n // 120)), 120)[:n]
+    flow = total_flow_l_per_min(MOTOR, OperatingConditions.from_bar(bar, celsius, rpm))
+    return {
+        "time": BEGIN + np.arange(n) * np.timedelta64(1, "s"),
+        "pressure_bar": bar,
+        "oil_temperature_c": celsius,
+        "speed_rpm": rpm,
+        "leakage_l_per_min": flow + flushing + NOISE * rng.standard_normal(n),
+    }
+
+
+@pytest.fixture(scope="module")
+def found() -> FrameFit:
+    return fit_frame(made(), MOTOR)
+
+
+def test_the_true_loss_factors_lie_in_their_intervals(found: FrameFit) -> None:
+    intervals = found.conf_int(0.99)
+    for path in MOTOR.column_paths:
+        interval = intervals[path.coefficient_name]
+        assert interval is not None
+        assert interval[0] < path.configured_coefficient < interval[1]
+    assert found.validation.rmse_l_per_min == pytest.approx(NOISE, rel=0.1)
+
+
+@pytest.mark.parametrize("kind", [pd.DataFrame, pl.DataFrame, pl.LazyFrame, pa.table])
+def test_every_kind_of_frame_gives_the_same(kind: Any, found: FrameFit) -> None:
+    assert fit_frame(kind(made()), MOTOR).params == found.params
+
+
+def test_dates_may_be_the_index_of_a_pandas_frame(found: FrameFit) -> None:
+    frame = pd.DataFrame(made()).set_index("time").tz_localize("UTC").tz_convert("Europe/Berlin")
+    assert fit_frame(frame, MOTOR).params == found.params
+
+
+def test_estimates_of_a_chosen_period_are_from_its_samples_alone() -> None:
+    samples = made()
+    half = (BEGIN, BEGIN + np.timedelta64(1, "h"))
+    later = (half[1], half[1] + np.timedelta64(1, "h"))
+    first = {name: values[:3600] for name, values in samples.items()}
+    alone = fit_frame(first, MOTOR, train=half)
+    both = fit_frame(samples, MOTOR, train=half, validate=later)
+    assert both.params == alone.params
+    assert (alone.validation.n, both.validation.n) == (0, 3600)
+    assert "no samples validate this fit" in alone.summary().warnings
+
+
+def test_flushing_is_estimated_held_or_left_out() -> None:
+    samples = made(flushing=1.5)
+    assert fit_frame(samples, MOTOR, flushing=1.5).params["C_f"] == 1.5
+    estimated = fit_frame(samples, MOTOR, flushing="estimated")
+    assert estimated.params["C_f"] == pytest.approx(1.5, abs=0.1)
+    assert "C_f" not in fit_frame(samples, MOTOR, flushing="none").params
+    at = (200.0, 50.0, 30.0)
+    held = fit_frame(samples, MOTOR, flushing=1.5)
+    assert held.leakage(*at).leakage_l_per_min == pytest.approx(1.37, rel=0.02)
+
+
+def test_predictions_and_residuals_stand_on_the_rows_of_the_frame(found: FrameFit) -> None:
+    samples = made(100)
+    samples["pressure_bar"][7] = np.nan
+    predicted, left = found.predict(samples), found.residuals(samples)
+    assert np.flatnonzero(np.isnan(predicted)).tolist() == [7]
+    np.testing.assert_allclose((predicted + left)[8:], samples["leakage_l_per_min"][8:], rtol=1e-12)
+    assert found.residuals().std() == pytest.approx(NOISE, rel=0.05)
+
+
+def test_the_better_model_fits_better(found: FrameFit) -> None:
+    other = fit_frame(made(), MOTOR, flushing=1.0)
+    own, others = found.compare(other, made(seed=2))
+    assert own.rmse_l_per_min is not None
+    assert others.rmse_l_per_min is not None
+    assert own.rmse_l_per_min == pytest.approx(NOISE, rel=0.05)
+    assert others.rmse_l_per_min > own.rmse_l_per_min
+
+
+def test_tolerances_of_sensors_widen_the_total_alone() -> None:
+    sure = Tolerances(temperature_c=ChannelTolerance(offset=2.0))
+    plain, wide = fit_frame(made(), MOTOR), fit_frame(made(), MOTOR, tolerances=sure)
+    assert wide.conf_int() == plain.conf_int()
+    assert wide.columns()["total_half_width"][0] > 2.0 * plain.columns()["total_half_width"][0]
+
+
+def test_words(found: FrameFit) -> None:
+    text, html = str(found.summary()), found._repr_html_()
+    assert repr(found).startswith("<FrameFit CB560: 3 of 3 identified, training 9")
+    for name in ("K_o", "K_p", "K_s"):
+        assert name in text
+        assert f"<td>{name}</td>" in html
+        assert f"{name}: identified" in found.explain()
+    assert "2026-03-01 22:00 to 2026-03-01 23:59 UTC" in text
+    assert "errors of validation: white, independent of every input" in text
+
+
+def test_warnings_come_first() -> None:
+    samples = made()
+    samples["speed_rpm"][:3] = np.nan
+    samples["pressure_bar"][:] = 200.0
+    lines = str(fit_frame(samples, MOTOR).summary()).splitlines()
+    assert lines[1] == "warning: 3 rows lack a value and are left out"
+    assert lines[2].startswith("warning: K_o: not excited: ")
+
+
+def test_frames_of_the_estimates_and_pickling(found: FrameFit) -> None:
+    again: FrameFit = pickle.loads(pickle.dumps(found))  # noqa: S301
+    assert again.to_polars().rows() == found.to_polars().rows()
+    assert dict(zip(*found.to_pandas()[["parameter", "value"]].values.T, strict=True)) == (
+        found.params
+    )
+
+
+def test_five_rows_say_what_they_cannot_know() -> None:
+    found = fit_frame(made(5), MOTOR)
+    assert {one.verdict for one in found.judgements.values()} == {"too_little_data"}
+    assert set(found.conf_int().values()) == {None}
+    with pytest.raises(EstimationError):
+        fit_frame(made(2), MOTOR)
+
+
+def changed(**columns: Any) -> Mapping[str, Any]:
+    return made(600) | columns
+
+
+@pytest.mark.parametrize(
+    ("frame", "code", "words"),
+    [
+        ({"time": [0.0]}, "column_missing", "no column pressure_bar; there are time"),
+        (changed(time=np.zeros(600)), "time_order", "time repeats at row 1"),
+        (changed(time=-np.arange(600.0)), "time_order", "time falls at row 1"),
+        (changed(time=np.full(600, np.nan)), "time_missing", "drop such rows"),
+        (changed(speed_rpm=np.full(600, np.nan)), "no_samples", "speed_rpm has no values"),
+        (changed(speed_rpm=np.array(["fast"] * 600)), "column_type", "speed_rpm holds no numbers"),
+    ],
+)
+@pytest.mark.parametrize("kind", [dict, pd.DataFrame, pl.DataFrame, pa.table])
+def test_a_bad_frame_is_refused_with_what_to_do(
+    kind: Any, frame: Samples, code: str, words: str
+) -> None:
+    with pytest.raises((ShapeError, StatisticsError), match=words) as caught:
+        fit_frame(kind(frame), MOTOR)
+    assert caught.value.code == code
+
+
+def test_columns_of_other_lengths_and_what_is_no_frame_are_refused() -> None:
+    with pytest.raises(ShapeError, match="differ in length"):
+        fit_frame(changed(speed_rpm=np.zeros(3)), MOTOR)
+    with pytest.raises(ShapeError, match="int is no frame"):
+        fit_frame(3, MOTOR)
+
+
+def test_another_unit_by_its_name_is_refused_and_another_name_is_taken(found: FrameFit) -> None:
+    samples = made()
+    samples["pressure_psi"] = samples.pop("pressure_bar")
+    with pytest.raises(ShapeError, match="pressure_psi is not in bar") as caught:
+        fit_frame(samples, MOTOR)
+    assert caught.value.code == "column_unit"
+    named = fit_frame(samples, MOTOR, columns={"pressure_bar": "pressure_psi"})
+    assert named.params == found.params
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"train": ("2026-03-05", "2026-03-06")}, "of another time"),
+        ({"train": ("2026-03-02", "2026-03-01")}, "ends before it begins"),
+        ({"train": ("noon", "2026-03-01")}, "is no date"),
+        ({"train": (0, 3600)}, "are dates, not seconds"),
+        ({"validate": ("2026-03-01", "2026-03-02")}, "without train="),
+        ({"flushing": "some"}, 'say "none"'),
+    ],
+)
+def test_wrong_arguments(keys: Any, words: str) -> None:
+    with pytest.raises(LeakageError, match=words):
+        fit_frame(made(600), MOTOR, **keys)
+
+
+def test_constant_speed_is_no_obstacle() -> None:
+    samples = made()
+    bar, celsius = samples["pressure_bar"], samples["oil_temperature_c"]
+    samples["speed_rpm"] = np.full(7200, 60.0)
+    at = OperatingConditions.from_bar(bar, celsius, samples["speed_rpm"])
+    rng = np.random.default_rng(1)
+    samples["leakage_l_per_min"] = total_flow_l_per_min(MOTOR, at) + NOISE * rng.normal(size=7200)
+    found = fit_frame(samples, MOTOR)
+    assert found.judgements["K_o"].verdict == "identified"
+    tests = found.residual_tests().independence
+    assert tests["speed"].reason == "the input does not vary"
+
+
+def test_plots_are_axes_and_show_what_they_say(found: FrameFit) -> None:
+    mpl.use("agg")
+    axes = found.plot()
+    measured, predicted = axes.get_lines()[:2]
+    assert len(measured.get_xdata()) == len(predicted.get_xdata()) == 3600
+    assert found.plot_residuals()[0].get_title() == "errors: passed"
+    leaking = found.plot_leakage(50.0, 30.0)
+    (total,) = leaking.get_lines()
+    at_200 = float(np.interp(200.0, total.get_xdata(), total.get_ydata()))
+    assert at_200 == pytest.approx(found.leakage(200.0, 50.0, 30.0).leakage_l_per_min, rel=1e-3)
+    assert found.plot(axes) is axes
+    with pytest.raises(LeakageError, match="4 axes are needed"):
+        found.plot_residuals(axes=[axes])
+
+
+def test_a_profile_is_at_its_least_at_the_estimate_and_at_one_at_the_limits(
+    found: FrameFit,
+) -> None:
+    mpl.use("agg")
+    for ax, (name, value) in zip(found.plot_profile(), found.params.items(), strict=True):
+        curve = ax.get_lines()[-1]
+        x, y = np.asarray(curve.get_xdata()), np.asarray(curve.get_ydata())
+        interval = found.conf_int()[name]
+        assert interval is not None
+        assert np.interp(value, x, y) == pytest.approx(0.0, abs=0.01)
+        assert np.interp(interval, x, y) == pytest.approx(1.0, abs=0.02)
