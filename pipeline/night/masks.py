@@ -23,6 +23,20 @@ ROUNDING = 1e-6
 STEP_ROUNDING = 0.01
 
 
+def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First places of the stretches in which a mask is set, and the places behind them.
+
+    Examples
+    --------
+    >>> stretches(np.array([True, False, True, True]))
+    (array([0, 2]), array([1, 4]))
+    """
+    framed = np.zeros(len(mask) + 2, dtype=np.bool_)
+    framed[1:-1] = mask
+    edges = np.flatnonzero(framed[1:] != framed[:-1])
+    return edges[::2], edges[1::2]
+
+
 def missing_sample(
     time_us: Times, blank: Mask, period_us: float | None, row_us: float | None
 ) -> Mask:
@@ -37,8 +51,8 @@ def missing_sample(
     row_us = row_us or period_us
     due = np.zeros(len(time_us), dtype=np.bool_)
     # Stretches of blank cells, each with the sample before it and the next one.
-    edges = np.flatnonzero(np.diff(blank, prepend=False, append=False))
-    begins, ends = edges[::2] - 1, edges[1::2]
+    begins, ends = stretches(blank)
+    begins = begins - 1
     if begins[0] < 0:
         # Nothing to count from: only a fast channel is missing there.
         due[: ends[0]] = period_us < 1.5 * row_us
@@ -144,16 +158,33 @@ def _far_from_median(value: Values, half: int, floor: float) -> Mask:
     return far
 
 
-def frozen(time_us: Times, value: Values, resolution: float, frozen_after_us: float) -> Mask:
+def frozen(
+    time_us: Times,
+    value: Values,
+    resolution: float,
+    frozen_after_us: float,
+    borders: NDArray[np.intp] = NO_BORDERS,
+) -> Mask:
     """Values that stay within one step of the sensor for too long.
 
     Readings of the sensor's steps are told apart; noise of less than half a step between them, as a
-    conversion of units leaves it, is no change, wherever it lies.
+    conversion of units leaves it, is no change, wherever it lies. The gaps before `borders` add no
+    time.
     """
     mask = np.zeros(len(value), dtype=np.bool_)
+    gaps_us = np.append(0, np.cumsum(time_us[borders] - time_us[borders - 1]))
+
+    def seen_us(rows: NDArray[np.intp]) -> Times:
+        seen: Times = time_us[rows] - gaps_us[np.searchsorted(borders, rows, side="right")]
+        return seen
+
     for part in _suspects(time_us, value, resolution, frozen_after_us):
         for step in _steps(value[part], resolution):
-            mask[part] |= _unchanged(time_us[part], step, frozen_after_us)
+            begins = part.start + np.append(0, np.flatnonzero(step[1:] != step[:-1]) + 1)
+            ends = np.append(begins[1:], part.stop)
+            too_long = seen_us(ends - 1) - seen_us(begins) > frozen_after_us
+            for begin, end in zip(begins[too_long], ends[too_long], strict=True):
+                mask[begin:end] = True
     return mask
 
 
@@ -186,42 +217,27 @@ def _suspects(
     places = places[places < n]
     first, last = places[:-1] - 1, places[1:]
     looked_at = np.linspace(first, last, LOOKED_AT_A_STRETCH, dtype=np.intp)
-    alike = np.zeros(len(first), dtype=np.bool_)
-    for step in _steps(value[looked_at], resolution):
-        alike |= (step == step[0]).all(axis=0)
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], alike, [False]]).astype(np.int8)))
-    borders = np.concatenate([[0], places, [n]])
+    within_a_step = (1.0 + STEP_ROUNDING) * resolution
+    pairs = stretches(np.ptp(value[looked_at], axis=0) <= within_a_step)
+    borders = [0, *places.tolist(), n]
     # From the mark before the first of a row of such pairs until that after the last.
-    return [
-        slice(int(borders[begin]), int(borders[end + 2])) for begin, end in edges.reshape(-1, 2)
-    ]
+    return [slice(borders[begin], borders[end + 2]) for begin, end in np.transpose(pairs).tolist()]
 
 
-def _unchanged(time_us: Times, step: Values, frozen_after_us: float) -> Mask:
-    """Samples of each stretch of equal steps that lasts too long."""
-    begins = np.flatnonzero(np.concatenate([[True], step[1:] != step[:-1]]))
-    ends = np.append(begins[1:], len(step)) - 1
-    too_long = time_us[ends] - time_us[begins] > frozen_after_us
-    return _covered(begins[too_long], ends[too_long] + 1, len(step))
-
-
-def _covered(begins: NDArray[np.intp], ends: NDArray[np.intp], n: int) -> Mask:
-    """Mask of the n samples within stretches, half open, whose ends both increase."""
-    apart = begins[1:] > ends[:-1]
-    begins = begins[np.append(True, apart)[: len(begins)]]
-    ends = ends[np.append(apart, True)[: len(ends)]]
-    borders = np.column_stack([begins, ends]).ravel()
+def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
+    """Times within a guard time before or after any event; both increase."""
+    first = np.searchsorted(time_us, events_us - before_us, side="left")
+    end = np.searchsorted(time_us, events_us + after_us, side="right")
+    # Events whose guard times meet make one stretch.
+    apart = first[1:] > end[:-1]
+    first = first[np.append(True, apart)[: len(first)]]
+    end = end[np.append(apart, True)[: len(end)]]
+    borders = np.column_stack([first, end]).ravel()
+    n = len(time_us)
     mask: Mask = np.repeat(
         np.arange(len(borders) + 1) % 2 == 1, np.diff(borders, prepend=0, append=n)
     )
     return mask
-
-
-def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
-    """Times within a guard time before or after any event."""
-    first = np.searchsorted(time_us, events_us - before_us, side="left")
-    end = np.searchsorted(time_us, events_us + after_us, side="right")
-    return _covered(first, end, len(time_us))
 
 
 def transient(value: Values, present: Mask, period_s: float, limit_per_s: float) -> Mask:

@@ -19,13 +19,12 @@ from pipeline.ingest import RawChannel, RawLog
 from pipeline.logs.files import slice_night
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, clean_channel
+from pipeline.night.resampling import on_grid
 from pipeline.night.time_base import (
     Quality,
     Samples,
     bring_together,
     grid_period_us,
-    on_grid,
-    samples_before,
 )
 
 SECOND = 1_000_000
