@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pipeline.arrays import SECOND_US, Mask, Times, Values, chosen_rows
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
-from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike
+from pipeline.night.masks import ROUNDING, at_maximum, frozen, out_of_range, spike, steps_where
 from pipeline.night.sampling import PERIODIC, Sampling, flow_from_counts, step_of_readings
 from pipeline.night.time_order import Disorder, Stamps, carried_over, in_order, samples_of
 
@@ -227,7 +227,7 @@ class Course:
         """The credible ones of some samples."""
         rows = chosen_rows(credible)
         time_us, value = time_us[rows], value[rows]
-        borders = np.flatnonzero(np.diff(time_us) > longest_gap_us) + 1
+        borders = steps_where(lambda steps: steps > longest_gap_us, time_us) + 1
         stated = max(rules.resolution, rules.sampling.resolution_l_per_min(period_us))
         return cls(time_us, value, borders, rules, stated or step_of_readings(value))
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.arrays import Mask, Times
-from pipeline.night.masks import stretches
+from pipeline.night.masks import steps_where, stretches
 
 # A place is free where no other sample lies nearer than this share of a period, and belongs to the
 # log where one lies within this many periods.
@@ -54,7 +54,7 @@ def backward_time(time_us: Times) -> Mask:
     stamp in the future does not refuse all that follow it.
     """
     mask = np.zeros(len(time_us), dtype=np.bool_)
-    falls = np.flatnonzero(time_us[1:] < time_us[:-1]) + 1
+    falls = steps_where(lambda steps: steps < 0, time_us) + 1
     if not len(falls):
         return mask
     # Between two falls stamps are in order: the latest before, and the earliest after each fall.
@@ -156,9 +156,9 @@ def jittered(time_us: Times, period_us: float | None) -> Mask:
     mask = np.zeros(len(time_us), dtype=np.bool_)
     if not period_us:
         return mask
-    steps = np.diff(time_us)
     # Nearly all steps are of one period: only the others are worth a division.
-    other = np.flatnonzero(steps != period_us)
-    whole = np.maximum(np.round(steps[other] / period_us), 1.0)
-    mask[1 + other] = np.abs(steps[other] - whole * period_us) > JITTER_SHARE * period_us
+    other = steps_where(lambda steps: steps != period_us, time_us)
+    steps = time_us[other + 1] - time_us[other]
+    whole = np.maximum(np.round(steps / period_us), 1.0)
+    mask[other + 1] = np.abs(steps - whole * period_us) > JITTER_SHARE * period_us
     return mask

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,6 +37,17 @@ def stretches(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     framed[1:-1] = mask
     edges = np.flatnonzero(framed[1:] != framed[:-1])
     return edges[::2], edges[1::2]
+
+
+def steps_where(chosen: Callable[[Times], Mask], time_us: Times) -> NDArray[np.intp]:
+    """Places of the chosen ones of the steps between stamps; their lengths stay in the cache."""
+    blocks = range(0, max(len(time_us) - 1, 1), CACHED)
+    return np.concatenate(
+        [
+            begin + np.flatnonzero(chosen(np.diff(time_us[begin : begin + CACHED + 1])))
+            for begin in blocks
+        ]
+    )
 
 
 def missing_sample(
@@ -217,8 +230,10 @@ def _suspects(
     places = places[places < n]
     first, last = places[:-1] - 1, places[1:]
     looked_at = np.linspace(first, last, LOOKED_AT_A_STRETCH, dtype=np.intp)
-    within_a_step = (1.0 + STEP_ROUNDING) * resolution
-    pairs = stretches(np.ptp(value[looked_at], axis=0) <= within_a_step)
+    alike = np.zeros(len(first), dtype=np.bool_)
+    for step in _steps(value[looked_at], resolution):
+        alike |= (step == step[0]).all(axis=0)
+    pairs = stretches(alike)
     borders = [0, *places.tolist(), n]
     # From the mark before the first of a row of such pairs until that after the last.
     return [slice(borders[begin], borders[end + 2]) for begin, end in np.transpose(pairs).tolist()]
@@ -226,8 +241,9 @@ def _suspects(
 
 def near(events_us: Times, time_us: Times, before_us: float, after_us: float) -> Mask:
     """Times within a guard time before or after any event; both increase."""
-    first = np.searchsorted(time_us, events_us - before_us, side="left")
-    end = np.searchsorted(time_us, events_us + after_us, side="right")
+    # In whole microseconds, as the times are: others would have all of them converted.
+    first = np.searchsorted(time_us, events_us - int(before_us), side="left")
+    end = np.searchsorted(time_us, events_us + int(after_us), side="right")
     # Events whose guard times meet make one stretch.
     apart = first[1:] > end[:-1]
     first = first[np.append(True, apart)[: len(first)]]
