@@ -95,13 +95,9 @@ def ordered_channel(
 ) -> Ordered:
     """Put a channel's cells in order; parameters as of `clean_channel`."""
     early, here = None, raw
-    if night_start_us is not None:
-        earliest_us = stamps.once(
-            raw.time_us, "earliest", lambda: raw.time_us.min(initial=night_start_us)
-        )
-        if earliest_us < night_start_us:
-            before = raw.time_us < night_start_us
-            early, here = raw.rows(before), raw.rows(chosen_rows(~before))
+    if night_start_us is not None and stamps.earliest_us(raw.time_us) < night_start_us:
+        before = raw.time_us < night_start_us
+        early, here = raw.rows(before), raw.rows(chosen_rows(~before))
     return Ordered(*in_order(here, rules, stamps), early, night_start_us)
 
 
@@ -252,7 +248,8 @@ def _stuck(course: Course) -> Mask:
         # stopped.
         at_rest_below = (1.0 - ROUNDING) * rules.at_rest_below
         counts = rules.sampling.counts
-        stuck &= (course.value == 0.0) if counts else np.abs(course.value) >= at_rest_below
+        still = course.value[stuck]
+        stuck[stuck] = (still == 0.0) if counts else np.abs(still) >= at_rest_below
     return stuck
 
 

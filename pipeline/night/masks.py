@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,42 +123,49 @@ def spike(
     """
     mask = np.zeros(len(value), dtype=np.bool_)
     half = window // 2
-    if len(value) < window:
+    edges = [0, *borders.tolist(), len(value)]
+    whole = [(first, end) for first, end in pairwise(edges) if end - first >= window]
+    if not whole:
         return mask
+    mirrored = np.concatenate(
+        [
+            part
+            for first, end in whole
+            for part in (
+                value[first + half : first : -1],
+                value[first:end],
+                value[end - 2 : end - 2 - half : -1],
+            )
+        ]
+    )
+    windows = np.lib.stride_tricks.sliding_window_view(mirrored, window)
     floor = (threshold + STEP_ROUNDING) * resolution
-    edges = np.concatenate([[0], borders, [len(value)]])
-    doubtful = _far_from_median(value, half, floor)
-    beside = (edges[:, None] + np.arange(-half, half)).ravel()
-    doubtful[beside[(beside >= 0) & (beside < len(value))]] = True
-    rows = np.flatnonzero(doubtful)
-    ends = edges[np.searchsorted(edges, rows, side="right")]
-    begins = edges[np.searchsorted(edges, rows, side="right") - 1]
-    whole = ends - begins >= window
-    rows, begins, ends = rows[whole], begins[whole], ends[whole]
-    for chunk in range(0, len(rows), WINDOWS):
-        some = slice(chunk, chunk + WINDOWS)
-        first, last = begins[some, None], ends[some, None] - 1
-        places = first + np.abs(rows[some, None] + np.arange(-half, half + 1) - first)
-        part = value[last - np.abs(last - places)]
-        middle = np.partition(part, half, axis=1)[:, half]
-        distance = np.abs(part[:, half] - middle)
-        # Only what exceeds the floor can be a spike: few windows need their deviation.
-        far = np.flatnonzero(distance > floor)
-        deviation = np.partition(np.abs(part[far] - middle[far, None]), half, axis=1)[:, half]
-        limit = threshold * MAD_TO_SD * deviation
-        mask[rows[some][far]] = distance[far] > limit
+    # Only what is farther away than the floor can be a spike: few windows need their deviation.
+    far = np.flatnonzero(_far_from_median(mirrored, half, floor))
+    found = np.zeros(len(windows), dtype=np.bool_)
+    for chunk in range(0, len(far), WINDOWS):
+        some = far[chunk : chunk + WINDOWS]
+        part = windows[some]
+        distance = np.abs(part - np.partition(part, half, axis=1)[:, half, None])
+        deviation = np.partition(distance, half, axis=1)[:, half]
+        found[some] = distance[:, half] > np.maximum(floor, threshold * MAD_TO_SD * deviation)
+    place = 0
+    for first, end in whole:
+        mask[first:end] = found[place : place + end - first]
+        place += end - first + 2 * half
     return mask
 
 
 def _far_from_median(value: Values, half: int, floor: float) -> Mask:
     """Values more than a floor away from the median of `half` values on either side and itself.
 
-    The median is at most so far below where half of the others are, and likewise above.
+    The median is at most so far below where half of the others are, and likewise above. The first
+    and the last `half` values are only others.
     """
-    far = np.empty(len(value), dtype=np.bool_)
-    for begin in range(0, len(value), CACHED):
-        front = min(half, begin)
-        part = value[begin - front : begin + CACHED + half]
+    n = len(value) - 2 * half
+    far = np.empty(n, dtype=np.bool_)
+    for begin in range(0, n, CACHED):
+        part = value[begin : begin + CACHED + 2 * half]
         not_below, not_above = np.zeros((2, len(part)), dtype=np.min_scalar_type(2 * half))
         for lag in range(1, half + 1):
             step = part[lag:] - part[:-lag]
@@ -166,8 +174,8 @@ def _far_from_median(value: Values, half: int, floor: float) -> Mask:
             not_below[:-lag] += falls
             not_above[lag:] += falls
             not_above[:-lag] += rises
-        chunk = far[begin : begin + CACHED]
-        chunk[:] = (np.minimum(not_below, not_above) < half)[front : front + len(chunk)]
+        inner = slice(half, len(part) - half)
+        far[begin : begin + CACHED] = np.minimum(not_below[inner], not_above[inner]) < half
     return far
 
 

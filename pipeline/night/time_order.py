@@ -24,6 +24,7 @@ from pipeline.night.clocks import (
 from pipeline.night.masks import missing_sample
 
 Found = TypeVar("Found")
+LATEST_US = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +72,10 @@ class Stamps:
         return self.once(
             time_us, puts_in_order, lambda: order_of(time_us, puts_in_order=puts_in_order)
         )
+
+    def earliest_us(self, time_us: Times) -> int:
+        """The smallest stamp; the largest number there is where there is none."""
+        return self.once(time_us, "earliest", lambda: int(time_us.min(initial=LATEST_US)))
 
     def period_us(self, time_us: Times, blank: Mask | None = None) -> float | None:
         """As `typical_period_us`, of the stamps whose cells are not blank."""

@@ -125,18 +125,6 @@ def slow_interpolation(channel: CleanChannel, grid: Times) -> tuple[list[float |
 
 class TestInterpolation:
     @given(
-        st.lists(st.integers(-50, 500), min_size=1, max_size=60).map(sorted),
-        st.integers(1, 40),
-        st.integers(1, 60),
-    )
-    def test_samples_before_are_those_of_a_search(
-        self, times: list[int], period: int, n: int
-    ) -> None:
-        time, grid = np.array(times, np.int64), 7 + period * np.arange(n, dtype=np.int64)
-        found = samples_before(time, grid, period)
-        assert found.tolist() == np.searchsorted(time, grid).tolist()
-
-    @given(
         st.lists(st.integers(0, 400), unique=True, max_size=30),
         st.integers(0, 2**32 - 1),
         st.integers(1, 60),
