@@ -410,7 +410,8 @@ class TestFrozen:
         rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
         time = np.cumsum(rng.choice([1, 1, 1, 1, 40], n)) * SECOND
         resolution = data.draw(st.sampled_from([0.0, 0.1]))
-        value: Floats = rng.integers(0, data.draw(st.integers(1, 4)), n) * 0.1
+        value = rng.integers(0, data.draw(st.integers(1, 4)), n).astype(np.float64)
+        value *= 0.1
         for _ in range(data.draw(st.integers(0, 4))):
             first = data.draw(st.integers(0, n - 1))
             value[first : first + data.draw(st.integers(1, 400))] = value[first]
