@@ -56,107 +56,58 @@ Entries = dict[str, tuple[str, int]]
 
 @dataclass(frozen=True, slots=True)
 class KnownMotor:
-    """Facts on a motor that only the config has.
-
-    Attributes
-    ----------
-    motor_type
-        Its type.
-    events
-        Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
-    paths
-        Names of its leakage paths, in the config's order.
-    """
+    """Facts on a motor that only the config has."""
 
     motor_type: str
+    # Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
     events: tuple[Mapping[str, Any], ...] = ()
-    paths: tuple[str, ...] = ()
+    paths: tuple[str, ...] = ()  # names of its leakage paths, in the config's order
 
 
 @dataclass(frozen=True, slots=True)
 class ReportRequest:
-    """Request for a report.
+    """Request for a report."""
 
-    Attributes
-    ----------
-    output
-        Output folder of the runs, in which `tables/` lies.
-    folder
-        Folder of the report.
-    fleet
-        Name of the fleet; where empty, that of the newest run.
-    known
-        Motors of the config by id, those without any night too.
-    motors
-        Ids of the motors to show; empty for all.
-    nights
-        Newest nights that get a file of their own; None for all.
-    execution
-        How many nights are made at the same time, and within which limits.
-    made
-        Time of making, which the fleet's page tells; None: it tells none.
-    zone
-        Time zone of the fleet.
-    old_after_nights
-        Nights after which a motor's newest data are old.
-    receivers
-        Receivers of alarms; what they have not taken is on the fleet's page.
-    """
-
-    output: Path
-    folder: Path
-    fleet: str = ""
+    output: Path  # output folder of the runs, in which `tables/` lies
+    folder: Path  # folder of the report
+    fleet: str = ""  # name of the fleet; where empty, that of the newest run
+    # Motors of the config by id, those without any night too.
     known: Mapping[str, KnownMotor] = field(default_factory=dict)
-    motors: tuple[str, ...] = ()
-    nights: int | None = None
+    motors: tuple[str, ...] = ()  # ids of the motors to show; empty for all
+    nights: int | None = None  # newest nights that get a file of their own; None for all
+    # How many nights are made at the same time, and within which limits.
     execution: Execution = field(default_factory=lambda: Execution(backend="sequential"))
+    # Time of making, which the fleet's page tells; None: it tells none.
     made: dt.datetime | None = None
-    zone: ZoneInfo = UTC
-    old_after_nights: int = 7
+    zone: ZoneInfo = UTC  # time zone of the fleet
+    old_after_nights: int = 7  # nights after which a motor's newest data are old
+    # Receivers of alarms; what they have not taken is on the fleet's page.
     receivers: tuple[Receiver, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
-    """Result of a report.
+    """Result of a report."""
 
-    Attributes
-    ----------
-    index
-        The page to open.
-    n_motors, n_nights
-        Motors shown, and nights of the fleet that were made anew.
-    n_written, n_removed
-        Files that were written and removed; all others were as they had to be.
-    faults
-        Table files that could not be read, in words.
-    """
-
-    index: Path
+    index: Path  # the page to open
+    # n_motors, n_nights: motors shown, and nights of the fleet that were made anew.
     n_motors: int
     n_nights: int
+    # n_written, n_removed: files that were written and removed; all others were as they had to be.
     n_written: int
     n_removed: int
-    faults: tuple[str, ...]
+    faults: tuple[str, ...]  # table files that could not be read, in words
 
 
 @dataclass(frozen=True, slots=True)
 class NightTask:
-    """A night to make: plain data, small enough to send to a worker.
-
-    Attributes
-    ----------
-    before
-        Entries of the night's files in the manifest, by path.
-    names
-        Names of the motors' folders; other motors are left out.
-    """
+    """A night to make: plain data, small enough to send to a worker."""
 
     output: Path
     folder: Path
     night: dt.date
-    names: Mapping[str, str]
-    before: Mapping[str, tuple[str, int]]
+    names: Mapping[str, str]  # names of the motors' folders; other motors are left out
+    before: Mapping[str, tuple[str, int]]  # entries of the night's files in the manifest, by path
 
 
 def build_report(request: ReportRequest) -> ReportResult:
