@@ -38,7 +38,7 @@ from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_htm
 from pipeline.report.status import changed_by_rules
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
-from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS, frame
+from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.telling.delivery import Receiver
@@ -290,14 +290,12 @@ def _make_pages(
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
     _write_chart_library(request.folder, before, now)
-    alarms = history.trends.get(ALARMS.name, frame(ALARMS, []))
-    by_rules = changed_by_rules(alarms).filter(pl.col("motor_id").is_in(list(names)))
+    by_rules = changed_by_rules(history.rows(ALARMS)).filter(pl.col("motor_id").is_in(list(names)))
     told = by_rules.sort(ALARMS.key).with_columns(page=pl.col("motor_id").replace(names))
-    by_type = {row.state.motor_id: row.motor_type for row in rows}
-    trends = history.trends.get(TRENDS.name)
-    parts = {} if trends is None else scores(history.decisions, trends, by_type)
-    write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
     by_id = {row.state.motor_id: row for row in rows}
+    by_type = {motor_id: row.motor_type for motor_id, row in by_id.items()}
+    parts = scores(history.decisions, history.rows(TRENDS), by_type)
+    write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
     for motor in motors:
         name = names[motor.motor_id]
         page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)

@@ -117,7 +117,7 @@ class MotorHistory:
 def motor_histories(history: ReportTables, motors: Sequence[str]) -> Iterator[MotorHistory]:
     """The history of each motor."""
     fits = by_motor(history.fits)
-    trends = by_motor(history.trends.get("trends", NO_TRENDS))
+    trends = by_motor(history.rows(TRENDS))
     for motor_id in motors:
         own = fits.get(motor_id, history.fits.clear())
         judged = trends.get(motor_id, NO_TRENDS).sort("indicator", "night")

@@ -31,6 +31,7 @@ from pipeline.schema import (
     STARTS,
     TREND_TABLES,
     Table,
+    frame,
 )
 from pipeline.store.tables import by_file, files_of, night_paths, read_table, while_listed
 from pipeline.trends.decisions import Decision, read_decisions
@@ -69,6 +70,10 @@ class ReportTables:
     decisions: tuple[Decision, ...] = ()  # acknowledgements, findings and resets, the oldest first
     fleet: str = ""  # name of the fleet in the newest run; empty where there is none
     faults: tuple[str, ...] = ()  # files that could not be read, in words
+
+    def rows(self, table: Table) -> pl.DataFrame:
+        """All rows of a table of trends or alarms; none where it is not there."""
+        return self.trends.get(table.name, frame(table, []))
 
 
 def read_night(output: Path, night: dt.date) -> dict[str, Read]:
