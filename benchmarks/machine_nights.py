@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.simulated_nights import motor, true_coefficients
+from benchmarks.simulated_nights import held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.block_statistics import factors
 from leakage.physics.oil import FilmPressure, Oil, flow_drive_per_s
@@ -169,23 +169,14 @@ def _parts(wander: noise.NightWander) -> tuple[Array, Array, Array]:
 
 def _duty(generator: np.random.Generator, state: State) -> tuple[Array, Array, Array]:
     """Pressure [bar], temperature [°C] and speed [rpm]: a warm-up under steps of load."""
-    warm_c, cold_k = generator.uniform(54.0, 60.0), generator.uniform(8.0, 16.0)
-    temperature = warm_c - cold_k * np.exp(-np.arange(N) / generator.uniform(1200.0, 2400.0))
-    temperature += _steps(-1.5, 1.5, 600, 200.0, generator)
+    temperature = warming_up(N, generator)
     top_bar = state.load * generator.uniform(*TOP_BAR)
     top_rpm = generator.uniform(*TOP_RPM)
     return (
-        _steps(15.0, top_bar, 60, 3.0, generator),
+        held_levels(N, 15.0, top_bar, 60, 3.0, generator),
         temperature,
-        _steps(3.0, top_rpm, 90, 3.0, generator),
+        held_levels(N, 3.0, top_rpm, 90, 3.0, generator),
     )
-
-
-def _steps(
-    low: float, high: float, hold_s: int, lag_s: float, generator: np.random.Generator
-) -> Array:
-    held = np.repeat(generator.uniform(low, high, N // hold_s + 1), hold_s)[:N]
-    return noise.lagging(held, 1.0, lag_s)
 
 
 def _block_means(channels: Sequence[Array]) -> Array:

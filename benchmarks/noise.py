@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.model_verdict import VG46
 from benchmarks.night_kinds import CYCLES_S, ERRORS, Kind, SimulatedNights
-from benchmarks.results_file import Part, write_parts
+from benchmarks.results_file import Part, description, write_parts
 from leakage import Constant, Laminar, Motor, OperatingConditions, Parameter, regressors
 from leakage.course.temperature_correction import temperature_correction
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
@@ -280,10 +280,5 @@ def main(options: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks noise")
     parser.add_argument("--folder", type=Path, required=True, help="of records *UT*.csv")
     records = read_records(parser.parse_args(list(options)).folder)
-    text = (__doc__ or "").split("\n\n", 1)[1].strip()
     parts = [record_part(one) for one in records]
-    write_parts("noise", "The noise library against a real record", text, parts)
-
-
-if __name__ == "__main__":
-    main()
+    write_parts("noise", "The noise library against a real record", description(__doc__), parts)
