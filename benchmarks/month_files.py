@@ -27,7 +27,7 @@ from pipeline.store.manifest import manifest_keys, update_manifest
 from pipeline.store.months import join_months, last_month_over
 from pipeline.store.tables import encode_table, night_file, read_rows
 from pipeline.store.verification import compare_published
-from pipeline.trends.latest_states import latest_states
+from pipeline.trends.rows.latest_states import latest_states
 
 MOTORS, NIGHTS = 300, 365
 FIRST = dt.date(2025, 1, 1)

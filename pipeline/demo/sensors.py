@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config.motors import ChannelName
+from pipeline.config.channels import ChannelName
 from pipeline.demo.noise import FloatArray, correlated_noise
 
 NOISE_TIME_CONSTANT_S: Final = 3.9  # φ = 0.95 at 5 samples a second

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from leakage import AnnularGap, FilmPressure, Motor, OperatingConditions, SpeedCurve
 from leakage.physics.oil import dynamic_viscosity_pa_s, flow_drive_per_s
 from leakage.physics.paths import LeakagePath
-from pipeline.config.loading import Fleet
+from pipeline.config.fleet import Fleet
 from pipeline.config.motor_types import (
     BAR,
     MICROMETRE,

@@ -24,7 +24,7 @@ from pipeline.schema import (
     Table,
 )
 from pipeline.store.tables import read_rows
-from pipeline.trends.motor_states import CHANGED, FITS_OF_A_NIGHT, fit_words
+from pipeline.trends.rows.motor_states import CHANGED, FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from pipeline.trends.decisions import Decision
+from pipeline.trends.nights.decisions import Decision
 
 # Nights up to the last one before the opening in which the newest alarm counts: a motor may stand
 # for weeks before it is opened.

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pipeline.palette import path_places
 from pipeline.report.history import Array, Course, MotorHistory
 from pipeline.report.words import plain
-from pipeline.trends.motor_states import GAP, REFERENCES, MotorState
-from pipeline.trends.words import name_of
+from pipeline.trends.rows.motor_states import GAP, REFERENCES, MotorState
+from pipeline.trends.states.words import name_of
 
 Limits = dict[str, Array]
 PATH = "leakage_"

@@ -13,7 +13,7 @@ from pipeline.report.first_screen import KINDS, drawn_kind
 from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.words import SENSORS, STATUSES
-from pipeline.trends.motor_states import MotorState, urgency
+from pipeline.trends.rows.motor_states import MotorState, urgency
 
 Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)

@@ -33,9 +33,9 @@ from pipeline.report.words import (
     sentence,
     signed,
 )
-from pipeline.trends.decisions import Decision
-from pipeline.trends.motor_states import ORDER
-from pipeline.trends.words import day, name_of
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.rows.motor_states import ORDER
+from pipeline.trends.states.words import day, name_of
 
 FOLDER = Path(__file__).parent
 UTC = ZoneInfo("UTC")

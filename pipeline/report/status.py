@@ -20,10 +20,10 @@ from pipeline.store.tables import read_rows
 from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
-from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.latest_states import published_states
-from pipeline.trends.motor_states import CHANGED, SENSORS, MotorState, urgency
-from pipeline.trends.words import name_of
+from pipeline.trends.nights.decisions import Decision, read_decisions
+from pipeline.trends.rows.latest_states import published_states
+from pipeline.trends.rows.motor_states import CHANGED, SENSORS, MotorState, urgency
+from pipeline.trends.states.words import name_of
 
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = CHANGED

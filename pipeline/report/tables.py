@@ -34,7 +34,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.tables import by_file, files_of, night_paths, read_table, while_listed
-from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.nights.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
 SHOWN_TABLES = (

@@ -15,9 +15,9 @@ from pipeline.report.tables import ReportTables, by_motor
 from pipeline.report.words import plain
 from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, frame
 from pipeline.thinning import keep_extremes
-from pipeline.trends.latest_states import motor_state
-from pipeline.trends.motor_states import ORDER, LookStanding, MotorState
-from pipeline.trends.words import limit_dates, name_of
+from pipeline.trends.rows.latest_states import motor_state
+from pipeline.trends.rows.motor_states import ORDER, LookStanding, MotorState
+from pipeline.trends.states.words import limit_dates, name_of
 
 Payload = dict[str, Any]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import SECOND_US
 from pipeline.config import Channel, MotorSpec
-from pipeline.config.motors import COUNTED
+from pipeline.config.channels import COUNTED
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.files import labels_of

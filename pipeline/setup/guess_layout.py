@@ -9,7 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from pipeline.config.motors import GOOD_QUALITY, LogLayout
+from pipeline.config.channels import GOOD_QUALITY
+from pipeline.config.logs import LogLayout
 from pipeline.setup.guess_cells import Marks, as_number, is_missing, is_number
 from pipeline.setup.guess_channels import (
     BRACKETED,

@@ -13,7 +13,7 @@ from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
-from pipeline.config.motors import FALLBACK_VALID_RANGE
+from pipeline.config.channels import FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
 
 Array = NDArray[np.float64]

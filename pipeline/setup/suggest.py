@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 
-from pipeline.config.motors import MISSING_TOKENS
+from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
 from pipeline.setup.guess_cells import Marks, as_number, marks_of, strange_tokens

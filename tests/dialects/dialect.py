@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pipeline.config.motors import Channel, ChannelName
+from pipeline.config.channels import Channel, ChannelName
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 from tests.dialects.recorded import Recorded, Times
 from tests.pipeline.ingest.sources import Source
