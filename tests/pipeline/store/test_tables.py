@@ -381,6 +381,7 @@ def example(table: Table) -> Row:
         "Float64": 0.1,
         "Boolean": True,
         "List(Float64)": [1.5, -0.0, 1e-300],
+        "List(Float32)": [1.5, -0.0],
         "List(Int64)": [1, 2**40],
         "List(String)": ["K_o", ""],
     }
