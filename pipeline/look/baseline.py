@@ -35,16 +35,16 @@ from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.store.tables import read_rows
-from pipeline.trends.decisions import Decision
-from pipeline.trends.eras import eras_of, indicators_of
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, Indicator
-from pipeline.trends.reading import read_nights
-from pipeline.trends.record import Record, resets_of
-from pipeline.trends.segments import segments
-from pipeline.trends.temperature import NIGHTS
-from pipeline.trends.tonight import Tonight
-from pipeline.trends.watch import monitor_settings
+from pipeline.trends.baselines.eras import eras_of, indicators_of
+from pipeline.trends.figures.indicators import DEVIATION, Indicator
+from pipeline.trends.figures.temperature import NIGHTS
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.reading import read_nights
+from pipeline.trends.nights.segments import segments
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import Record, resets_of
+from pipeline.trends.states.watch import monitor_settings
 
 Array = NDArray[np.float64]
 

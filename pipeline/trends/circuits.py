@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.config import MotorSpec
-from pipeline.trends.decisions import Decision
-from pipeline.trends.record import Record, read_record, trend_hash
-from pipeline.trends.tonight import Tonight
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import Record, read_record, trend_hash
 
 if TYPE_CHECKING:
-    from pipeline.trends.history import History
+    from pipeline.trends.nights.history import History
 
 
 def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
@@ -113,7 +113,7 @@ class Circuit:
 
     def beginnings(self) -> dict[str, dict[str, dt.date]]:
         """By motor, from when on the others see its events and resets."""
-        from pipeline.trends.beginnings import beginnings
+        from pipeline.trends.nights.beginnings import beginnings
 
         known = [record for record in self.records.values() if record is not None]
         last_told = max((record.last_night for record in known), default=None)

@@ -29,37 +29,37 @@ from pipeline.store.tables import (
     nights_back,
     read_rows,
 )
-from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
-from pipeline.trends.baseline_blocks import BlockFiles
-from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
-from pipeline.trends.beginnings import earlier_views
+from pipeline.trends.baselines.blocks import BlockFiles
+from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
+from pipeline.trends.baselines.eras import Era, eras_of, indicators_of
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
-from pipeline.trends.decisions import Decision
-from pipeline.trends.duty import at_duty, with_duty, without_duty
-from pipeline.trends.eras import Era, eras_of, indicators_of
-from pipeline.trends.explanations import Explanations, OilCircuit, View, Why
-from pipeline.trends.filtered_nights import with_filter
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, Indicator
-from pipeline.trends.model import model_course, with_misfit
-from pipeline.trends.night_records import Records
-from pipeline.trends.peers import (
+from pipeline.trends.figures.filtered_nights import with_filter
+from pipeline.trends.figures.indicators import DEVIATION, Indicator
+from pipeline.trends.nights.beginnings import earlier_views
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.reading import MotorNights, read_nights
+from pipeline.trends.nights.records import Records
+from pipeline.trends.nights.segments import segments
+from pipeline.trends.nights.trend_record import Record
+from pipeline.trends.rows.alarm_rows import RECOMPUTED, alarm_rows
+from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.rows.rule_changes import marked, rules_now
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.explanations import Explanations, OilCircuit, View, Why
+from pipeline.trends.states.model import model_course, with_misfit
+from pipeline.trends.states.peers import (
     Contribution,
     Peers,
     contribution,
     log_change,
     peers_of_circuit,
 )
-from pipeline.trends.reading import MotorNights, read_nights
-from pipeline.trends.record import Record
-from pipeline.trends.rule_changes import marked, rules_now
-from pipeline.trends.segments import segments
-from pipeline.trends.standing import Standing
-from pipeline.trends.sudden import sudden_changes
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.states.sudden import sudden_changes
+from pipeline.trends.states.watch import watch
+from pipeline.trends.states.zeros import sensor_zeros
 from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, task_circuit
-from pipeline.trends.trend_rows import trend_rows
-from pipeline.trends.watch import watch
-from pipeline.trends.zeros import sensor_zeros
 from pipeline.workers.process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)

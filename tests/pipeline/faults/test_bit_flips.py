@@ -23,8 +23,8 @@ from pipeline.store.night_files import (
 from pipeline.store.tables import (
     night_file,
 )
-from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
-from pipeline.trends.kept_nights import whole_table
+from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.trends.nights.kept_nights import whole_table
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables, remembered_fits
 from tests.pipeline.simulated import NIGHT

@@ -31,7 +31,7 @@ from pipeline.schema import (
     frame,
 )
 from pipeline.store.tables import night_file, write_table
-from pipeline.trends.decisions import Decision, record_decision
+from pipeline.trends.nights.decisions import Decision, record_decision
 from tests.pipeline.report.browser import installed, opened
 from tests.pipeline.report.conftest import change_table
 

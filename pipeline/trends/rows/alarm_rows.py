@@ -1,0 +1,161 @@
+"""Rows of `alarms`: every change of state, with its reason; what was raised is never deleted."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from pipeline.trends.figures.indicators import MODEL_MISFIT, TEMPERATURE_EFFECT
+from pipeline.trends.states.standing import RAISED, Standing
+from pipeline.trends.states.temperature_watch import NOT_TOLD
+from pipeline.trends.why.attribution import path_behind, path_named
+from pipeline.trends.why.reasons import way_of, why_state
+
+Row = dict[str, Any]
+
+RECOMPUTED = "recomputed"
+INSUFFICIENT = "insufficient"
+# What is judged by rules of its own, in words; the others are zeros of sensors.
+OF_OWN_RULES = {
+    MODEL_MISFIT: "the model's misfit",
+    TEMPERATURE_EFFECT: "the effect of temperature",
+}
+
+
+def alarm_rows(
+    standing: Standing, places: Sequence[int], published: Sequence[Row] = ()
+) -> list[Row]:
+    """Changes of state in some nights, together with what had been raised in them before."""
+    rows: list[Row] = []
+    by_indicator: dict[str, dict[dt.date, Row]] = {}
+    for row in published:
+        by_indicator.setdefault(row["indicator"], {})[row["night"]] = row
+    names = [*standing.states, *sorted(by_indicator.keys() - standing.states.keys())]
+    for name in names:
+        rows += _of_indicator(standing, name, places, by_indicator.get(name, {}))
+    return rows
+
+
+def _of_indicator(
+    standing: Standing, name: str, places: Sequence[int], published: Mapping[dt.date, Row]
+) -> list[Row]:
+    states = standing.states.get(name, (INSUFFICIENT,) * len(standing.history))
+    first = standing.label(places[0])
+    before = [night for night in published if night < first]
+    told = str(published[max(before)]["to_state"]) if before else INSUFFICIENT
+    last_raised = max(
+        (night for night in before if published[night]["to_state"] in RAISED), default=None
+    )
+    rows = []
+    for place in places:
+        state, earlier = states[place], states[place - 1] if place else INSUFFICIENT
+        label = standing.label(place)
+        old = published.get(label)
+        raised = old if old is not None and old["to_state"] in RAISED else None
+        row = None
+        if state != earlier:
+            row = _change(standing, name, place, earlier, state)
+            if raised is not None and raised["to_state"] != state:
+                row["reason"] += f"; before its data changed: {raised['reason']}"
+        elif raised is not None:
+            row = raised
+        elif told != state:
+            what = "told before" if last_raised is None else f"raised on {last_raised}"
+            what = f"what was {what} is not in the figures as they are now"
+            row = _closing(standing, name, place, told, state, what)
+        if label == standing.history.nights[-1]:
+            later = [said for night, said in sorted(published.items()) if night > label]
+            row = _with_withdrawn(standing, name, place, state, row, later)
+        if row is not None:
+            rows.append(row)
+            told = row["to_state"]
+            last_raised = label if told in RAISED else last_raised
+    return rows
+
+
+def _change(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+    """The row of a change of state."""
+    row = {
+        **standing.key(place),
+        "time": standing.end_of(place),
+        "indicator": name,
+        "from_state": before,
+        "to_state": after,
+        "deviation_percent": None,
+        "path": None,
+    }
+    if name in standing.by_own_rules:
+        return row | _by_own_rules(standing, name, place, before, after)
+    segment, found, _ = standing.watched[name].at(place)
+    deviation = found.own.deviation[place - segment.first]
+    row["deviation_percent"] = 100.0 * float(deviation) if deviation == deviation else None
+    if after == "ok":
+        return row | {"reason": _why_ok(before), "way": _way_to_ok(before)}
+    if after == INSUFFICIENT:
+        return row | {"reason": f"a new baseline begins: {segment.reason}", "way": "baseline"}
+    path = path_behind(standing, name, place)
+    return row | {
+        "reason": why_state(standing, name, place, path),
+        "way": way_of(standing, name, place) if after in RAISED else after,
+        "path": path_named(standing, name, place, path),
+    }
+
+
+def _by_own_rules(standing: Standing, name: str, place: int, before: str, after: str) -> Row:
+    one = standing.by_own_rules[name]
+    if after == "common_cause":
+        return {"reason": one.words(place), "way": after}
+    if after == "warning":
+        return {"reason": one.words(place), "way": "change" if name == MODEL_MISFIT else "drift"}
+    if after == INSUFFICIENT:
+        part = next(part for part in one.segments if place < part.end)
+        if place > part.first:
+            return {"reason": NOT_TOLD, "way": "baseline"}
+        return {"reason": f"a new baseline begins: {part.reason}", "way": "baseline"}
+    what = OF_OWN_RULES.get(name, "its zero")
+    if before == INSUFFICIENT:
+        return {"reason": f"{what} is known", "way": "baseline"}
+    return {"reason": f"{what} is back where it was", "way": "recovered"}
+
+
+def _why_ok(before: str) -> str:
+    return {
+        INSUFFICIENT: "a baseline was taken",
+        "stale": "there is a trusted figure again",
+        "duty_outside": "its duty is one that the baseline has seen",
+        "common_cause": "the oil circuit is back where it was",
+    }.get(before, "back below its levels")
+
+
+def _way_to_ok(before: str) -> str:
+    return "baseline" if before == INSUFFICIENT else "recovered"
+
+
+def _with_withdrawn(
+    standing: Standing, name: str, place: int, state: str, row: Row | None, later: Sequence[Row]
+) -> Row | None:
+    """The row of the last night, where there is one, once what was told of later ones is gone."""
+    raised = [one for one in later if one["to_state"] in RAISED]
+    if not raised and (not later or later[-1]["to_state"] == state):
+        return row
+    what = f"the nights after {standing.label(place)} are withdrawn: no log has samples of them"
+    what += "".join(f"; {one['to_state']} on {one['night']}: {one['reason']}" for one in raised)
+    if row is not None:
+        return row | {"reason": f"{row['reason']}; {what}"}
+    return _closing(standing, name, place, later[-1]["to_state"], state, what)
+
+
+def _closing(standing: Standing, name: str, place: int, told: str, state: str, what: str) -> Row:
+    """The row that says which state an indicator is in, where published rows say another."""
+    return {
+        **standing.key(place),
+        "time": standing.end_of(place),
+        "indicator": name,
+        "from_state": told,
+        "to_state": state,
+        "reason": f"recomputed: {what}",
+        "deviation_percent": None,
+        "way": RECOMPUTED,
+        "path": None,
+    }
