@@ -23,6 +23,7 @@ from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
 from leakage import Motor, OperatingConditions, SpeedCurve, regressors
 from leakage.estimation.block_statistics import factors, merge, with_free_known
 from leakage.estimation.certificate import certify
+from leakage.estimation.error_sources import ChannelTolerance, Tolerances
 from leakage.estimation.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
@@ -33,7 +34,7 @@ from leakage.estimation.model_verdict import (
     structured_misfit,
 )
 from leakage.estimation.multi_start import Parametrisation
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.estimation.sensitivities import error_budget
 from leakage.estimation.slow_errors import WIDENING, short_blocks, slow_errors, whitened
 from leakage.estimation.uncertainty import cluster_robust
 from leakage.physics.annular_gap import AnnularGap

@@ -13,6 +13,7 @@ from leakage.errors import LeakageError, ShapeError
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
 from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.correlation import memory_s
+from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import Excitation
 from leakage.estimation.model_verdict import structured_misfit
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
@@ -27,7 +28,6 @@ from leakage.estimation.sample_blocks import (
     short_blocks_within,
     split_into_blocks,
 )
-from leakage.estimation.sensitivities import Tolerances
 from leakage.estimation.validation import agreement
 from leakage.frame.result import FrameFit, columns_of
 from leakage.frame.samples import FrameSamples, Period, read_samples

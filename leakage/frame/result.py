@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from leakage.errors import LeakageError
 from leakage.estimation.block_fit import BlockEstimate, SampleBlocks
 from leakage.estimation.block_statistics import factor
+from leakage.estimation.error_sources import Tolerances
 from leakage.estimation.identifiability import (
     Identification,
     Judgement,
@@ -30,7 +31,7 @@ from leakage.estimation.model_verdict import (
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.residual_analysis import ResidualAnalysis, analyse_residuals
 from leakage.estimation.sample_blocks import SECOND_US, TRAINING, VALIDATION
-from leakage.estimation.sensitivities import ErrorBudget, Tolerances, error_budget
+from leakage.estimation.sensitivities import ErrorBudget, error_budget
 from leakage.estimation.validation import Agreement, agreement
 from leakage.frame.samples import FrameSamples, read_samples
 from leakage.frame.words import Summary, Words, explanation, short_form, summary

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from leakage.estimation.sensitivities import SENSORS
+from leakage.estimation.error_sources import SENSORS
 
 Row = Mapping[str, Any]
 
