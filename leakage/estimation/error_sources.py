@@ -123,14 +123,9 @@ def sources(motor: Motor, tolerances: Tolerances) -> Iterator[Source]:
 
 
 def _channel_sources(tolerances: Tolerances) -> Iterator[Source]:
+    pa = PASCALS_PER_BAR
     for name, unit, tolerance, field, in_si in (
-        (
-            "pressure_difference",
-            "bar",
-            tolerances.pressure_bar,
-            "pressure_difference_pa",
-            PASCALS_PER_BAR,
-        ),
+        ("pressure_difference", "bar", tolerances.pressure_bar, "pressure_difference_pa", pa),
         ("oil_temperature", "°C", tolerances.temperature_c, "oil_temperature_c", 1.0),
         ("speed", "rpm", tolerances.speed_rpm, "speed_rpm", 1.0),
         ("leakage_flow", "l_per_min", tolerances.flow_l_per_min, "", 1.0),

@@ -97,19 +97,19 @@ def error_budget(
         If a disturbed temperature leaves the range of Walther's equation.
     """
     n, told = len(flow_l_per_min), [*sources(motor, tolerances)]
-    # Samples, then what the sensors read, then what is stated and no sensor moves.
     read = Window(motor, OperatingConditions.joined([conditions, *as_read]), flow_l_per_min)
     windows = [read, *(source.disturbed(read) for source in told)]
-    columns = np.stack(
-        [
-            regressors(one.motor, OperatingConditions.joined([one.conditions, *at]))
-            for one in windows
-        ]
-    )
+    columns = np.stack([regressors(one.motor, one.conditions) for one in windows])
     flows = np.stack([one.flow_l_per_min for one in windows])
-    samples = np.concatenate([columns[:, :n], flows[:, :, None]], axis=2)
-    thetas = _coefficients(motor, samples)
-    asked = np.roll(columns[:, n:], len(at), axis=1)
+    thetas = _coefficients(motor, np.concatenate([columns[:, :n], flows[:, :, None]], axis=2))
+    stated = np.empty((len(windows), len(at), columns.shape[2]))
+    for place, each in enumerate(at):
+        # No sensor moves what is stated.
+        stated[:, place] = regressors(motor, each)[0]
+        for row, one in enumerate(windows):
+            if one.motor is not motor:
+                stated[row, place] = regressors(one.motor, each)[0]
+    asked = np.concatenate([stated, columns[:, n:]], axis=1)
     leakages = np.einsum("smp,sp->sm", asked[:, :, :-2], thetas[:, :-1]) + asked[:, :, -1]
     return ErrorBudget(
         tuple(
