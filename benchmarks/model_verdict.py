@@ -278,7 +278,7 @@ def _fitted(
     intervals = [distribution.interval(one) for one in contrasts]
     statistical = np.array([np.nan if one is None else one.half_width for one in intervals])
     taus = [structured_misfit([one]).l_per_min for one in (own, *[stated or own] * 3)]
-    reach = model_errors(blocks, fixed, contrasts, 1.0) * np.array(taus)
+    reach = model_errors(merge(blocks), fixed, contrasts, 1.0) * np.array(taus)
     total = np.sqrt(statistical**2 + sensors**2 + (reach * FACTORS) ** 2)
     estimate = np.append(contrasts[0] @ theta + row[-1], theta[:3])
     return np.array([estimate, statistical, total]), own

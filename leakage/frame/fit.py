@@ -159,7 +159,7 @@ def fit_frame(
     used = np.array([not chosen or block.part == TRAINING for block in made.blocks])
     blocks = _sample_blocks(samples, made, used, windows.block_s)
     search, generator = SearchSettings(starting_points), np.random.default_rng(seed)
-    estimate = fit_blocks(blocks, motor, search, generator, made.inflation)
+    estimate = fit_blocks(blocks, motor, search, generator)
     theta = estimate.training.coefficients
     found = FrameFit(
         motor=motor,
@@ -179,7 +179,7 @@ def fit_frame(
         training=agreement(made.judged_on(TRAINING), theta),
         validation=agreement(made.judged_on(VALIDATION), theta),
         tolerances=tolerances,
-        identification=estimate.identification,
+        identification=estimate.identified(blocks.excitation, made.inflation),
         beside_samples=np.zeros(len(theta)),
     )
     return found.judged()

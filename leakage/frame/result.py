@@ -232,7 +232,7 @@ class FrameFit:
         if self.structured is None:
             return np.zeros(len(contrasts))
         fixed = self.estimate.fit.certificate.fixed
-        reach = model_errors(self.blocks.factors, fixed, contrasts, 1.0)
+        reach = model_errors(self.estimate.whole, fixed, contrasts, 1.0)
         return factor * reach * self.structured.l_per_min
 
     def _sensors(self, at: Sequence[OperatingConditions] = ()) -> ErrorBudget:

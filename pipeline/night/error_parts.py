@@ -61,7 +61,7 @@ class ErrorParts:
         }
 
 
-def stated(sensitivities: Sequence[Row]) -> dict[str, float]:
+def of_stated(sensitivities: Sequence[Row]) -> dict[str, float]:
     """± of each indicator from stated tolerances."""
     return _by_squares([row for row in sensitivities if row.get("assumed_sensor") is None])
 
