@@ -13,7 +13,13 @@ from leakage.estimation.identifiability import Excitation, Identification, ident
 from leakage.estimation.least_squares import Fit, fit
 from leakage.estimation.model_verdict import Misfit, misfit
 from leakage.estimation.multi_start import Parametrisation, SearchSettings
-from leakage.estimation.slow_errors import ShortBlocks, SlowErrors, slow_errors, whitened
+from leakage.estimation.slow_errors import (
+    ShortBlocks,
+    SlowErrors,
+    short_blocks,
+    slow_errors,
+    whitened,
+)
 from leakage.physics.motor import Motor
 
 Array = NDArray[np.float64]
@@ -45,13 +51,13 @@ class SampleBlocks:
 
     def with_free_known(self, place: int, coefficient: float) -> SampleBlocks:
         """The blocks with the known flow as a path of its own; arguments as for a factor."""
+        factors = with_free_known(self.factors, place, coefficient)
+        # Means of blocks that no others were merged into are those of their factors, to the bit.
+        if len(self.short.n) == len(factors):
+            return replace(self, factors=factors, short=short_blocks(factors, self.short.number))
         means = np.insert(self.short.means, place, self.short.means[:, -2] / coefficient, axis=1)
         means[:, -2] = 0.0
-        return replace(
-            self,
-            factors=with_free_known(self.factors, place, coefficient),
-            short=replace(self.short, means=means),
-        )
+        return replace(self, factors=factors, short=replace(self.short, means=means))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

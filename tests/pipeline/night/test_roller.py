@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from polars.testing import assert_frame_equal
 
 from leakage import OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
@@ -16,7 +17,7 @@ from pipeline.demo import shipped_configs
 from pipeline.night.fit_night import NightOutcome, fit_night
 from pipeline.night.refit import PublishedNight, refit, refit_in_form
 from pipeline.night.roller import is_roller_free
-from pipeline.schema import BLOCK_STATISTICS, FITS, PARAMETERS, frame
+from pipeline.schema import BLOCK_STATISTICS, FITS, NIGHT_TABLES, PARAMETERS, frame
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 
 DAYS = [NIGHT + dt.timedelta(days=number) for number in range(8)]
@@ -62,6 +63,28 @@ def test_the_leakage_of_a_wrong_curve_is_right_with_its_scale_free(spec: MotorSp
     # The verdict is that of the model as stated, and so is what it does to K.
     assert after["model_verdict"] == before["model_verdict"] == "disproved"
     assert after["is_refitted"] is False
+
+
+def test_a_night_read_with_its_scale_free_is_the_night_fitted_anew(spec: MotorSpec) -> None:
+    read, stated = night(freed(spec)), night(spec)
+    anew = refit_in_form(freed(spec), stated, None, {})
+    assert anew is not None
+    assert read.rows.keys() == anew.rows.keys()
+    for name in read.rows:
+        table = next(table for table in NIGHT_TABLES if table.name == name)
+        one, two = (frame(table, made.rows[name]) for made in (read, anew))
+        assert_frame_equal(one, two, check_exact=True)
+
+
+def test_its_stated_form_comes_back_from_the_free_one(spec: MotorSpec) -> None:
+    stated = night(spec)
+    back = refit_in_form(spec, night(freed(spec)), None, {})
+    assert back is not None
+    (one,), (two,) = stated.rows["fits"], back.rows["fits"]
+    assert (two["roller_is_free"], two["is_refitted"]) == (False, False)
+    assert two["columns"] == one["columns"]
+    for name in ("coefficients", "night_factor", "reference_leakage_l_per_min", "roller_scale"):
+        assert two[name] == pytest.approx(one[name], rel=1e-9, abs=1e-30), name
 
 
 def test_other_reference_conditions_need_no_log_with_its_scale_free(spec: MotorSpec) -> None:
