@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
+from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
@@ -133,8 +134,8 @@ class Backlog:
         """The undelivered rows in words."""
         why = f"; last try: {self.fault}" if self.fault else ""
         return (
-            f"not delivered to {self.receiver}: {self.undelivered} changes of state, since "
-            f"{self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+            f"not delivered to {self.receiver}: {counted(self.undelivered, 'change')} of state, "
+            f"since {self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
         )
 
 

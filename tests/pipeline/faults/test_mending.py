@@ -407,7 +407,7 @@ def test_a_deleted_folder_of_manifests_is_rebuilt(tiny_fleet: TinyFleet, output:
     assert set(codes(output)) == {"manifest_missing"}
     result = tiny_fleet.run(output)
     assert {fault.code for fault in result.damage} == {"manifest_missing"}
-    assert "10 files are proven to the last byte" in result.damage[0].message
+    assert "10 files proven to the last byte" in result.damage[0].message
     assert result.damage_left == ()
     del before["latest.json"]  # its rows name the run
     assert manifests(output).items() >= before.items()
@@ -445,9 +445,8 @@ def test_a_manifest_takes_in_what_is_proven_alone(tiny_fleet: TinyFleet, output:
     mine = shutil.copy(older, older.with_name("mine.parquet"))
     result = tiny_fleet.run(output)
     told = {fault.path: fault for fault in result.damage}
-    assert (
-        "7 files are proven to the last byte, 1 of other libraries by the checksums of their "
-        in (told[f"manifest/month={MONTH}/{NIGHT}.json"].message)
+    assert "7 files proven to the last byte, 1 of other libraries by the checksums of their " in (
+        told[f"manifest/month={MONTH}/{NIGHT}.json"].message
     )
     altered = [path for path, code in found(result) if code == "table_altered"]
     assert altered == [f"{one}/month={MONTH}/{NIGHT}.parquet" for one in ("fits", "predictions")]
@@ -637,14 +636,14 @@ def test_the_commands_tell_and_mend(
     cut_off(path)
     code, out, err = call("status", config, "--output", output)
     assert code == 0
-    assert f"1 published files are damaged or missing, such as {name}: table_altered" in err
+    assert f"damaged or missing: 1 published file, such as {name}: table_altered" in err
     code, out, err = call("fit-fleet", config, "--output", output, "--dry-run")
     assert code == 0
     assert f"table_altered: {name}: " in err
     code, out, err = call("fit-fleet", config, "--output", output)
     assert code == 1
     assert f"motor-leakage: table_missing: {name}: not made anew: the logs of that night are" in err
-    assert "damage: 1 files were damaged or missing, 1 are not repaired" in out
+    assert "damaged or missing: 1 file, of which not repaired: 1" in out
     code, out, err = call("fit-fleet", config, "--output", output, "--json")
     run = json.loads(out.splitlines()[-1])
     assert [one["code"] for one in run["damage_left"]] == ["table_missing"]
