@@ -218,7 +218,8 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
     outbox = taken_up(before or Outbox(), output, fleet, told)
     for name in sorted(outbox.queues.keys() - set(names)):
         if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
-            log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
+            words = "alarms: there is no %s any more; not delivered: %s"
+            log.warning(words, name, counted(n, "change"))
     for name in sorted(set(names) - outbox.queues.keys()):
         if outbox.known:
             log.warning(
