@@ -63,15 +63,14 @@ def check_channels(
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
         return (), (f"{error.code}: {error.message}",), ()
-    suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)
+    nights = labels_of(records[newest])
+    suspects = suspect_units(spec, max(nights), log.channels)
     told = units_told(path_of(newest), spec.file)
     found = tuple(
         _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    worth = night_worth(
-        spec, max(labels_of(records[newest])), log.channels, len(labels_of(records[newest]))
-    )
+    worth = night_worth(spec, max(nights), log.channels, len(nights))
     return found, tuple(fault for one in found for fault in one.unit_faults), (worth,)
 
 

@@ -30,15 +30,9 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Mail:
-    """A mail server that takes a message for all addresses of `[alarms.email]`.
+    """A mail server that takes a message for all addresses of `[alarms.email]`."""
 
-    Attributes
-    ----------
-    settings
-        That section of the config.
-    """
-
-    settings: Email
+    settings: Email  # `[alarms.email]` of the config
     deadline_s: float = DEADLINE_S
     name: str = EMAIL
 
