@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.course.baseline import Baseline
-from leakage.course.monitoring import track
+from leakage.course.monitoring import monitor
 from leakage.course.step_detection import (
     BlockErrors,
     StepWatch,
@@ -279,7 +279,7 @@ def _watched_baseline(
     segment = segments(history, decisions, DEVIATION)[-1]
     settings = monitor_settings(history.spec, indicators[DEVIATION], len(indicators))
     here = slice(segment.first, segment.end)
-    followed = track(history.numbers[here], indicators[DEVIATION].watched[here], settings)
+    followed = monitor(history.numbers[here], indicators[DEVIATION].watched[here], settings)
     return followed.baselines[-1] if followed.baselines else None
 
 

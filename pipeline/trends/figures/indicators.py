@@ -150,32 +150,3 @@ def coefficients(history: History, effect: Effect) -> Iterator[Indicator]:
             continue
         found = filtered(history.records, np.eye(len(layout.free))[place])
         yield with_filtered(alone, found, WIDEST_COEFFICIENT, history.records["scale"][:, place])
-
-
-def scaled(indicator: Indicator, name: str, unit: str, factor: float) -> Indicator:
-    """The same over the nights times a constant: a path's leakage from its coefficient."""
-    return replace(
-        indicator,
-        name=name,
-        unit=unit,
-        value=factor * indicator.value,
-        lower=factor * indicator.lower,
-        upper=factor * indicator.upper,
-    )
-
-
-def gap_change(indicator: Indicator, name: str, baseline: float) -> Indicator:
-    """Change of a gap in %, (K/K_baseline)^⅓ − 1: it needs no geometry."""
-
-    def change(k: Array) -> Array:
-        percent: Array = 100.0 * (np.cbrt(k / baseline) - 1.0)
-        return percent
-
-    return replace(
-        indicator,
-        name=name,
-        unit="%",
-        value=change(indicator.value),
-        lower=change(indicator.lower),
-        upper=change(indicator.upper),
-    )

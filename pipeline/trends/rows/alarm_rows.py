@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -87,13 +88,16 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
     }
     if name in standing.by_own_rules:
         return row | _by_own_rules(standing, name, place, before, after)
-    segment, found, _ = standing.watched[name].at(place)
-    deviation = found.own.deviation[place - segment.first]
-    row["deviation_percent"] = 100.0 * float(deviation) if deviation == deviation else None
+    watched = standing.watched[name]
+    deviation = float(watched.found.deviation[place])
+    row["deviation_percent"] = None if math.isnan(deviation) else 100.0 * deviation
     if after == "ok":
         return row | {"reason": _why_ok(before), "way": _way_to_ok(before)}
     if after == INSUFFICIENT:
-        return row | {"reason": f"a new baseline begins: {segment.reason}", "way": "baseline"}
+        return row | {
+            "reason": f"a new baseline begins: {watched.segment(place).reason}",
+            "way": "baseline",
+        }
     path = path_behind(standing, name, place)
     return row | {
         "reason": why_state(standing, name, place, path),
