@@ -35,7 +35,8 @@ from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.store.tables import read_rows
-from pipeline.trends.baselines.eras import eras_of, indicators_of
+from pipeline.trends.baselines.eras import eras_of
+from pipeline.trends.baselines.leakages import indicators_of
 from pipeline.trends.figures.indicators import DEVIATION, Indicator
 from pipeline.trends.figures.temperature import NIGHTS
 from pipeline.trends.nights.decisions import Decision

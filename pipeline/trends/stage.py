@@ -31,7 +31,8 @@ from pipeline.store.tables import (
 )
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
-from pipeline.trends.baselines.eras import Era, eras_of, indicators_of
+from pipeline.trends.baselines.eras import Era, eras_of
+from pipeline.trends.baselines.leakages import indicators_of
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
 from pipeline.trends.figures.filtered_nights import with_filter
 from pipeline.trends.figures.indicators import DEVIATION, Indicator

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.model_verdict import model_verdict
+from pipeline.trends.baselines.conditions import OwnConditions, regressor_row
 from pipeline.trends.baselines.flow import column_sums, expected_flow
-from pipeline.trends.baselines.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.figures.indicators import (
     BASELINE_PROGRESS,
     COMPARABLE_FLOW,

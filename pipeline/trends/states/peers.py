@@ -150,7 +150,7 @@ def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...
     known_at = np.full(len(series), NEVER, dtype=np.int64)
     settings = BaselineSettings(nights=needed, provisional_nights=needed)
     for part in parts:
-        here = slice(part.first, part.end)
+        here = part.here
         baseline = fit_baseline(history.numbers[here], series[here], settings)
         if baseline.status != "insufficient" and baseline.mean > 0:
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -168,7 +168,7 @@ def contribution(history: History, own: LogChange) -> Contribution:
     for part in own.segments[1:]:
         last = found.last_said(history, part.first)
         if np.isfinite(last):
-            here = slice(part.first, part.end)
+            here = part.here
             change[here] += last
             spoken[here] += last
             held[here] = np.where(waits[here], last, np.nan)

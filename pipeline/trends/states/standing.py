@@ -191,7 +191,7 @@ class Standing:
         settings = replace(watched.settings, limits=Limits())
         found: list[str] = []
         for part in watched.segments:
-            here = slice(part.first, part.end)
+            here = part.here
             if self.peers is None:
                 found += ["insufficient"] * (part.end - part.first)
                 continue

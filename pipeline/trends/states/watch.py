@@ -93,7 +93,7 @@ def _joined(parts: Sequence[Segment], found: Sequence[Monitoring]) -> Monitoring
 def _monitored(
     history: History, part: Segment, indicator: Indicator, settings: MonitorSettings
 ) -> Monitoring:
-    here = slice(part.first, part.end)
+    here = part.here
     series, limited = indicator.watched[here], indicator.trusted[here]
     allowance = np.broadcast_to(indicator.allowance, len(history))[here]
     return monitor(history.numbers[here], series, settings, allowance, limited)
