@@ -19,10 +19,16 @@ from pipeline.trends.nights.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.rows.first_rows import first_rows, reference_flows
 from pipeline.trends.states.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.states.zeros import HALF, NO_HALT, Zero
-from pipeline.trends.why.attribution import path_behind, path_named, why_not_named
 from pipeline.trends.why.explanation_words import cannot_be_told
 from pipeline.trends.why.oil import grade_of, oil_as_measured
-from pipeline.trends.why.reasons import why_gated, why_no_baseline, why_state
+from pipeline.trends.why.reasons import (
+    path_behind,
+    path_named,
+    why_gated,
+    why_no_baseline,
+    why_not_named,
+    why_state,
+)
 
 Row = dict[str, Any]
 Array = NDArray[np.float64]
