@@ -196,21 +196,13 @@ def standing(nights: Sequence[Night], rows: Sequence[Rows]) -> Standing:
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the project says of a motor.
+    """What the project says of a motor."""
 
-    Attributes
-    ----------
-    raised
-        Nights with a warning or an alarm of a leakage, of the drain flow or of a loss factor.
-    named
-        Paths that are named ten nights after the first of them from a night on.
-    is_common
-        True if a change of all flows is told then.
-    """
-
+    # Nights with a warning or an alarm of a leakage, of the drain flow or of a loss factor.
     raised: NDArray[np.bool_]
+    # Paths that are named ten nights after the first of them from a night on.
     named: tuple[str, ...]
-    is_common: bool
+    is_common: bool  # a change of all flows is told then
 
 
 def watched(found: Standing, begin: int, after: int = 10) -> Watch:

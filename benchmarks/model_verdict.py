@@ -68,40 +68,28 @@ VERDICTS = ("supported", "doubtful", "disproved", None)
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaults:
-    """What sensors do wrong.
+    """What sensors do wrong."""
 
-    Attributes
-    ----------
-    temperature_lag_s, drain_lag_s
-        First-order lags of the temperature sensor, and of the flow behind the motor.
-    dead_below_l_per_min
-        Flow below which the meter stands still.
-    """
-
+    # temperature_lag_s, drain_lag_s: first-order lags of the temperature sensor, and of the flow
+    # behind the motor.
     temperature_lag_s: float = 0.0
     drain_lag_s: float = 0.0
-    dead_below_l_per_min: float = 0.0
+    dead_below_l_per_min: float = 0.0  # flow below which the meter stands still
 
 
 @dataclass(frozen=True)
 class Case(SensorFaults):
-    """A motor with its sensors as they are, and the errors of its flow.
+    """A motor with its sensors as they are, and the errors of its flow."""
 
-    Attributes
-    ----------
-    motor, charge_bar
-        The truth; a charge pressure where leakage is two-sided.
-    temperature_by_load_k, flow_by_load_l_per_min
-        What the sensors read too much at 300 bar; the temperature as much too low at 0 bar.
-    phi, slow_s, noise
-        Memory of the errors from second to second; time over which a slow error twice as large
-        forgets, 0: there is none; size of the errors over the usual one.
-    """
-
+    # motor, charge_bar: the truth; a charge pressure where leakage is two-sided.
     motor: Motor = MODEL
     charge_bar: float | None = None
+    # temperature_by_load_k, flow_by_load_l_per_min: what the sensors read too much at 300 bar; the
+    # temperature as much too low at 0 bar.
     temperature_by_load_k: float = 0.0
     flow_by_load_l_per_min: float = 0.0
+    # phi, slow_s, noise: memory of the errors from second to second; time over which a slow error
+    # twice as large forgets, 0: there is none; size of the errors over the usual one.
     phi: float = 0.9
     slow_s: float = 0.0
     noise: float = 1.0

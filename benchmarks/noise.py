@@ -90,28 +90,18 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Character:
-    """What errors are like; relative to the mean flow.
+    """What errors are like; relative to the mean flow."""
 
-    Attributes
-    ----------
-    sizes
-        Of all, and by time scale: within 10 s, a minute, ten minutes, an hour, and longer.
-    correlations
-        After `LAGS_S`.
-    beyond, kurtosis
-        Share beyond three robust standard deviations and excess kurtosis, of the errors about
-        their means of a minute.
-    drift
-        Standard deviation of the means of 20 minutes.
-    tau, per_kelvin, half_width, memory_min
-        Of the fitted law: structured misfit, b with its ±, memory of slow errors; nan for others.
-    """
-
+    # Of all, and by time scale: within 10 s, a minute, ten minutes, an hour, and longer.
     sizes: tuple[float, ...]
-    correlations: tuple[float, ...]
+    correlations: tuple[float, ...]  # after `LAGS_S`
+    # beyond, kurtosis: share beyond three robust standard deviations and excess kurtosis, of the
+    # errors about their means of a minute.
     beyond: float
     kurtosis: float
-    drift: float
+    drift: float  # standard deviation of the means of 20 minutes
+    # tau, per_kelvin, half_width, memory_min: of the fitted law: structured misfit, b with its ±,
+    # memory of slow errors; nan for others.
     tau: float = np.nan
     per_kelvin: float = np.nan
     half_width: float = np.nan

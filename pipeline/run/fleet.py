@@ -20,9 +20,9 @@ from typing import Any
 
 from pipeline.clock import latest_us, now
 from pipeline.config import Execution, Fleet, MotorSpec
+from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
-from pipeline.config.loading import LANDED_FOLDER
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.finding import legible
 from pipeline.logs.ledger import as_published, read_settings
