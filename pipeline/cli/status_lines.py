@@ -16,7 +16,7 @@ from pipeline.cli.tables import print_table
 from pipeline.report.findings import total
 from pipeline.report.status import FleetStatus
 from pipeline.store.heartbeat import FINISHED, RUNNING
-from pipeline.trends.motor_states import MotorState
+from pipeline.trends.rows.motor_states import MotorState
 
 # Colours only support the words of a state.
 COLOURS = {

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.config.motors import Channel, QualityValue
+from pipeline.config.channels import Channel, QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import (
     Readings,

@@ -50,8 +50,13 @@ from pipeline.store.verification import (
     proofs_of,
     unlisted_files,
 )
-from pipeline.trends.decisions import Decision, journal_file, put_back, take_out_damaged_lines
-from pipeline.trends.record import note_touched
+from pipeline.trends.nights.decisions import (
+    Decision,
+    journal_file,
+    put_back,
+    take_out_damaged_lines,
+)
+from pipeline.trends.nights.trend_record import note_touched
 
 log = logging.getLogger(__name__)
 

@@ -32,23 +32,7 @@ def deliver(
     pause: Callable[[float], None] = time.sleep,
     told: Told = TOLD_ALARMS,
 ) -> tuple[str, ...]:
-    """Deliver what waits in the outbox, which is written after each delivery.
-
-    Parameters
-    ----------
-    output, fleet
-        Output folder and name of the fleet.
-    receivers
-        The receivers.
-    pause
-        Waits for some seconds.
-    told
-        Rows that the outbox is of.
-
-    Returns
-    -------
-    tuple of str
-        Faults, as text.
+    """Deliver what waits in the outbox, which is written after each delivery; faults, as text.
 
     Raises
     ------

@@ -18,8 +18,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from pipeline.arrays import chosen_rows
+from pipeline.config.channels import Channel, Channels, QualityValue
 from pipeline.config.field_paths import FieldPath, field_path, path_text
-from pipeline.config.motors import Channel, Channels, Logs, QualityValue
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import converted, judged, raw_channel, raw_log, span, span_of_log
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog

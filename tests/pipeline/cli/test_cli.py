@@ -23,7 +23,7 @@ import pipeline.cli
 import pipeline.run.fleet
 import pipeline.store.publishing
 from pipeline.cli import app, main
-from pipeline.config.loading import OWN_FOLDERS
+from pipeline.config.fleet import OWN_FOLDERS
 from pipeline.errors import StoreError
 from pipeline.store.night_files import (
     NightFile,

@@ -38,8 +38,8 @@ from pipeline.schema import (
 )
 from pipeline.store.manifest import manifest_file
 from pipeline.store.tables import night_file, read_rows, run_file, write_table
-from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
-from pipeline.trends.night_records import FIT_COLUMNS
+from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.trends.nights.from_tables import FIT_COLUMNS
 from tests.pipeline.cli.test_cli import Call
 from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.faults.disk import Disk, Killed, on

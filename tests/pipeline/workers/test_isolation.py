@@ -22,8 +22,9 @@ import pipeline.run.publishing
 from pipeline.config import Execution, load_fleet
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.motor_task import run_motor
+from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.tasks import TrendOutcome, TrendTask, run_trends
+from pipeline.trends.tasks import TrendOutcome, TrendTask
 from pipeline.workers.local import Crew, run_tasks
 from pipeline.workers.process import ITEMS_A_SIGN, Loss
 from tests.conftest import OwnFleet
