@@ -103,10 +103,7 @@ def read_messages(path: Path, *, salvage: bool = False) -> Iterator[Messages]:
         try:
             for messages in pieces:
                 of_channels = np.bincount(messages.channel_id)
-                unknown = set(np.flatnonzero(of_channels).tolist()) - declared.channels.keys()
-                if unknown:
-                    message = f"messages of channel {min(unknown)}, never declared"
-                    raise LogError("log_damaged", path, message)
+                _require_declared(path, declared, of_channels)
                 counts[: of_channels.size] += of_channels
                 read_to = messages.read_to
                 yield messages
@@ -163,6 +160,12 @@ def _loss(path: Path, damage: LogError, read_to: int, summary: Summary, count: i
         f"salvaged: {count}{of_all} messages stand before the damage, the file's last "
         f"{size - read_to} of {size} bytes are not read ({damage.message})"
     )
+
+
+def _require_declared(path: Path, declared: Declared, counts: NDArray[np.intp]) -> None:
+    unknown = set(np.flatnonzero(counts).tolist()) - declared.channels.keys()
+    if unknown:
+        raise LogError("log_damaged", path, f"messages of channel {min(unknown)}, never declared")
 
 
 def _require_counts(path: Path, statistics: Statistics, counts: NDArray[np.int64]) -> None:
