@@ -191,7 +191,7 @@ def standing(nights: Sequence[Night], rows: Sequence[Rows]) -> Standing:
     history = rows_by_night([spec], *frames)[spec.motor_id]
     first, blocks = dt.date.min, NightBlocks(CONFIGS, (), nights=nights)
     filtered = with_misfit(with_filter(history, (), first), (), first)
-    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None)
+    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None, None)
 
 
 @dataclass(frozen=True, slots=True)

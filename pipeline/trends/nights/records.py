@@ -211,12 +211,13 @@ def triangle(size: int) -> int:
 def whole_matrix(upper: Array, size: int) -> Array:
     """Upper triangular matrices from their triangles row by row, shape (…, size, size)."""
     matrix = np.zeros((*upper.shape[:-1], size, size))
-    matrix[(..., *_places(size))] = upper
+    matrix[(..., *triangle_places(size))] = upper
     return matrix
 
 
 @lru_cache(maxsize=16)
-def _places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def triangle_places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the numbers of an upper triangle."""
     first, second = np.triu_indices(size)
     return first, second
 
