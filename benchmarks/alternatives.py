@@ -42,7 +42,7 @@ from benchmarks.machine_nights import (
     nights_of,
 )
 from benchmarks.model_verdict import VG46
-from benchmarks.results_file import RESULTS, Part, write_parts
+from benchmarks.results_file import RESULTS, Part, description, write_parts
 from pipeline.demo import noise
 
 Array = NDArray[np.float64]
@@ -313,9 +313,4 @@ def main(options: Sequence[str] = ()) -> None:
             file.write_text(json.dumps(stored, ensure_ascii=False) + "\n", "utf-8")
             sys.stderr.write(f"{name}: {one}\n")
     title = "The grey box beside charts, a regression and gradient boosting"
-    text = (__doc__ or "").split("\n\n", 1)[1].strip()
-    write_parts("alternatives", title, text, list(parts(stored)))
-
-
-if __name__ == "__main__":
-    main()
+    write_parts("alternatives", title, description(__doc__), list(parts(stored)))

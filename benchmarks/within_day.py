@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.results_file import Part, write_parts
+from benchmarks.results_file import Part, description, median_and_late, write_parts
 from leakage.course.step_detection import (
     BlockErrors,
     StepWatch,
@@ -187,15 +187,10 @@ def case_rows(name: str, seed: int = 1) -> tuple[list[tuple[str, ...]], int]:
                 stepped = error + step * (1.0 + error) * (np.arange(BLOCKS) >= STEP_AT)
                 delays[rule.name, step] += rule.delays(flow, stepped).tolist()
     rows = [
-        (name, rule, f"{n / YEARS:.2f}", *(_cell(delays[rule, step]) for step in STEPS))
+        (name, rule, f"{n / YEARS:.2f}", *(median_and_late(delays[rule, step]) for step in STEPS))
         for rule, n in false.items()
     ]
     return rows, false["look"]
-
-
-def _cell(delays: list[float]) -> str:
-    ends = np.quantile(delays, (0.5, 0.9), method="higher")
-    return " / ".join(f"{one:.0f}" if np.isfinite(one) else "–" for one in ends)
 
 
 def write(found: Mapping[str, tuple[list[tuple[str, ...]], int]]) -> None:
@@ -211,14 +206,9 @@ def write(found: Mapping[str, tuple[list[tuple[str, ...]], int]]) -> None:
         ("errors", "rule", "false a motor-year", *(f"+{100 * step:.0f} %" for step in STEPS)),
         [row for rows, _ in found.values() for row in rows],
     )
-    text = (__doc__ or "").split("\n\n", 1)[1].strip()
-    write_parts("within_day", "Steps within the day", text, [part])
+    write_parts("within_day", "Steps within the day", description(__doc__), [part])
 
 
 def main() -> None:
     """Write `benchmarks/results/within_day.md`."""
     write({name: case_rows(name) for name in CASES})
-
-
-if __name__ == "__main__":
-    main()

@@ -13,7 +13,8 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.clock import latest_us as latest_by_clock
-from pipeline.config.motors import Channel, Logs
+from pipeline.config.channels import Channel
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.contract import LogFile, RawChannel, RawLog, different_stamps
 from pipeline.ingest.quality import is_bad, quality_states

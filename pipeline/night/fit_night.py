@@ -25,14 +25,8 @@ from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
 from pipeline.night.fit import fit_modes, with_residuals
 from pipeline.night.operation_rows import operation_row
-from pipeline.night.rows import (
-    Rows,
-    fit_rows,
-    prediction_rows,
-    quality_rows,
-    statistics_rows,
-    unfitted_row,
-)
+from pipeline.night.rows import Rows, fit_rows, unfitted_row
+from pipeline.night.sample_rows import prediction_rows, quality_rows, statistics_rows
 from pipeline.night.sampling import means_too_long
 from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.stored_blocks import StoredBlocks

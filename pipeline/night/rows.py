@@ -1,4 +1,4 @@
-"""The rows that a motor's night leaves in each table."""
+"""Rows of a night's fits, and of the tables below a fit."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from leakage import Motor
 from leakage.estimation.certificate import Certificate
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.estimation.least_squares import Fit
@@ -23,26 +22,18 @@ from leakage.estimation.validation import (
     effective_sample_count,
     lag_one_autocorrelation,
 )
-from leakage.physics.motor import speed_beyond_curve
 from pipeline.arrays import chosen_rows, utc
 from pipeline.config import MotorSpec
 from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.fit import transport_delays_s
-from pipeline.night.operation_rows import coarse_histogram
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
 from pipeline.night.statistics import NightStatistics, mean_charge_bar
-from pipeline.night.time_base import Quality
-from pipeline.night.viscosity import SensorRatio, mean_ratio
-from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
-from pipeline.thinning import keep_extremes
+from pipeline.night.viscosity import mean_ratio
 
 Array = NDArray[np.float64]
 Row = dict[str, Any]
 Rows = dict[str, list[Row]]
-
-# Points a night in the table of predictions: enough for a plot, not for an analysis.
-PREDICTION_POINTS = 720
 
 
 def unfitted_row(
@@ -59,74 +50,6 @@ def unfitted_row(
         "reason": reason,
         "error_code": code,
         "oil": spec.file.oil_on(night),
-    }
-
-
-def quality_rows(motor_id: str, night: dt.date, found: Sequence[Quality]) -> list[Row]:
-    """Rows of `quality`: every rule that was applied, those that refused nothing too."""
-    return [
-        {
-            "motor_id": motor_id,
-            "night": night,
-            "channel": one.channel,
-            "reason": one.reason,
-            "n_samples": one.n_samples,
-            "n_refused": one.n_refused,
-            "n_noted": one.n_noted,
-        }
-        for one in found
-    ]
-
-
-def statistics_rows(
-    motor_id: str,
-    night: dt.date,
-    motor: Motor,
-    statistics: NightStatistics,
-    viscosity: SensorRatio | None = None,
-) -> list[Row]:
-    """Rows of `block_statistics`, with the viscosity by the log over the data sheet's."""
-    samples = statistics.samples
-    beyond = speed_beyond_curve(motor, samples.speed_rpm)
-    channels = {
-        "pressure": ("bar", np.abs(samples.pressure_difference_bar), PRESSURE_EDGES_BAR),
-        "temperature": ("c", samples.oil_temperature_c, TEMPERATURE_EDGES_C),
-        "speed": ("rpm", np.abs(samples.speed_rpm), SPEED_EDGES_RPM),
-    }
-    rows = []
-    for block, r, means in zip(
-        statistics.blocks, statistics.factors, statistics.short_means, strict=True
-    ):
-        part = slice(block.first_row, block.end_row)
-        row: Row = {
-            "motor_id": motor_id,
-            "night": night,
-            "block_start": utc(block.start_us),
-            "block_end": utc(block.end_us),
-            "part": block.part,
-            "n": block.n,
-            "columns": list(motor.columns),
-            "statistics": upper_triangle(r),
-            "share_reversed": float(np.mean(samples.speed_rpm[part] < 0)),
-            "n_beyond_curve": int(beyond[part].sum()),
-            "model_hash": statistics.model_hash,
-            "short_means": means,
-        }
-        for name, (unit, values, edges) in channels.items():
-            row |= _spread(name, unit, values[part], edges)
-        if viscosity is not None:
-            row["viscosity_ratio"] = viscosity.at(row["mean_temperature_c"])
-        rows.append(row)
-    return rows
-
-
-def _spread(name: str, unit: str, values: Array, edges: tuple[float, ...]) -> Row:
-    """Mean, limits and coarse histogram of a channel in a block; the end bins hold all beyond."""
-    return {
-        f"mean_{name}_{unit}": float(values.mean()),
-        f"minimum_{name}_{unit}": float(values.min()),
-        f"maximum_{name}_{unit}": float(values.max()),
-        f"{name}_histogram": coarse_histogram(values, edges),
     }
 
 
@@ -451,35 +374,3 @@ def start_rows(fit: Fit) -> list[Row]:
         }
         for start in fit.starts
     ]
-
-
-def prediction_rows(
-    motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[BlockFit]
-) -> list[Row]:
-    """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
-    samples = statistics.samples
-    measured = statistics.z[:, -1]
-    primary = statistics.z[:, :-1] @ np.append(modes[0].stated.training.coefficients, 1.0)
-    pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
-    chosen = keep_extremes(
-        np.stack([measured, measured - primary, pressure, speed]).T, PREDICTION_POINTS
-    )
-    parts = statistics.parts_of(chosen)
-    z = statistics.z[chosen]
-    times = [utc(stamp) for stamp in samples.time_us[chosen].tolist()]
-    inputs = {
-        "pressure_difference_bar": pressure[chosen].tolist(),
-        "oil_temperature_c": samples.oil_temperature_c[chosen].tolist(),
-        "speed_rpm": speed[chosen].tolist(),
-        "measured_l_per_min": z[:, -1].tolist(),
-    }
-    rows: list[Row] = []
-    for mode in modes:
-        predicted = (z[:, :-1] @ np.append(mode.stated.training.coefficients, 1.0)).tolist()
-        key = {"motor_id": motor_id, "night": night, "flushing_mode": mode.name}
-        columns = {"time": times, "part": parts, **inputs, "predicted_l_per_min": predicted}
-        rows += [
-            key | dict(zip(columns, values, strict=True))
-            for values in zip(*columns.values(), strict=True)
-        ]
-    return rows

@@ -20,9 +20,9 @@ from typing import Any
 
 from pipeline.clock import latest_us, now
 from pipeline.config import Execution, Fleet, MotorSpec
+from pipeline.config.fleet import LANDED_FOLDER
 from pipeline.config.hashes import config_hash as hash_of_config
 from pipeline.config.hashes import hash_of, settings_of, why_anew
-from pipeline.config.loading import LANDED_FOLDER
 from pipeline.errors import EngineError, LockedError, StoreError
 from pipeline.logs.finding import legible
 from pipeline.logs.ledger import as_published, read_settings
@@ -67,13 +67,13 @@ from pipeline.telling.mail import EMAIL
 from pipeline.telling.outbox import add_summary, backlogs, is_waiting, open_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import decisions_of
-from pipeline.trends.decisions import read_decisions
-from pipeline.trends.latest_states import published_states
-from pipeline.trends.motor_states import urgency
-from pipeline.trends.record import (
+from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.nights.trend_record import (
     read_record,
     trend_hash,
 )
+from pipeline.trends.rows.latest_states import published_states
+from pipeline.trends.rows.motor_states import urgency
 from pipeline.versions import own_version, versions
 from pipeline.workers.engine import RunTasks, nights_a_chunk, open_engine
 from pipeline.workers.process import Loss

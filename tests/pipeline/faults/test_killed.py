@@ -17,8 +17,9 @@ import pytest
 import pipeline.run.fleet
 import pipeline.run.publishing
 from pipeline.run.motor_task import run_motor
+from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.tasks import TrendOutcome, TrendTask, run_trends
+from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.pipeline.faults.fleet import (
     MOTORS,
     TinyFleet,

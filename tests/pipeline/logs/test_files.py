@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config import Channel, MotorSpec, Nights, load_fleet
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.config.nights import DAY, Night, night, night_of
 from pipeline.demo import shipped_configs
 from pipeline.ingest import RawChannel, RawLog, read_log

@@ -21,9 +21,9 @@ from pipeline.report.status import (
 from pipeline.schema import ALARMS, FITS, RUNS, TRENDS, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import night_file, write_table
-from pipeline.trends.decisions import read_decisions
-from pipeline.trends.motor_states import TOLD
-from pipeline.trends.words import size_words
+from pipeline.trends.nights.decisions import read_decisions
+from pipeline.trends.rows.motor_states import TOLD
+from pipeline.trends.states.words import size_words
 from tests.pipeline.cli.test_cli import Call
 from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.report.states import LAST, NAMES, output, trend

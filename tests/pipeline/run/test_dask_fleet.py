@@ -18,8 +18,8 @@ from pipeline.cli import main
 from pipeline.config import load_fleet
 from pipeline.errors import EngineError
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
+from pipeline.run.publishing import run_trends
 from pipeline.store.object_store import ObjectStore
-from pipeline.trends.tasks import run_trends
 from tests.conftest import OwnFleet
 from tests.pipeline.dask_processes import ROOT, Processes, scheduler_with
 from tests.pipeline.dask_tasks import die_in_a_night, kill_worker_of_parquet

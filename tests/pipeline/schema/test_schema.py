@@ -27,6 +27,7 @@ from pipeline.schema import (
     TIMESTAMP,
     Column,
     Table,
+    arrow_table,
     data_dictionary,
     frame,
 )
@@ -209,9 +210,9 @@ class TestFrame:
 
     def test_a_column_that_comes_later_is_not_taken(self) -> None:
         with pytest.raises(ValueError, match="run_id"):
-            frame(QUALITY, [self.ROW], without="run_id")
+            arrow_table(QUALITY, [self.ROW], without="run_id")
         row = {name: value for name, value in self.ROW.items() if name != "run_id"}
-        assert "run_id" not in frame(QUALITY, [row], without="run_id").columns
+        assert "run_id" not in arrow_table(QUALITY, [row], without="run_id").column_names
 
     @EACH_TABLE
     def test_no_rows(self, table: Table) -> None:
@@ -242,7 +243,7 @@ class TestFrame:
 
     def test_wrong_type_is_refused(self) -> None:
         for name, value in (("n_samples", "ten"), ("n_samples", np.nan), ("night", "2026-01-02")):
-            with pytest.raises((TypeError, pl.exceptions.PolarsError)):
+            with pytest.raises((TypeError, ValueError)):
                 frame(QUALITY, [self.ROW | {name: value}])
 
     def test_not_a_number_stays_apart_from_null(self) -> None:

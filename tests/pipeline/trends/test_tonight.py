@@ -22,7 +22,7 @@ from pipeline.run.publishing import fleets_tonight
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, TRENDS, Table
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.tonight import Tonight, tonight_of
+from pipeline.trends.nights.tonight import Tonight, tonight_of
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, publish
 from tests.pipeline.workshop import QUICK, Workshop, check_same_figures
