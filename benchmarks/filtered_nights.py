@@ -150,7 +150,8 @@ def watched(found: Course) -> dict[str, Monitoring]:
 
 def raised(found: Monitoring) -> int:
     """How often an indicator became a warning or an alarm."""
-    return sum(one.after in RAISED and one.before not in RAISED for one in found.changes)
+    is_raised = np.isin(found.states, RAISED)
+    return int(np.count_nonzero(is_raised[1:] & ~is_raised[:-1]))
 
 
 def healthy_part() -> Part:

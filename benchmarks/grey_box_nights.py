@@ -104,7 +104,7 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
         NO_SEARCH,
         np.random.default_rng(0),
     )
-    fit, verdicts = found.fit, found.identification
+    fit, verdicts = found.fit, found.identified(excitation)
     temperature, pressure, speed = night.means.mean(axis=0).tolist()
     active = ~(fit.certificate.fixed | fit.certificate.at_lower | fit.certificate.at_upper)
     response = temperature_response(
@@ -191,7 +191,7 @@ def standing(nights: Sequence[Night], rows: Sequence[Rows]) -> Standing:
     history = rows_by_night([spec], *frames)[spec.motor_id]
     first, blocks = dt.date.min, NightBlocks(CONFIGS, (), nights=nights)
     filtered = with_misfit(with_filter(history, (), first), (), first)
-    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None)
+    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None, None)
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.course.baseline import Baseline
-from leakage.course.monitoring import track
+from leakage.course.monitoring import monitor
 from leakage.course.step_detection import (
     BlockErrors,
     StepWatch,
@@ -35,7 +35,8 @@ from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.store.tables import read_rows
-from pipeline.trends.baselines.eras import eras_of, indicators_of
+from pipeline.trends.baselines.eras import eras_of
+from pipeline.trends.baselines.leakages import indicators_of
 from pipeline.trends.figures.indicators import DEVIATION, Indicator
 from pipeline.trends.figures.temperature import NIGHTS
 from pipeline.trends.nights.decisions import Decision
@@ -279,7 +280,7 @@ def _watched_baseline(
     segment = segments(history, decisions, DEVIATION)[-1]
     settings = monitor_settings(history.spec, indicators[DEVIATION], len(indicators))
     here = slice(segment.first, segment.end)
-    followed = track(history.numbers[here], indicators[DEVIATION].watched[here], settings)
+    followed = monitor(history.numbers[here], indicators[DEVIATION].watched[here], settings)
     return followed.baselines[-1] if followed.baselines else None
 
 

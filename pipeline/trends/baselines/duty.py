@@ -26,13 +26,13 @@ from leakage.course.balanced_baseline import (
     compare,
     told_rises,
 )
-from leakage.estimation.multi_start import Parametrisation
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import PRESSURE_EDGES_BAR, SPEED_EDGES_RPM, TEMPERATURE_EDGES_C
 from pipeline.trends.baselines.blocks import BlockFiles
+from pipeline.trends.baselines.conditions import reference_conditions, regressor_row
 from pipeline.trends.baselines.eras import Era
 from pipeline.trends.baselines.flow import column_sums, expected_flow
-from pipeline.trends.baselines.own_conditions import reference_conditions, regressor_row
+from pipeline.trends.figures.baseline_model import bounds_of
 from pipeline.trends.figures.indicators import DEVIATION, OWN_REFERENCE, REFERENCE, Indicator
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
@@ -108,8 +108,7 @@ def _compare(
     model = records["model"][first[-1]].decode()
     nights = [history.nights[place] for place in first.tolist()]
     before = blocks.of_baseline(spec, layout, nights, model)
-    motor = spec.motor(nights[-1], spec.file.flushing.mode)
-    bounds = Parametrisation.of(motor).coefficient_bounds()
+    bounds = bounds_of(history, first)
     labels = [history.nights[place] for place in elsewhere.tolist()]
     for at in np.flatnonzero(elsewhere >= begin).tolist():
         for length in range(1, min(at + 1, NIGHTS_OF_NOW) + 1):
@@ -202,7 +201,7 @@ def _contrasts(history: History, era: Era, own: Indicator, places: Places) -> Ar
 
 def _level(history: History, era: Era, series: Array) -> Array:
     """Mean of the baseline's nights before each night of an era, as its indicator has it."""
-    here = slice(era.segment.first, era.segment.end)
+    here = era.segment.here
     same = np.isfinite(series[here]) & (history.records["duty"][here] == AS_BASELINE)
     same &= np.cumsum(same) <= history.spec.settings.trend.baseline_nights
     with np.errstate(invalid="ignore"):

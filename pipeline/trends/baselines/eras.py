@@ -10,16 +10,8 @@ from numpy.typing import NDArray
 
 from leakage.course.baseline import BaselineSettings
 from leakage.course.temperature_correction import UNKNOWN_PER_KELVIN, TemperatureCorrection
-from pipeline.trends.baselines.flow import deviation, log_ratio
-from pipeline.trends.baselines.own_conditions import (
-    OwnConditions,
-    joined_own_leakage,
-    own_conditions,
-    own_leakage,
-    reference_leakage,
-)
+from pipeline.trends.baselines.conditions import OwnConditions, own_conditions
 from pipeline.trends.figures.baseline_model import baseline_model
-from pipeline.trends.figures.indicators import Indicator, coefficients
 from pipeline.trends.figures.temperature import (
     Effect,
     frozen_correction,
@@ -28,7 +20,6 @@ from pipeline.trends.figures.temperature import (
 )
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.records import FLUSHING
 from pipeline.trends.nights.segments import Segment, first_good, segments
 
 Array = NDArray[np.float64]
@@ -79,48 +70,6 @@ def _era(history: History, segment: Segment) -> Era:
     if found is None:
         return era
     return replace(era, temperature=found.correction, temperature_from=found.place)
-
-
-def indicators_of(history: History, eras: Sequence[Era]) -> dict[str, Indicator]:
-    """All indicators of a motor that are watched, by name.
-
-    Which there are depends on the motor's config alone: the rate of false alarms is shared by all
-    of them, whatever the nights so far have shown.
-    """
-    effect = effect_of(history, eras)
-    found = [reference_leakage(history, effect)]
-    found.append(
-        joined_own_leakage(
-            history,
-            [
-                (
-                    era.segment,
-                    era.known_from,
-                    None if era.own is None else own_leakage(history, era.segment, era.own, effect),
-                )
-                for era in eras
-            ],
-        )
-    )
-    found.append(
-        deviation(
-            history,
-            [
-                (
-                    era.segment,
-                    era.known_from,
-                    None
-                    if era.model is None
-                    else log_ratio(history, era.segment, era.model, effect.factor),
-                )
-                for era in eras
-            ],
-        )
-    )
-    found += coefficients(history, effect)
-    return {
-        one.name: one if one.name == FLUSHING else one.with_allowance(effect.left) for one in found
-    }
 
 
 def effect_of(history: History, eras: Sequence[Era]) -> Effect:

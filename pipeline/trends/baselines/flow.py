@@ -6,12 +6,15 @@ be told.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
 from leakage.course.baseline import LEAKAGE_FLOOR
-from pipeline.trends.figures.baseline_model import factors_of
+from pipeline.trends.baselines.eras import Era
 from pipeline.trends.figures.indicators import DEVIATION, NO_BASELINE, Indicator
+from pipeline.trends.figures.temperature import Effect
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment
 
@@ -26,7 +29,7 @@ def column_sums(history: History, places: NDArray[np.intp] | slice) -> Array:
 
     The column of ones times all columns: R'R of it.
     """
-    factors = factors_of(history, places)
+    factors = history.factors(places)
     ones = factors[:, :, -3]
     sums: Array = np.zeros(factors.shape[::2])
     # Row by row, so that a night's sums do not hang on how many nights there are.
@@ -53,7 +56,7 @@ def log_ratio(history: History, segment: Segment, theta: Array, warm: Array) -> 
 
     `warm`: loss factors of each night over the model's, shape (n,).
     """
-    here = slice(segment.first, segment.end)
+    here = segment.here
     sums = column_sums(history, here)
     measured, expected = expected_flow(sums, theta)
     known = sums[:, -2]
@@ -67,7 +70,7 @@ def log_ratio(history: History, segment: Segment, theta: Array, warm: Array) -> 
 
 def gap_ratio(history: History, segment: Segment, theta: Array) -> Array:
     """Measured over expected flow of the gaps alone in a segment's nights; nan without a figure."""
-    here = slice(segment.first, segment.end)
+    here = segment.here
     sums = column_sums(history, here)
     measured, expected = (one - sums[:, -2] for one in expected_flow(sums, theta))
     result: Array = np.full(len(sums), np.nan)
@@ -76,37 +79,20 @@ def gap_ratio(history: History, segment: Segment, theta: Array) -> Array:
     return result
 
 
-def deviation(history: History, parts: list[tuple[Segment, int, Array | None]]) -> Indicator:
-    """The indicator from the logarithms of its segments, each with the place where it is known."""
+def deviation(history: History, eras: Sequence[Era], effect: Effect) -> Indicator:
+    """Drain flow over what the model of each baseline lets expect, less 1."""
     n = len(history)
     value, told = np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
     gated = [status or NO_BASELINE for status in history.statuses]
-    for segment, known_from, ratio in parts:
-        told[known_from : segment.end] = True
-        if ratio is None:
+    for era in eras:
+        told[era.known_from : era.segment.end] = True
+        if era.model is None:
             continue
-        here = slice(segment.first, segment.end)
-        value[here] = np.expm1(ratio)
+        here = era.segment.here
+        value[here] = np.expm1(log_ratio(history, era.segment, era.model, effect.factor))
         same = np.isfinite(history.records["factor"][here]).all(axis=1)
-        for place in range(segment.first, segment.end):
-            if not history.statuses[place]:
-                inside = place - segment.first
-                gated[place] = "" if np.isfinite(ratio[inside]) else _why(bool(same[inside]))
-    nothing = np.full(n, np.nan)
-    return Indicator(
-        DEVIATION,
-        "1",
-        "",
-        value,
-        nothing,
-        nothing,
-        tuple(gated),
-        LEAKAGE_FLOOR,
-        np.zeros(n, dtype=np.bool_),
-        told,
-        np.ones(n, dtype=np.int32),
-    )
-
-
-def _why(has_statistics: bool) -> str:
-    return NO_FLOW if has_statistics else NO_STATISTICS
+        why = np.where(np.isfinite(value[here]), "", np.where(same, NO_FLOW, NO_STATISTICS))
+        gated[here] = [
+            status or one for status, one in zip(history.statuses[here], why.tolist(), strict=True)
+        ]
+    return Indicator.of(DEVIATION, "1", value, gated, LEAKAGE_FLOOR, told=told)

@@ -10,14 +10,8 @@ from leakage.estimation.block_statistics import merge
 from leakage.estimation.certificate import certify
 from leakage.estimation.multi_start import Parametrisation
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.records import whole_matrix
 
 Array = NDArray[np.float64]
-
-
-def factors_of(history: History, places: NDArray[np.intp] | slice) -> Array:
-    """Triangular factors of all kept samples of some nights, shape (m, c, c)."""
-    return whole_matrix(history.records["factor"][places], len(history.layout.columns))
 
 
 def bounds_of(history: History, places: NDArray[np.intp]) -> tuple[Array, Array]:
@@ -31,7 +25,7 @@ def baseline_model(history: History, places: NDArray[np.intp]) -> Array | None:
 
     None where none has statistics, or they do not determine a minimum.
     """
-    factors = factors_of(history, places)
+    factors = history.factors(places)
     factors = factors[np.isfinite(factors).all(axis=(1, 2))]
     if not len(factors):
         return None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,6 +73,21 @@ class Indicator:
     allowance: Array | float = 0.0
     compared: Array | None = None
 
+    @classmethod
+    def of(
+        cls, name: str, unit: str, value: Array, gated: Sequence[str], floor: float, **more: Any
+    ) -> Indicator:
+        """Figures that each night tells alone, known in their night and without interval.
+
+        `more` are those of the other fields that are not so.
+        """
+        n = len(value)
+        nothing, no = np.full(n, np.nan), np.zeros(n, dtype=np.bool_)
+        blank = {"path": "", "lower": nothing, "upper": nothing, "outside": no, "told": ~no}
+        one_night = np.ones(n, dtype=np.int32)
+        fields = {**blank, "n_nights": one_night, **more}
+        return cls(name=name, unit=unit, value=value, gated=tuple(gated), floor=floor, **fields)
+
     def with_allowance(self, allowance: Array) -> Indicator:
         """The same with a relative ± that nights of one temperature share, in its interval, too."""
         size = np.abs(allowance * (self.value + self.shift))
@@ -132,50 +148,18 @@ def coefficients(history: History, effect: Effect) -> Iterator[Indicator]:
         place = len(layout.free) - 1 if is_flow else number
         factor = np.ones(n) if is_flow else effect.factor
         value, lower, upper = ((figures + moved[:, place, None]) / factor[:, None]).T
-        alone = Indicator(
+        alone = Indicator.of(
             name,
             "l/min" if is_flow else "m3" if name.startswith("K_") else "1",
-            "" if is_flow else layout.paths[number],
             value,
-            lower,
-            upper,
             history.why(np.isfinite(figures[:, 0]), number),
             LEAKAGE_FLOOR if is_flow else COEFFICIENT_FLOOR,
-            np.zeros(n, dtype=np.bool_),
-            np.ones(n, dtype=np.bool_),
-            np.ones(n, dtype=np.int32),
+            path="" if is_flow else layout.paths[number],
+            lower=lower,
+            upper=upper,
         )
         if not layout.free[place]:
             yield alone
             continue
         found = filtered(history.records, np.eye(len(layout.free))[place])
         yield with_filtered(alone, found, WIDEST_COEFFICIENT, history.records["scale"][:, place])
-
-
-def scaled(indicator: Indicator, name: str, unit: str, factor: float) -> Indicator:
-    """The same over the nights times a constant: a path's leakage from its coefficient."""
-    return replace(
-        indicator,
-        name=name,
-        unit=unit,
-        value=factor * indicator.value,
-        lower=factor * indicator.lower,
-        upper=factor * indicator.upper,
-    )
-
-
-def gap_change(indicator: Indicator, name: str, baseline: float) -> Indicator:
-    """Change of a gap in %, (K/K_baseline)^⅓ − 1: it needs no geometry."""
-
-    def change(k: Array) -> Array:
-        percent: Array = 100.0 * (np.cbrt(k / baseline) - 1.0)
-        return percent
-
-    return replace(
-        indicator,
-        name=name,
-        unit="%",
-        value=change(indicator.value),
-        lower=change(indicator.lower),
-        upper=change(indicator.upper),
-    )

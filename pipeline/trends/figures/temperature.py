@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.course.temperature_correction import TemperatureCorrection, temperature_correction
-from pipeline.trends.figures.baseline_model import baseline_model, bounds_of, factors_of
+from pipeline.trends.figures.baseline_model import baseline_model, bounds_of
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import Records
 
@@ -62,7 +62,7 @@ def _correction_of(
     history: History, places: NDArray[np.intp], theta: Array
 ) -> TemperatureCorrection | None:
     """Correction from some nights together, θ their model; None where they cannot tell it."""
-    factors = factors_of(history, places)
+    factors = history.factors(places)
     temperature = history.records["mean_temperature_c"][places]
     known = np.isfinite(factors).all(axis=(1, 2)) & np.isfinite(temperature)
     if int(known.sum()) < NIGHTS[0] // 2:

@@ -20,6 +20,7 @@ from pipeline.trends.nights.records import (
     NightWords,
     Records,
     blank_records,
+    whole_matrix,
 )
 
 Nights = NDArray[np.int64]
@@ -78,6 +79,10 @@ class History:
     def statuses(self) -> list[str]:
         """Reason why a whole night does not count, by night; empty where it does."""
         return self._told(self.fitted, lambda words: words.status)
+
+    def factors(self, places: NDArray[np.intp] | slice) -> NDArray[np.float64]:
+        """Triangular factors of all kept samples of some nights, shape (m, c, c)."""
+        return whole_matrix(self.records["factor"][places], len(self.layout.columns))
 
     def place_of(self, number: int) -> int:
         """Place of a night by its number."""

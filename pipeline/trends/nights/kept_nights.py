@@ -39,8 +39,9 @@ LOOKED_AT = (*READ, BLOCK_STATISTICS, ALARMS)
 # coarsest file systems count two seconds.
 SETTLED_NS = 10_000_000_000
 NO_FOLDER, NOT_SETTLED = 0, -1
-# Keys of a file's metadata.
+# Keys of a file's metadata, and fields of a month in the first.
 HEAD, DIGEST = b"month", b"sha256"
+IN_HEAD = ("folders", "files", "blocks", "alarms", "states", "until")
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +66,7 @@ class KeptMonth:
         First night that is not filtered yet; None if all are.
     """
 
-    folders: tuple[int, ...]
+    folders: Sequence[int]
     files: Mapping[str, str]
     blocks: Mapping[str, str]
     alarms: Mapping[str, str]
@@ -75,15 +76,7 @@ class KeptMonth:
 
     def encoded(self, key: str) -> bytes:
         """Its file's content."""
-        head = {
-            "key": key,
-            "folders": self.folders,
-            "files": self.files,
-            "blocks": self.blocks,
-            "alarms": self.alarms,
-            "states": self.states,
-            "until": self.until,
-        }
+        head = {"key": key} | {name: getattr(self, name) for name in IN_HEAD}
         return encoded_table(
             head, {name: self.records[name] for name in self.records.dtype.names or ()}
         )
@@ -97,15 +90,7 @@ class KeptMonth:
         records = np.zeros(table.num_rows, dtype=layout.dtype)
         for name in layout.dtype.names or ():
             records[name] = values_of(table[name]).reshape(records[name].shape)
-        return cls(
-            tuple(head["folders"]),
-            head["files"],
-            head["blocks"],
-            head["alarms"],
-            head["states"],
-            records,
-            head["until"],
-        )
+        return cls(records=records, **{name: head[name] for name in IN_HEAD})
 
 
 def encoded_table(head: Mapping[str, Any], columns: Mapping[str, NDArray[Any]]) -> bytes:
@@ -220,10 +205,15 @@ class TableFolders:
     ----------
     output
         Output folder.
+
+    Attributes
+    ----------
+    months
+        By YYYY-MM, when the folder of each table was last changed, where that tells.
     """
 
     output: Path
-    _months: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    months: dict[str, list[int]] = field(default_factory=dict)
     _nights: dict[tuple[str, str], dict[str, str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -231,17 +221,12 @@ class TableFolders:
         settled = time.time_ns() - SETTLED_NS
         # Of nights without a log of any motor there may be alarms alone.
         for month in sorted(stamps[0].keys() | stamps[-1].keys()):
-            found = tuple(one.get(month, NO_FOLDER) for one in stamps)
-            self._months[month] = tuple(NOT_SETTLED if one > settled else one for one in found)
-
-    @property
-    def months(self) -> Mapping[str, tuple[int, ...]]:
-        """By YYYY-MM, when the folder of each table was last changed, where that tells."""
-        return self._months
+            found = [one.get(month, NO_FOLDER) for one in stamps]
+            self.months[month] = [NOT_SETTLED if one > settled else one for one in found]
 
     def same(self, month: str, kept: KeptMonth) -> bool:
         """True if no file of a month can have changed."""
-        found = self._months.get(month, ())
+        found = self.months.get(month, [])
         return found == kept.folders and NOT_SETTLED not in found
 
     def files(self, table: Table, month: str) -> dict[str, str]:

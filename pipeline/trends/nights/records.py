@@ -9,7 +9,7 @@ from __future__ import annotations
 import datetime as dt
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from leakage.estimation.block_statistics import with_free_known
 from leakage.estimation.model_verdict import MISFIT_NUMBERS
 from leakage.estimation.multi_start import Parametrisation
 from pipeline.config import MotorSpec
@@ -110,7 +111,7 @@ class Layout:
         stored = StoredBlocks.of(spec, rows.sort("block_start"), self.stated_columns)
         if stored is None or self.standard is None:
             return stored
-        return stored.with_free_known(*self.standard)
+        return replace(stored, factors=with_free_known(stored.factors, *self.standard))
 
     @property
     def dtype(self) -> np.dtype[Any]:
@@ -211,12 +212,13 @@ def triangle(size: int) -> int:
 def whole_matrix(upper: Array, size: int) -> Array:
     """Upper triangular matrices from their triangles row by row, shape (…, size, size)."""
     matrix = np.zeros((*upper.shape[:-1], size, size))
-    matrix[(..., *_places(size))] = upper
+    matrix[(..., *triangle_places(size))] = upper
     return matrix
 
 
 @lru_cache(maxsize=16)
-def _places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def triangle_places(size: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the numbers of an upper triangle."""
     first, second = np.triu_indices(size)
     return first, second
 

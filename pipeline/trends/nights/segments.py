@@ -42,6 +42,11 @@ class Segment:
     end: int
     reason: str
 
+    @property
+    def here(self) -> slice:
+        """Its places."""
+        return slice(self.first, self.end)
+
 
 def segments(
     history: History, decisions: Sequence[Decision], indicator: str = ""

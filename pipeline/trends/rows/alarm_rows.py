@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import datetime as dt
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from pipeline.config import MotorSpec
+from pipeline.config.hashes import FIGURES_VERSION, READING_VERSION, STATISTICS_VERSION
+from pipeline.schema import ALARM_CONTENT
 from pipeline.trends.figures.indicators import MODEL_MISFIT, TEMPERATURE_EFFECT
-from pipeline.trends.states.standing import RAISED, Standing
+from pipeline.trends.nights.trend_record import TRENDS_VERSION, Record
+from pipeline.trends.states.standing import CHANGED, RAISED, Standing
 from pipeline.trends.states.temperature_watch import NOT_TOLD
-from pipeline.trends.why.attribution import path_behind, path_named
-from pipeline.trends.why.reasons import way_of, why_state
+from pipeline.trends.why.reasons import path_behind, path_named, way_of, why_state
 
 Row = dict[str, Any]
 
 RECOMPUTED = "recomputed"
 INSUFFICIENT = "insufficient"
+MARKS = ("rules", "state_before_rules", "is_silent")
 # What is judged by rules of its own, in words; the others are zeros of sensors.
 OF_OWN_RULES = {
     MODEL_MISFIT: "the model's misfit",
@@ -87,13 +92,16 @@ def _change(standing: Standing, name: str, place: int, before: str, after: str) 
     }
     if name in standing.by_own_rules:
         return row | _by_own_rules(standing, name, place, before, after)
-    segment, found, _ = standing.watched[name].at(place)
-    deviation = found.own.deviation[place - segment.first]
-    row["deviation_percent"] = 100.0 * float(deviation) if deviation == deviation else None
+    watched = standing.watched[name]
+    deviation = float(watched.found.deviation[place])
+    row["deviation_percent"] = None if math.isnan(deviation) else 100.0 * deviation
     if after == "ok":
         return row | {"reason": _why_ok(before), "way": _way_to_ok(before)}
     if after == INSUFFICIENT:
-        return row | {"reason": f"a new baseline begins: {segment.reason}", "way": "baseline"}
+        return row | {
+            "reason": f"a new baseline begins: {watched.segment(place).reason}",
+            "way": "baseline",
+        }
     path = path_behind(standing, name, place)
     return row | {
         "reason": why_state(standing, name, place, path),
@@ -159,3 +167,66 @@ def _closing(standing: Standing, name: str, place: int, told: str, state: str, w
         "way": RECOMPUTED,
         "path": None,
     }
+
+
+def rules_now(spec: MotorSpec) -> dict[str, int | str]:
+    """Versions of the rules that make a motor's trends from logs, and the form of its model."""
+    return {
+        "reading": READING_VERSION,
+        "statistics": STATISTICS_VERSION,
+        "figures": FIGURES_VERSION,
+        "trends": TRENDS_VERSION,
+        "scale of the rollers": "free" if spec.roller_is_free else "fixed",
+    }
+
+
+def change_of_rules(record: Record | None, now: Mapping[str, int | str]) -> str:
+    """Change since a record was written, such as ``trends 5 to 6``; empty: none."""
+    if record is None:
+        return ""
+    if record.rules is None:
+        return "those of an older version"
+    return ", ".join(
+        f"{name} {record.rules.get(name, '?')} to {version}"
+        for name, version in now.items()
+        if record.rules.get(name) != version
+    )
+
+
+def marked(
+    rows: Sequence[Row],
+    published: Sequence[Row],
+    record: Record | None,
+    now: Mapping[str, int | str],
+) -> list[Row]:
+    """Rows of `alarms` with the marks of a change of rules since the record, if there is one.
+
+    Rules change with the program, and with a motor whose first nights decide anew on its rollers. A
+    receiver is told of a past night only where the state that stands is not the one told last.
+
+    A row that says what its published one said keeps the marks of that.
+    """
+    change = change_of_rules(record, now)
+    last_night = dt.date.min if record is None else record.last_night
+    before = {(row["night"], row["indicator"]): row for row in published}
+    last = {row["indicator"]: row["night"] for row in rows if row["night"] <= last_night}
+    found = []
+    for row in rows:
+        night, name = row["night"], row["indicator"]
+        old = before.get((night, name))
+        marks: Row = dict.fromkeys(MARKS)
+        if old is not None and all(row[one] == old.get(one) for one in ALARM_CONTENT):
+            marks = {one: old.get(one) for one in MARKS}
+        elif change and night <= last_night:
+            then, told = (_told(published, name, one) for one in (night, last_night))
+            is_news = told != row["to_state"] and (told in CHANGED or row["to_state"] in CHANGED)
+            is_silent = not (is_news and night == last[name])
+            marks = {"rules": change, "state_before_rules": then, "is_silent": is_silent}
+        found.append(row | marks)
+    return found
+
+
+def _told(published: Sequence[Row], name: str, night: dt.date) -> str:
+    """State of an indicator in a night, as it was told."""
+    rows = [(row["night"], row["to_state"]) for row in published if row["indicator"] == name]
+    return max((row for row in rows if row[0] <= night), default=(night, INSUFFICIENT))[1]

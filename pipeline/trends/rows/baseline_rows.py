@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from leakage.course.baseline import Baseline
 from leakage.course.change_points import find_changes
 from leakage.course.slope import LEAST_NIGHTS
-from pipeline.trends.nights.segments import Segment
 from pipeline.trends.states.standing import CHANGED, Standing
 
 Row = dict[str, Any]
@@ -25,18 +24,16 @@ def baseline_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
     """Rows of `baselines` that were frozen in some nights."""
     wanted = set(places)
     for name, watched in standing.watched.items():
-        for segment, found in zip(watched.segments, watched.monitoring, strict=True):
-            track = found.own
-            for baseline, served in zip(track.baselines, track.served_from, strict=True):
-                frozen = segment.first + served - 1
-                if frozen in wanted:
-                    yield _baseline_row(standing, name, segment, baseline, frozen)
+        for baseline, served in zip(
+            watched.found.baselines, watched.found.served_from, strict=True
+        ):
+            if served - 1 in wanted:
+                yield _baseline_row(standing, name, baseline, served - 1)
 
 
-def _baseline_row(
-    standing: Standing, name: str, segment: Segment, baseline: Baseline, frozen: int
-) -> Row:
-    indicator = standing.watched[name].indicator
+def _baseline_row(standing: Standing, name: str, baseline: Baseline, frozen: int) -> Row:
+    watched = standing.watched[name]
+    indicator = watched.indicator
     own = standing.era(frozen).own
     start, end = (
         standing.label(standing.history.place_of(number))
@@ -54,7 +51,9 @@ def _baseline_row(
         "phi": baseline.phi,
         "provisional": baseline.status == "provisional",
         "sloped": baseline.sloped,
-        "reason": "; ".join(one for one in (segment.reason, baseline.reason) if one),
+        "reason": "; ".join(
+            one for one in (watched.segment(frozen).reason, baseline.reason) if one
+        ),
     }
     if own is not None:
         row |= {
@@ -90,8 +89,8 @@ def _due(standing: Standing, name: str) -> NDArray[np.bool_]:
 
 def _steps(standing: Standing, name: str, place: int) -> Iterator[Row]:
     watched = standing.watched[name]
-    segment, _, _ = watched.at(place)
-    here = slice(segment.first, place + 1)
+    first = watched.segment(place).first
+    here = slice(first, place + 1)
     series, numbers = watched.series[here], standing.history.numbers[here]
     if int(np.isfinite(series).sum()) < LEAST_NIGHTS:
         return
@@ -104,7 +103,7 @@ def _steps(standing: Standing, name: str, place: int) -> Iterator[Row]:
             yield {
                 **standing.key(place),
                 "indicator": name,
-                "change_night": standing.label(segment.first + at),
+                "change_night": standing.label(first + at),
                 "size_percent": 100.0 * step.size / level,
                 "model": found.model.replace("_", " "),
             }

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.estimation.model_verdict import model_verdict
+from pipeline.trends.baselines.conditions import OwnConditions, regressor_row
 from pipeline.trends.baselines.flow import column_sums, expected_flow
-from pipeline.trends.baselines.own_conditions import OwnConditions, regressor_row
 from pipeline.trends.figures.indicators import (
     BASELINE_PROGRESS,
     COMPARABLE_FLOW,
@@ -37,8 +37,7 @@ def first_rows(standing: Standing, place: int) -> Iterator[Row]:
         comparable = _comparable_flow(standing, place, sums)
         if comparable is not None:
             yield _row(COMPARABLE_FLOW, "l/min", comparable) | state
-    _, _, baseline = standing.watched[DEVIATION].at(place)
-    if baseline is None:
+    if standing.watched[DEVIATION].baseline(place) is None:
         good, needed = good_nights(standing, DEVIATION, place)
         row = _row(BASELINE_PROGRESS, "%", 100.0 * min(good / needed, 1.0))
         yield row | state | {"state_reason": why_no_baseline(standing, DEVIATION, place)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,21 +14,21 @@ from leakage.course.cusum import cusum_limit
 from leakage.course.hypotheses import Posterior
 from leakage.course.slope import Slope, fit_slope
 from leakage.course.time_to_limit import time_to_limit
-from pipeline.trends.figures.indicators import (
-    NO_BASELINE,
-    PEER_DEVIATION,
-    Indicator,
-    gap_change,
-    scaled,
-)
+from pipeline.trends.figures.indicators import NO_BASELINE, PEER_DEVIATION, Indicator
 from pipeline.trends.nights.running import NIGHTS_BEFORE, coverage
 from pipeline.trends.rows.first_rows import first_rows, reference_flows
 from pipeline.trends.states.standing import CHANGED, DAYS_A_YEAR, RAISED, Standing
 from pipeline.trends.states.zeros import HALF, NO_HALT, Zero
-from pipeline.trends.why.attribution import path_behind, path_named, why_not_named
 from pipeline.trends.why.explanation_words import cannot_be_told
 from pipeline.trends.why.oil import grade_of, oil_as_measured
-from pipeline.trends.why.reasons import why_gated, why_no_baseline, why_state
+from pipeline.trends.why.reasons import (
+    path_behind,
+    path_named,
+    why_gated,
+    why_no_baseline,
+    why_not_named,
+    why_state,
+)
 
 Row = dict[str, Any]
 Array = NDArray[np.float64]
@@ -37,10 +37,10 @@ Array = NDArray[np.float64]
 def trend_rows(standing: Standing, places: Sequence[int]) -> Iterator[Row]:
     """Rows of `trends` of some nights."""
     for place in places:
-        shared = _shared(standing, place)
+        shared, flows = _shared(standing, place), reference_flows(standing, place)
         for name in standing.watched:
             yield shared | _watched_row(standing, name, place)
-            yield from (shared | row for row in _derived(standing, name, place))
+            yield from (shared | row for row in _derived(standing, name, place, flows))
         yield from (shared | row for row in first_rows(standing, place))
         if standing.peers is not None:
             yield shared | _peer_row(standing, place)
@@ -70,8 +70,7 @@ def _shared(standing: Standing, place: int) -> Row:
 
 def _watched_row(standing: Standing, name: str, place: int) -> Row:
     watched = standing.watched[name]
-    segment, found, baseline = watched.at(place)
-    inside = place - segment.first
+    found, baseline = watched.found, watched.baseline(place)
     state, indicator = standing.states[name][place], watched.indicator
     limits = watched.settings.limits
     row = _figures(indicator, place)
@@ -93,8 +92,8 @@ def _watched_row(standing: Standing, name: str, place: int) -> Row:
     row |= {
         "baseline_start": standing.label(standing.history.place_of(baseline.first_night)),
         "baseline_mean": baseline.mean - indicator.shift,
-        "deviation_percent": _finite(100.0 * found.own.deviation[inside]),
-        "cusum": _finite(found.own.evidence[inside] * limit),
+        "deviation_percent": _finite(100.0 * found.deviation[place]),
+        "cusum": _finite(found.evidence[place] * limit),
         "cusum_limit": limit,
         "warning_limit": _limit(baseline.mean * (1.0 + warning), limits.warning) - indicator.shift,
         "alarm_limit": _limit(baseline.mean * (1.0 + alarm), limits.alarm) - indicator.shift,
@@ -167,23 +166,30 @@ def _line(standing: Standing, name: str, place: int, baseline: Baseline | None) 
     return row | {"limit": limit - watched.indicator.shift} | days
 
 
-def _derived(standing: Standing, name: str, place: int) -> Iterator[Row]:
+def _derived(
+    standing: Standing, name: str, place: int, flows: Mapping[str, float]
+) -> Iterator[Row]:
     """The same of a loss factor as people are shown it: leakage of its path, change of its gap."""
     watched = standing.watched[name]
-    path = watched.indicator.path
+    path, baseline = watched.indicator.path, watched.baseline(place)
     if not path:
         return
-    _, _, baseline = watched.at(place)
-    state = {"state": standing.states[name][place]}
-    factor = reference_flows(standing, place).get(path)
+    row = _figures(watched.indicator, place) | {"state": standing.states[name][place]}
+
+    def as_shown(change: Callable[[float], float]) -> Row:
+        known = (one for one in ("value", "lower", "upper") if row[one] is not None)
+        return {one: _finite(change(row[one])) for one in known}
+
+    factor = flows.get(path)
     if factor is not None:
-        row = _figures(scaled(watched.indicator, f"leakage_{path}", "l/min", factor), place)
-        if baseline is not None:
-            row["baseline_mean"] = baseline.mean * factor
-        yield row | state
+        mean = {} if baseline is None else {"baseline_mean": factor * baseline.mean}
+        shown = as_shown(lambda figure: factor * figure)
+        yield row | shown | mean | {"indicator": f"leakage_{path}", "unit": "l/min"}
+    # The change of a gap, (K/K_baseline)^⅓ − 1, needs no geometry.
     if baseline is not None and name.startswith("K_"):
-        row = _figures(gap_change(watched.indicator, f"gap_change_{path}", baseline.mean), place)
-        yield row | state | {"baseline_mean": 0.0}
+        shown = as_shown(lambda figure: 100.0 * (np.cbrt(figure / baseline.mean) - 1.0))
+        gap = {"indicator": f"gap_change_{path}", "unit": "%", "baseline_mean": 0.0}
+        yield row | shown | gap
 
 
 def _peer_row(standing: Standing, place: int) -> Row:

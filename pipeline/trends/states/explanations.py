@@ -20,7 +20,6 @@ from leakage.course.hypotheses import CommonFactor, Posterior, mean_factor, weig
 from leakage.course.temperature_correction import TemperatureCorrection
 from leakage.estimation.block_statistics import with_path_known
 from pipeline.trends.baselines.eras import Era
-from pipeline.trends.figures.baseline_model import factors_of
 from pipeline.trends.figures.temperature import warming
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import Layout
@@ -122,7 +121,7 @@ class Explanations:
         """Nights as blocks of their own, with what their temperature does to K in the columns."""
         temperature = self.history.records["mean_temperature_c"][places]
         known = bool(np.isfinite(temperature).all()) and np.ptp(temperature) > 0.0
-        factors = factors_of(self.history, places)
+        factors = self.history.factors(places)
         driven = [*range(len(_stated(self.history).paths))]
         if (standard := self.history.layout.standard) is not None:
             factors = with_path_known(factors, *standard)

@@ -35,44 +35,22 @@ NEVER = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, slots=True)
-class LogChange:
-    """Change of a motor's indicator since its first good nights; shape (n,) each.
-
-    Attributes
-    ----------
-    change
-        ln of the indicator over the mean of the first good nights of its segment; nan if missing.
-    known_at
-        Place of the night on which that mean was known; `NEVER` where it never was.
-    segments
-        Nights by baseline.
-    """
-
-    change: Array
-    known_at: Places
-    segments: tuple[Segment, ...]
-
-    @property
-    def told(self) -> Array:
-        """The changes that were known in their own night, shape (n,)."""
-        known: Array = np.where(self.known_at <= np.arange(len(self.change)), self.change, np.nan)
-        return known
-
-
-@dataclass(frozen=True, slots=True)
 class Contribution:
     """Contribution of a motor's indicator to the comparison in its circuit; shape (n,) each.
 
     Attributes
     ----------
     change
-        Log change; each baseline continues where the one before ended. nan where there is none.
+        ln of the indicator over the mean of the first good nights of its segment; each baseline
+        continues where the one before ended. nan where there is none.
     spoken
         The same, as the other motors use it: without events entered later.
     held
         Last contribution, in nights with a fit before a new baseline is known; else nan.
-    known_at, segments
-        As in the log change.
+    known_at
+        Place of the night on which that mean was known; `NEVER` where it never was.
+    segments
+        Nights by baseline.
     """
 
     change: Array
@@ -143,35 +121,30 @@ class Peers:
         return min(self.comparable[segment.first], segment.end)
 
 
-def log_change(history: History, indicator: Indicator, parts: tuple[Segment, ...]) -> LogChange:
-    """Log change of an indicator since the first good nights of each segment."""
+def contribution(
+    history: History, indicator: Indicator, parts: tuple[Segment, ...]
+) -> Contribution:
+    """Contribution of a motor's indicator; each baseline continues where the one before ended."""
     series, needed = indicator.watched, history.spec.settings.trend.provisional_nights
-    change = np.full(len(series), np.nan)
+    change, held = np.full((2, len(series)), np.nan)
     known_at = np.full(len(series), NEVER, dtype=np.int64)
     settings = BaselineSettings(nights=needed, provisional_nights=needed)
     for part in parts:
-        here = slice(part.first, part.end)
-        baseline = fit_baseline(history.numbers[here], series[here], settings)
+        baseline = fit_baseline(history.numbers[part.here], series[part.here], settings)
         if baseline.status != "insufficient" and baseline.mean > 0:
             with np.errstate(invalid="ignore", divide="ignore"):
-                change[here] = np.log(series[here] / baseline.mean)
-            known_at[here] = history.place_of(baseline.last_night)
-    return LogChange(np.where(np.isfinite(change), change, np.nan), known_at, parts)
-
-
-def contribution(history: History, own: LogChange) -> Contribution:
-    """Contribution of a motor's indicator; each baseline continues where the one before ended."""
-    change = own.change.copy()
-    spoken, held = own.change.copy(), np.full(len(change), np.nan)
-    found = Contribution(change, spoken, held, own.known_at, own.segments)
+                log = np.log(series[part.here] / baseline.mean)
+            change[part.here] = np.where(np.isfinite(log), log, np.nan)
+            known_at[part.here] = history.place_of(baseline.last_night)
+    spoken = change.copy()
+    found = Contribution(change, spoken, held, known_at, parts)
     waits = history.fitted & ~found.known
-    for part in own.segments[1:]:
+    for part in parts[1:]:
         last = found.last_said(history, part.first)
         if np.isfinite(last):
-            here = slice(part.first, part.end)
-            change[here] += last
-            spoken[here] += last
-            held[here] = np.where(waits[here], last, np.nan)
+            change[part.here] += last
+            spoken[part.here] += last
+            held[part.here] = np.where(waits[part.here], last, np.nan)
     return found
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from leakage.course.alarms import OF_SEVERITY, Limits
 from leakage.course.hypotheses import Posterior
-from leakage.course.monitoring import ChangeSize, Track, change_size, track
+from leakage.course.monitoring import ChangeSize, change_size, monitor
 from pipeline.config.nights import night as night_labelled
 from pipeline.trends.baselines.eras import Era
 from pipeline.trends.figures.indicators import DEVIATION, MODEL_MISFIT, TEMPERATURE_EFFECT
@@ -108,8 +108,7 @@ class Standing:
     def _told(self) -> dict[str, tuple[str, ...]]:
         """The same of the watched indicators alone."""
         found: dict[str, list[str]] = {
-            name: [state for part in one.monitoring for state in part.states]
-            for name, one in self.watched.items()
+            name: list(one.found.states) for name, one in self.watched.items()
         }
         # A baseline that no longer holds is a warning: under it, wear would not show.
         flow = found[DEVIATION]
@@ -143,10 +142,11 @@ class Standing:
             return "common_cause" if "common_cause" in others and not others & {*RAISED} else told
         if name not in self.watched:
             return told
-        segment, found, _ = self.watched[name].at(place)
-        if found.own.limit_severity[place - segment.first] or name == FLUSHING:
+        watched = self.watched[name]
+        if watched.found.limit_severity[place] or name == FLUSHING:
             return told
-        return "common_cause" if self._is_of_circuit(name, place, segment.first) else told
+        first = watched.segment(place).first
+        return "common_cause" if self._is_of_circuit(name, place, first) else told
 
     def _is_of_circuit(self, name: str, place: int, first: int) -> bool:
         """True if a rise is common to all motors of the oil circuit.
@@ -181,7 +181,7 @@ class Standing:
 
     def relative_sd(self, name: str, place: int) -> float:
         """Scatter of the nights of the baseline that serves a night, from the safe side."""
-        _, _, baseline = self.watched[name].at(place)
+        baseline = self.watched[name].baseline(place)
         return 0.0 if baseline is None else baseline.highest_sd() / baseline.mean
 
     @cached_property
@@ -191,12 +191,12 @@ class Standing:
         settings = replace(watched.settings, limits=Limits())
         found: list[str] = []
         for part in watched.segments:
-            here = slice(part.first, part.end)
+            here = part.here
             if self.peers is None:
                 found += ["insufficient"] * (part.end - part.first)
                 continue
             series = watched.series[here] / np.exp(self.peers.others[here])
-            one = track(self.history.numbers[here], series, settings)
+            one = monitor(self.history.numbers[here], series, settings)
             known = self.peers.known_from(part) <= np.arange(part.first, part.end)
             state = np.array(OF_SEVERITY, dtype=object)[one.severity]
             state[~(known & one.has_baseline)] = "insufficient"
@@ -226,9 +226,8 @@ class Standing:
 
     def onset(self, name: str, place: int) -> int | None:
         """Place of the night on which the change began that an indicator tells; None: none told."""
-        segment, found, _ = self.watched[name].at(place)
-        onset = int(found.own.onset[place - segment.first])
-        return segment.first + onset if onset >= 0 else None
+        onset = int(self.watched[name].found.onset[place])
+        return onset if onset >= 0 else None
 
     def rise(self, name: str, place: int) -> ChangeSize | None:
         """Size of the rise that an indicator reports, relative to its baseline; None without one.
@@ -236,13 +235,14 @@ class Standing:
         Negative if the rise has since been undone.
         """
         watched = self.watched[name]
-        segment, found, _ = watched.at(place)
-        here, inside, own = slice(segment.first, place + 1), place - segment.first, found.own
-        if not own.severity[inside]:
+        found, baseline = watched.found, watched.baseline(place)
+        if baseline is None or not found.severity[place]:
             return None
-        if own.onset[inside] < 0:
-            own = _with_onset_by_level(own, inside, watched.settings.levels.on_nights)
-        return change_size(self.history.numbers[here], watched.series[here], own, inside)
+        onset = int(found.onset[place])
+        if onset < 0:
+            good, _ = self._counted_nights(name, place)
+            onset = int(good[-watched.settings.levels.on_nights :][0])
+        return change_size(self.history.numbers, watched.series, baseline, onset, place)
 
     def has_fallen(self, name: str, place: int) -> bool:
         """True if an indicator still reports a rise but is no longer above its baseline."""
@@ -274,22 +274,23 @@ class Standing:
 
     def _onset_of_rise(self, name: str, place: int) -> int | None:
         """The same as `onset`, of a rise that only the levels tell as well."""
-        segment, found, _ = self.watched[name].at(place)
-        inside, own = place - segment.first, found.own
-        if own.severity[inside] and own.onset[inside] < 0:
-            return segment.first + self._onset_by_level(name, place)
-        return self.onset(name, place)
-
-    def _onset_by_level(self, name: str, place: int) -> int:
-        """Place in its segment of the first night that the levels count for a rise."""
         watched = self.watched[name]
-        segment, found, _ = watched.at(place)
-        levels, deviation = watched.settings.levels, found.own.deviation
-        off = np.flatnonzero(found.own.severity[: place - segment.first + 1] == 0)
-        went_on = int(off[-1]) + 1 if len(off) else 0
-        good = np.flatnonzero(np.isfinite(deviation[: went_on + 1]))[-levels.of_nights :]
-        above = good[deviation[good] >= self.levels(name, place)[0]]
+        found = watched.found
+        if not found.severity[place] or found.onset[place] >= 0:
+            return self.onset(name, place)
+        good, went_on = self._counted_nights(name, place)
+        good = good[-watched.settings.levels.of_nights :]
+        above = good[found.deviation[good] >= self.levels(name, place)[0]]
         return int(above[0]) if len(above) else went_on
+
+    def _counted_nights(self, name: str, place: int) -> tuple[NDArray[np.intp], int]:
+        """Good nights up to that on which the levels told a rise of a night, and that night."""
+        watched = self.watched[name]
+        first = watched.segment(place).first
+        off = np.flatnonzero(watched.found.severity[first : place + 1] == 0)
+        went_on = first + (int(off[-1]) + 1 if len(off) else 0)
+        good = np.flatnonzero(np.isfinite(watched.found.deviation[first : went_on + 1]))
+        return first + good, went_on
 
     def _sudden_places(self, place: int) -> list[int]:
         """Places of the sudden changes that stand in a night."""
@@ -302,10 +303,8 @@ class Standing:
         nights before a wear began, is none. Where nothing is told, the nights since the baseline
         began.
         """
-        segment, _, _ = self.watched[name].at(place)
-        onset = self.onset(name, place)
-        began = [] if onset is None else [onset]
-        return max([segment.first, *began, *self._sudden_places(place)])
+        first, onset = self.watched[name].segment(place).first, self.onset(name, place)
+        return max([first, *([] if onset is None else [onset]), *self._sudden_places(place)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,16 +328,3 @@ class States(Sequence[str]):
         if isinstance(places, range):
             return tuple(self.standing.state(self.name, one) for one in places)
         return self.standing.state(self.name, places)
-
-
-def _with_onset_by_level(own: Track, inside: int, needed: int) -> Track:
-    """A track with the onset of a step that the levels tell and the sum does not.
-
-    It is the first of the nights that they count.
-    """
-    off = np.flatnonzero(own.severity[: inside + 1] == 0)
-    went_on = int(off[-1]) + 1 if len(off) else 0
-    good = np.flatnonzero(np.isfinite(own.deviation[: went_on + 1]))
-    onset = own.onset.copy()
-    onset[inside] = good[-needed:][0]
-    return replace(own, onset=onset)

@@ -103,7 +103,7 @@ def sudden_changes(
 
 def _jumps(history: History, part: Segment, series: Array, least: float) -> dict[int, Jump]:
     """Jumps of a series by their first night; places are those of the segment."""
-    here = slice(part.first, part.end)
+    here = part.here
     longest = history.spec.settings.alarms.stale_after_nights
     jumps = find_jumps(history.numbers[here], series[here], least, LEAST_SCATTER, longest)
     return {one.place: one for one in jumps}

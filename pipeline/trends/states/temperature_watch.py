@@ -112,7 +112,7 @@ def temperature_watch(
     value, half, evidence = (np.full(n, np.nan) for _ in range(3))
     state = np.full(n, "insufficient", dtype=object)
     for era in eras:
-        frozen, here = era.temperature, slice(era.segment.first, era.segment.end)
+        frozen, here = era.temperature, era.segment.here
         if era.model is None:
             continue
         ratio = np.where(changed[here], np.nan, gap_ratio(history, era.segment, era.model))

@@ -31,8 +31,10 @@ class Watched:
         Its figures over all nights.
     series
         What was watched, shape (n,).
-    segments, monitoring
-        Nights by baseline, and the states within each.
+    segments
+        Nights by baseline.
+    found
+        Its states, segment by segment; places are those of the history.
     settings
         How it was watched.
     """
@@ -40,15 +42,16 @@ class Watched:
     indicator: Indicator
     series: Array
     segments: tuple[Segment, ...]
-    monitoring: tuple[Monitoring, ...]
+    found: Monitoring
     settings: MonitorSettings
 
-    def at(self, place: int) -> tuple[Segment, Monitoring, Baseline | None]:
-        """Segment and monitoring of a night, and the baseline that serves it."""
-        for segment, found in zip(self.segments, self.monitoring, strict=True):
-            if place < segment.end:
-                return segment, found, found.own.baseline_at(place - segment.first)
-        raise IndexError(place)
+    def segment(self, place: int) -> Segment:
+        """Segment of a night."""
+        return next(one for one in self.segments if place < one.end)
+
+    def baseline(self, place: int) -> Baseline | None:
+        """Baseline that serves a night; None before there is one."""
+        return self.found.baseline_at(place) if self.found.has_baseline[place] else None
 
 
 def watch(
@@ -66,16 +69,31 @@ def watch(
             indicator,
             series,
             parts,
-            tuple(_monitored(history, part, indicator, settings) for part in parts),
+            _joined(parts, [_monitored(history, part, indicator, settings) for part in parts]),
             settings,
         )
     return watched
 
 
+def _joined(parts: Sequence[Segment], found: Sequence[Monitoring]) -> Monitoring:
+    """States of all segments in one, its places those of the history."""
+    pairs = list(zip(parts, found, strict=True))
+    columns = ("deviation", "evidence", "severity", "limit_severity", "has_baseline", "since_good")
+    return Monitoring(
+        states=[state for one in found for state in one.states],
+        baselines=tuple(baseline for one in found for baseline in one.baselines),
+        served_from=tuple(part.first + place for part, one in pairs for place in one.served_from),
+        onset=np.concatenate(
+            [np.where(one.onset >= 0, part.first + one.onset, -1) for part, one in pairs]
+        ),
+        **{name: np.concatenate([getattr(one, name) for one in found]) for name in columns},
+    )
+
+
 def _monitored(
     history: History, part: Segment, indicator: Indicator, settings: MonitorSettings
 ) -> Monitoring:
-    here = slice(part.first, part.end)
+    here = part.here
     series, limited = indicator.watched[here], indicator.trusted[here]
     allowance = np.broadcast_to(indicator.allowance, len(history))[here]
     return monitor(history.numbers[here], series, settings, allowance, limited)

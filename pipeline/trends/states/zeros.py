@@ -97,7 +97,7 @@ def _zero(history: History, decisions: Sequence[Decision], name: str) -> Zero:
     parts = segments(history, decisions, name)
     rule = nights_rule(history.spec)
     for part in parts:
-        here = slice(part.first, part.end)
+        here = part.here
         found = zero_course(
             history.numbers[here],
             value[here],

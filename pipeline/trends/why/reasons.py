@@ -1,4 +1,4 @@
-"""Reasons for an indicator's state, in plain words with figures and intervals."""
+"""Reasons for an indicator's state, in plain words with figures, and the path that is named."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ from leakage.course.hypotheses import Posterior
 from leakage.course.monitoring import NIGHTS_OF_SIZE, weights_of_now
 from pipeline.trends.baselines.duty import UNCERTAIN, duty_words
 from pipeline.trends.figures.indicators import DEVIATION, OWN_REFERENCE, REFERENCE
-from pipeline.trends.nights.records import FLUSHING
+from pipeline.trends.nights.records import BALANCED, FLUSHING, OUTSIDE
 from pipeline.trends.states.standing import CHANGED, RAISED, Standing
 from pipeline.trends.states.words import FALL, limit_words, moved_words, size_words, unknown_words
-from pipeline.trends.why.attribution import why_not_named
 from pipeline.trends.why.explanation_words import why_words
 
 Array = NDArray[np.float64]
@@ -23,28 +22,26 @@ def why_state(standing: Standing, name: str, place: int, behind: Posterior | Non
     """Reason why an indicator with a baseline is not ok in a night; drifting sensors first."""
     state = standing.states[name][place]
     watched = standing.watched[name]
-    segment, found, _ = watched.at(place)
-    inside = place - segment.first
     if state == "duty_outside":
         return _outside_words(standing, place)
     if state == "stale":
-        nights = int(found.own.since_good[inside])
+        nights = int(watched.found.since_good[place])
         return f"no trusted figure for {nights} nights: {why_gated(standing, name, place)}"
     parts = [sensors_words(standing, place)]
     sudden = standing.sudden_at(place)
-    told = found.own.severity[inside] > 0 or found.own.limit_severity[inside] > 0
-    if found.own.limit_severity[inside]:
+    has_risen, beyond = watched.found.severity[place] > 0, watched.found.limit_severity[place] > 0
+    if beyond:
         parts.append(_beyond_limit(standing, name, place))
-    if found.own.severity[inside]:
+    if has_risen:
         parts += _sizes(standing, name, place)
-    if state in RAISED and told:
+    if state in RAISED and (has_risen or beyond):
         parts += _moved_with_it(standing, name, place)
-    if found.own.severity[inside]:
+    if has_risen:
         begin = standing.earliest_onset(place)
         parts.append(_cause(standing, place, begin, behind, watched.indicator.path))
-    if sudden is not None and (told or name == DEVIATION):
+    if sudden is not None and (has_risen or beyond or name == DEVIATION):
         parts.append(sudden.words)
-        if not found.own.severity[inside]:
+        if not has_risen:
             behind = standing.why.at(place, sudden.place)
             parts.append(_cause(standing, place, sudden.place, behind))
     return "; ".join(part for part in parts if part)
@@ -84,21 +81,20 @@ def _outside_words(standing: Standing, place: int) -> str:
 def good_nights(standing: Standing, name: str, place: int) -> tuple[int, int]:
     """Good nights towards an indicator's first baseline, and how many it needs."""
     watched = standing.watched[name]
-    segment, _, _ = watched.at(place)
-    told = watched.indicator.told[segment.first : place + 1]
-    counts = np.isfinite(watched.series[segment.first : place + 1])
-    if not told.any() and name in (DEVIATION, OWN_REFERENCE):
-        counts = standing.history.fitted[segment.first : place + 1]
+    here = slice(watched.segment(place).first, place + 1)
+    counts = np.isfinite(watched.series[here])
+    if not watched.indicator.told[here].any() and name in (DEVIATION, OWN_REFERENCE):
+        counts = standing.history.fitted[here]
     return int(counts.sum()), watched.settings.baseline.provisional_nights
 
 
 def why_no_baseline(standing: Standing, name: str, place: int) -> str:
     """Reason why there is no baseline yet, with the good nights so far."""
-    segment, _, _ = standing.watched[name].at(place)
     good, needed = good_nights(standing, name, place)
     if good >= needed:
         return f"the mean of {needed} good nights is not above 0: nothing to be relative to"
-    parts = [f"{good} of {needed} good nights for a baseline ({segment.reason})"]
+    begins = standing.watched[name].segment(place).reason
+    parts = [f"{good} of {needed} good nights for a baseline ({begins})"]
     sudden = standing.sudden_at(place)
     return "; ".join(parts if sudden is None else [*parts, sudden.words])
 
@@ -112,17 +108,15 @@ def sensors_words(standing: Standing, place: int) -> str:
 def way_of(standing: Standing, name: str, place: int) -> str:
     """The way into a warning or an alarm: level, change, both, sudden or jump."""
     watched = standing.watched[name]
-    segment, found, _ = watched.at(place)
-    inside = place - segment.first
-    own = found.own
-    if not own.severity[inside] and not own.limit_severity[inside]:
+    found = watched.found
+    if not found.severity[place] and not found.limit_severity[place]:
         return "jump"
     levels, sd = watched.settings.levels, standing.relative_sd(name, place)
-    if sudden_nights(own.deviation[: inside + 1], sd, levels)[-1]:
+    if sudden_nights(found.deviation[watched.segment(place).first : place + 1], sd, levels)[-1]:
         return "sudden"
-    by_sum = bool(own.onset[inside] >= 0)
+    by_sum = bool(found.onset[place] >= 0)
     warning, _ = levels.in_effect(sd)
-    by_level = bool(own.deviation[inside] >= warning) or bool(own.limit_severity[inside])
+    by_level = bool(found.deviation[place] >= warning) or bool(found.limit_severity[place])
     return "both" if by_sum and by_level else "change" if by_sum else "level"
 
 
@@ -152,18 +146,12 @@ def _sizes(standing: Standing, name: str, place: int) -> list[str]:
 def _beyond_limit(standing: Standing, name: str, place: int) -> str:
     """That an indicator lies above a limit of its motor type."""
     watched = standing.watched[name]
-    segment, found, _ = watched.at(place)
-    value = _latest(watched.series[segment.first : place + 1]) - watched.indicator.shift
-    limits = watched.settings.limits
-    is_alarm = found.own.limit_severity[place - segment.first] > 1
-    limit = limits.alarm if is_alarm else limits.warning
-    return limit_words(name, value, float(limit or 0.0), watched.indicator.unit)
-
-
-def _latest(values: Array) -> float:
-    """The last value that there is; 0 without one."""
+    values = watched.series[watched.segment(place).first : place + 1]
     known = values[np.isfinite(values)]
-    return float(known[-1]) if len(known) else 0.0
+    value = (float(known[-1]) if len(known) else 0.0) - watched.indicator.shift
+    limits = watched.settings.limits
+    limit = limits.alarm if watched.found.limit_severity[place] > 1 else limits.warning
+    return limit_words(name, value, float(limit or 0.0), watched.indicator.unit)
 
 
 def _moved_with_it(standing: Standing, name: str, place: int) -> list[str]:
@@ -185,9 +173,8 @@ def _moved(standing: Standing, other: str, name: str, place: int) -> tuple[int, 
     or not recently. Rank 0: never known.
     """
     watched, history = standing.watched[other], standing.history
-    segment, found, _ = watched.at(place)
-    deviation = found.own.deviation[: place - segment.first + 1]
-    known = segment.first + np.flatnonzero(np.isfinite(deviation))
+    first, deviation = watched.segment(place).first, watched.found.deviation
+    known = first + np.flatnonzero(np.isfinite(deviation[first : place + 1]))
     if not len(known):
         return 0, ""
     last, begin = int(known[-1]), standing.change_start(name, place) or 0
@@ -196,4 +183,63 @@ def _moved(standing: Standing, other: str, name: str, place: int) -> tuple[int, 
         return 1, unknown_words(other, standing.label(last))
     now = known[known >= begin][-NIGHTS_OF_SIZE:]
     weights = weights_of_now(history.numbers[now])
-    return 2, moved_words(other, 100.0 * float(weights @ deviation[now - segment.first]))
+    return 2, moved_words(other, 100.0 * float(weights @ deviation[now]))
+
+
+def path_behind(standing: Standing, name: str, place: int) -> Posterior | None:
+    """Explanation of the change that an indicator reports as a rise.
+
+    None without a reported rise or after a fall, for the sensors' zeros, and if the cause cannot be
+    determined; for the flushing, unless the gaps moved against it.
+    """
+    if name in standing.by_own_rules or standing.has_fallen(name, place):
+        return None
+    if standing.told[name][place] not in CHANGED:
+        return None
+    found = standing.explained(place)
+    return None if name == FLUSHING and not (found and found.taken_back) else found
+
+
+def why_not_named(standing: Standing, place: int, found: Posterior) -> str:
+    """Reason why no path may be named in a night, in words; empty where one may.
+
+    Duty first, then a common change, then the model.
+    """
+    duty = standing.history.records["duty"][place]
+    if duty == OUTSIDE:
+        return duty_words(standing.history, standing.era(place), place)
+    if found.verdict == "common" or found.taken_back:
+        return ""
+    if standing.model.state[place] == "warning" and not _is_of_factor(standing, place, found):
+        return f"no path is named: {standing.model.words(place)}"
+    if duty != BALANCED:
+        return ""
+    elsewhere = "at another duty than the baseline's"
+    if words := standing.model.words(place):
+        return f"no path is named {elsewhere}: {words}"
+    raised = {
+        one.indicator.path
+        for name, one in standing.watched.items()
+        if standing.told[name][place] in CHANGED
+    }
+    if set(found.named) - raised:
+        return f"which path cannot be told {elsewhere}"
+    return ""
+
+
+def _is_of_factor(standing: Standing, place: int, found: Posterior) -> bool:
+    """True if a common factor explains the model's misfit: the rollers are held as stated in it."""
+    misfit = standing.model.at(place)
+    return found.is_common and misfit is not None and misfit.kinds == ("speed",)
+
+
+def path_named(standing: Standing, name: str, place: int, found: Posterior | None) -> str | None:
+    """The paths behind a state; None where none can be named.
+
+    A loss factor speaks for its own path alone.
+    """
+    if found is None or why_not_named(standing, place, found):
+        return None
+    own = standing.watched[name].indicator.path
+    named = [one for one in found.named if not own or one == own]
+    return " and ".join(named) or None

@@ -36,7 +36,7 @@ def test_with_a_config_it_lies_in_the_output_and_bears_the_fleet_s_name(
     page = (index.parent / "motors" / f"{MOTOR}.html").read_text("utf-8")
     assert '"kind":"overhaul","note":"new \\u003cb\\u003eseals' in page
     # The fleet's page alone tells when it was made.
-    assert call("report", fleet)[1].startswith("6 motors, 0 nights updated, 1 files written")
+    assert call("report", fleet)[1].startswith("6 motors, 0 nights updated, 1 file written")
 
 
 def test_the_tables_alone_will_do(call: Call, output: Path) -> None:

@@ -356,8 +356,8 @@ def standings(
         name: Part.of(with_misfit(change(one, said[name]), said[name], dt.date.min), said[name])
         for name, one in found.items()
     }
-    neighbours = neighbours_of(parts) if len(parts) > 1 else {}
-    return {name: standing_of(part, neighbours.get(name)) for name, part in parts.items()}
+    peers, circuit = neighbours_of(parts)
+    return {name: standing_of(part, peers.get(name), circuit) for name, part in parts.items()}
 
 
 def standing(nights: Nights, *decisions: Decision, tonight: int | None = None) -> Standing:

@@ -23,9 +23,8 @@ from pipeline.trends.rows.first_rows import reference_flows
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.explanations import Explanations
 from pipeline.trends.states.standing import RAISED, Standing
-from pipeline.trends.why.attribution import path_behind, path_named
 from pipeline.trends.why.explanation_words import cannot_be_told
-from pipeline.trends.why.reasons import why_state
+from pipeline.trends.why.reasons import path_behind, path_named, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     PATHS,

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.trends.circuits import Circuit, decisions_of
+from pipeline.trends.circuits import Circuit, beginnings, decisions_of, earlier_views
 from pipeline.trends.nights import trend_record as record
-from pipeline.trends.nights.beginnings import beginnings, earlier_views
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.trend_record import (
     Record,

@@ -26,8 +26,7 @@ from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import BALANCED, OUTSIDE, Layout
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.standing import Standing
-from pipeline.trends.why.attribution import path_behind, path_named, why_not_named
-from pipeline.trends.why.reasons import why_state
+from pipeline.trends.why.reasons import path_behind, path_named, why_not_named, why_state
 from tests.pipeline.trends.blocks import blocks_of
 from tests.pipeline.trends.nights import (
     OIL,

@@ -11,7 +11,8 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.trends.baselines.eras import eras_of, indicators_of
+from pipeline.trends.baselines.eras import eras_of
+from pipeline.trends.baselines.leakages import indicators_of
 from pipeline.trends.figures.filtered_nights import Filtered, with_filter
 from pipeline.trends.figures.indicators import Indicator, coefficients, with_filtered
 from pipeline.trends.figures.temperature import Effect

@@ -12,9 +12,8 @@ from pipeline.config.oil_samples import OilSample
 from pipeline.trends.figures.indicators import REFERENCE
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.standing import Standing
-from pipeline.trends.why.attribution import path_behind
 from pipeline.trends.why.oil import oil_as_measured, viscosity_ratio
-from pipeline.trends.why.reasons import why_state
+from pipeline.trends.why.reasons import path_behind, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     Nights,

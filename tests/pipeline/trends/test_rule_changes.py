@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from pipeline.trends.nights.trend_record import Record
-from pipeline.trends.rows.rule_changes import MARKS, change_of_rules, marked, rules_now
+from pipeline.trends.rows.alarm_rows import MARKS, change_of_rules, marked, rules_now
 from tests.pipeline.trends.nights import motor
 
 Row = dict[str, Any]

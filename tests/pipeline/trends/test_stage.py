@@ -33,7 +33,7 @@ from pipeline.trends.nights.trend_record import (
     trend_hash,
     write_record,
 )
-from pipeline.trends.rows.rule_changes import rules_now
+from pipeline.trends.rows.alarm_rows import rules_now
 from pipeline.trends.stage import new_alarms, with_q_values
 from pipeline.trends.tasks import TrendTask, trend_tasks
 from pipeline.workers.process import Loss

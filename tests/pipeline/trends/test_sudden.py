@@ -8,8 +8,7 @@ import pytest
 
 from pipeline.trends.figures.indicators import DEVIATION
 from pipeline.trends.states.standing import RAISED, Standing
-from pipeline.trends.why.attribution import path_behind
-from pipeline.trends.why.reasons import way_of, why_state
+from pipeline.trends.why.reasons import path_behind, way_of, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     PATHS,

@@ -9,8 +9,7 @@ from pipeline.trends.rows.alarm_rows import alarm_rows
 from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.states.standing import Standing
 from pipeline.trends.states.zeros import FLOW_ZERO, PRESSURE_ZERO, tolerance
-from pipeline.trends.why.attribution import path_behind
-from pipeline.trends.why.reasons import why_state
+from pipeline.trends.why.reasons import path_behind, why_state
 from tests.pipeline.trends.nights import Nights, event, motor, named, ramp, reset, standing, step
 
 N, AT = 100, 60
