@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UsageError
+from pipeline.messages import counted
 from pipeline.report.explain_residuals import explain_residuals
 from pipeline.report.words import UNITS
 from pipeline.schema import (
@@ -99,7 +100,7 @@ def _files(rows: list[Row], told: str | None) -> Iterator[str]:
     for row in rows:
         # What failed the night stands in the headline.
         said = f"; {row['message']}" if row["message"] not in (None, told) else ""
-        size = "" if row["rows"] is None else f", {row['rows']} rows"
+        size = "" if row["rows"] is None else f", {counted(row['rows'], 'row')}"
         yield f"log {row['path']}: {row['status']}{size}{said}"
 
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
@@ -115,7 +114,7 @@ def _indicators(motor: MotorHistory) -> list[Payload]:
 def _indicator(rows: pl.DataFrame) -> Payload:
     last = rows.row(-1, named=True)
     columns = {name: rows[name].cast(pl.Float64).to_numpy() for name in COURSES}
-    places = keep_extremes(np.column_stack([columns["value"], columns["cusum"]]), PLOTTED_NIGHTS)
+    places = keep_extremes([columns["value"], columns["cusum"]], PLOTTED_NIGHTS)
     states = rows["state"].to_list()
     return {
         "indicator": last["indicator"],

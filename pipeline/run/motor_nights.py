@@ -146,6 +146,8 @@ class MotorNights:
         )
         self.form = as_published(task.output, self.spec)
         self.hashes = SettingsHashes(self.form)
+        # Nights whose form this run changed: as they told the scale before.
+        self.first_told: dict[dt.date, bool | None] = {}
         self.done: dict[dt.date, NightOutcome] = {}
         self.records: dict[dt.date, NightRecord] = dict(self.before.nights)
         self.kept: set[dt.date] = set()
@@ -258,7 +260,7 @@ class MotorNights:
             return False
         if self.task.since is not None or self.task.until is not None:
             return self.form.roller_is_free
-        told = {label: one.tells_roller for label, one in self.records.items()}
+        told = {label: one.tells_roller for label, one in self.records.items()} | self.first_told
         begins = [event.date for event in self.spec.file.events]
         return is_roller_free(told, begins, self.spec.settings.trend.provisional_nights)
 

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.messages import counted
 from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
 from pipeline.telling.outbox import (
     TOLD_ALARMS,
@@ -50,7 +51,9 @@ def deliver(
         left = outbox.queues[receiver.name]
         if left.waiting:
             n = sum(len(one.changes) for one in left.waiting)
-            faults.append(f"{receiver.label}: {left.fault}; {n} changes wait for the next run")
+            faults.append(
+                f"{receiver.label}: {left.fault}; for the next run: {counted(n, 'change')}"
+            )
     return tuple(faults)
 
 

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
+from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
@@ -102,8 +103,8 @@ class Backlog:
         """The undelivered rows in words."""
         why = f"; last try: {self.fault}" if self.fault else ""
         return (
-            f"not delivered to {self.receiver}: {self.undelivered} changes of state, since "
-            f"{self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+            f"not delivered to {self.receiver}: {counted(self.undelivered, 'change')} of state, "
+            f"since {self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
         )
 
 
@@ -186,7 +187,8 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
     outbox = taken_up(before or Outbox(), output, fleet, told)
     for name in sorted(outbox.queues.keys() - set(names)):
         if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
-            log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
+            words = "alarms: there is no %s any more; not delivered: %s"
+            log.warning(words, name, counted(n, "change"))
     for name in sorted(set(names) - outbox.queues.keys()):
         if outbox.known:
             log.warning(

@@ -99,7 +99,7 @@ def test_ctrl_c_publishes_what_is_finished_and_leaves_no_worker_behind(tmp_path:
         out, err = process.communicate(timeout=60)
         assert process.returncode == 130
         wait_until(lambda: not in_session(process.pid))
-    assert "interrupted; 1 nights of 1 motors" in out
+    assert "interrupted; 1 night of 1 motor " in out
     assert err == ""
     assert plain_run(fleet, output_of(fleet)) == (1, 0)
     plain_run(fleet, tmp_path / "plain")

@@ -640,7 +640,7 @@ def test_a_signal_keeps_what_is_done(
     (os.killpg if to_all else os.kill)(process.pid, number)
     out, err = process.communicate(timeout=60)
     assert process.returncode == code
-    assert out.startswith("interrupted; 3 nights of 1 motors")
+    assert out.startswith("interrupted; 3 nights of 1 motor ")
     assert "Traceback" not in err or to_all  # a worker may tell of its own interruption
     check_same_tables(output_of(fleet), fitted_output, CSV)
     assert rows(output_of(fleet), "fits", PARQUET).is_empty()

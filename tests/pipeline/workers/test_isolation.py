@@ -418,7 +418,7 @@ def test_a_signal_while_trends_are_made_keeps_the_fits(
     assert process.returncode == code
     assert err.startswith(f"motor-leakage: interrupted: stopped by {number.name}")
     assert len(err.splitlines()) == 1
-    assert "interrupted; 0 nights of 1 motors" in out
+    assert "interrupted; 0 nights of 1 motor " in out
     runs = pl.read_parquet(output_of(fleet) / "tables/runs/**/*.parquet").sort("started_at")
     assert runs["status"][-1] == "interrupted"
     again = replace(load_fleet(fleet), execution=Execution(backend="sequential"))
