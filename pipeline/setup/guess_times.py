@@ -159,9 +159,9 @@ def _formats_of(stamp: str) -> Iterator[str]:
     dates = _date_formats(match)
     if match["half"]:
         # Where noon is 12 PM the month is mostly written first.
-        dates.sort(key=lambda date: not date.startswith("%m"))
-    for date in dates:
-        yield date + match["between"] + _clock_format(match) + behind
+        dates.sort(key=lambda one: not one.startswith("%m"))
+    for one in dates:
+        yield one + match["between"] + _clock_format(match) + behind
 
 
 def _date_formats(match: re.Match[str]) -> list[str]:
