@@ -43,7 +43,7 @@ class ModelSubject:
     oil_name: str  # name in the oil's file
     # Data-sheet points (temperature, [°C]; kinematic viscosity, [mm²/s]).
     reference_viscosities: tuple[tuple[float, float], ...]
-    roughness_m: tuple[float, float]  # r_a of the two surfaces of a gap, [m]
+    roughness_m: tuple[float, float]  # R_a of the two surfaces of a gap, [m]
     # pressure_bar, temperature_c, speed_rpm: reference conditions.
     pressure_bar: float
     temperature_c: float

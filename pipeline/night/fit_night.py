@@ -92,7 +92,7 @@ def fit_night(
     Parameters
     ----------
     spec
-        The motor with its resolved config.
+        The motor with its resolved config, in the form in which it is fitted.
     night
         The night.
     channels
@@ -120,8 +120,8 @@ def fit_night(
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
             _require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
-            motor = spec.motor(night.date, spec.file.flushing.mode)
-            statistics = night_statistics(spec, motor, night, samples)
+            motor = spec.stated.motor(night.date, spec.file.flushing.mode)
+            statistics = night_statistics(spec.stated, motor, night, samples)
             ratio = _sensor_ratio(motor, samples)
             rows["block_statistics"] = statistics_rows(
                 spec.motor_id, night.date, motor, statistics, ratio

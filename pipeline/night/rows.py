@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from leakage.estimation.certificate import Certificate
 from leakage.estimation.identifiability import ONE_BLOCK, OUTSIDE, LeakageJudgement
 from leakage.estimation.least_squares import Fit
 from leakage.estimation.model_verdict import LowSide, model_verdict, verdict_in_words
@@ -23,7 +24,7 @@ from leakage.estimation.validation import (
 )
 from pipeline.arrays import chosen_rows, utc
 from pipeline.config import MotorSpec
-from pipeline.night.block_fit import OWN, REFERENCE, BlockFit
+from pipeline.night.block_fit import OWN, REFERENCE, BlockFit, in_form
 from pipeline.night.fit import transport_delays_s
 from pipeline.night.parameter_rows import parameter_rows
 from pipeline.night.residual_rows import residual_columns, residual_test_rows, residual_verdict_rows
@@ -62,6 +63,11 @@ def fit_rows(
 ) -> Rows:
     """Rows of `fits` and of all tables below a fit, for all modes of flushing."""
     shared = _shared_columns(spec, night, statistics)
+    stated = spec.stated.motor(night, spec.file.flushing.mode)
+
+    def judged_on(part: str | None = None) -> Array:
+        return in_form(spec, stated, statistics.judged_on(part))
+
     motor_night = {"motor_id": spec.motor_id, "night": night}
     period_s = statistics.samples.period_us / 1e6
     rows: Rows = {
@@ -74,10 +80,11 @@ def fit_rows(
     }
     for mode in modes:
         key = motor_night | {"flushing_mode": mode.name}
-        own = shared | key | _mode_columns(spec, statistics, mode, previous.get(mode.name))
+        before = previous.get(mode.name)
+        own = shared | key | _mode_columns(spec, statistics, mode, judged_on, before)
         rows["fits"].append(own | criteria_columns(own))
         rows["parameters"] += [key | row for row in parameter_rows(spec, mode)]
-        rows["starts"] += [key | row for row in start_rows(mode.fit)]
+        rows["starts"] += [key | row for row in start_rows(mode.stated.fit)]
         for name, made in (
             ("residual_tests", residual_test_rows),
             ("residual_verdicts", residual_verdict_rows),
@@ -110,8 +117,6 @@ def _shared_columns(spec: MotorSpec, night: dt.date, statistics: NightStatistics
         "loss": spec.settings.estimation.loss,
         "oil": spec.file.oil_on(night),
         "model_hash": statistics.model_hash,
-        "columns": list(spec.motor(night, spec.file.flushing.mode).columns),
-        "night_factor": upper_triangle(statistics.judged_on()),
         "n_kept": len(samples.index),
         "sample_period_s": samples.period_us / 1e6,
         "mean_charge_over_case_bar": mean_charge_bar(spec, samples),
@@ -143,9 +148,14 @@ def _mode_columns(
     spec: MotorSpec,
     statistics: NightStatistics,
     mode: BlockFit,
+    judged_on: Callable[..., Array],
     previous: tuple[float, ...] | None,
 ) -> Row:
     """Figures of one fit."""
+    whole, agrees = judged_on(), (judged_on, mode.training)
+    # As of a night fitted from its weighted blocks, which cannot tell how the samples agree.
+    if spec.settings.estimation.loss != "squared":
+        agrees = statistics.judged_on, mode.stated.training
     chosen = chosen_rows(statistics.rows_of(TRAINING))
     consecutive = np.diff(statistics.samples.index[chosen]) == 1
     error = mode.prediction_error[chosen]
@@ -154,12 +164,14 @@ def _mode_columns(
     return {
         "transport_delay_s": configured_delay,
         "estimated_transport_delay_s": estimated_delay,
-        **search_columns(mode.fit),
+        **search_columns(mode.stated.fit),
         "correlation_time_s": mode.memory_s,
         "n_effective": effective_sample_count(len(error), phi),
         "lag_one_autocorrelation": phi,
-        **agreement_columns(spec, statistics.judged_on, mode),
-        **previous_model_columns(spec, statistics.judged_on(), previous),
+        "columns": list(mode.fit.motor.columns),
+        "night_factor": upper_triangle(whole),
+        **agreement_columns(spec, *agrees),
+        **previous_model_columns(spec, whole, previous),
         **block_fit_columns(spec, mode),
         **residual_columns(mode.residuals),
         **leakage_columns(spec, mode),
@@ -176,12 +188,10 @@ def search_columns(fit: Fit) -> Row:
 
 
 def agreement_columns(
-    spec: MotorSpec,
-    judged_on: Callable[[str], Array],
-    mode: BlockFit,
+    spec: MotorSpec, judged_on: Callable[[str], Array], fitted: Certificate
 ) -> Row:
     """Agreement of the training fit with the training and the validation samples."""
-    theta, resolution = mode.training.coefficients, spec.file.channels["leakage_flow"].resolution
+    theta, resolution = fitted.coefficients, spec.file.channels["leakage_flow"].resolution
     training = agreement(judged_on(TRAINING), theta, resolution)
     validation = agreement(judged_on(VALIDATION), theta, resolution)
     return {
@@ -317,7 +327,7 @@ def model_columns(mode: BlockFit, low_side: LowSide) -> Row:
     """Verdict on the model; none where the night has too few blocks for it."""
     names = ("verdict", "misfit_percent", "noise_percent", "reason", "misfit_statistics")
     row: Row = dict.fromkeys(f"model_{name}" for name in names)
-    told, found = mode.misfit, mode.structured
+    told, found = mode.stated.misfit, mode.structured
     if told is None or found is None:
         return row
     verdict = model_verdict(found)

@@ -128,7 +128,7 @@ def prediction_rows(
     }
     rows: list[Row] = []
     for mode in modes:
-        predicted = z[:, :-1] @ np.append(mode.training.coefficients, 1.0)
+        predicted = z[:, :-1] @ np.append(mode.stated.training.coefficients, 1.0)
         shared = {"motor_id": motor_id, "night": night, "flushing_mode": mode.name}
         rows += _rows(columns | {"predicted_l_per_min": predicted.tolist()}, shared)
     return rows
