@@ -137,12 +137,10 @@ def spike(
     first, last = edges[:-1][lengths >= window, None], edges[1:][lengths >= window, None] - 1
     beside = np.arange(half)
     inward = np.abs(beside[:, None] + np.arange(-half, half + 1))
-    for rows, places in (
-        (first + beside, first[:, None] + inward),
-        (last - beside, last[:, None] - inward),
-    ):
-        windows = value[places].reshape(-1, window)
-        mask[rows.ravel()] = _stands_out(windows, np.arange(len(windows)), threshold, floor)
+    rows = np.concatenate([first + beside, last - beside]).ravel()
+    places = np.concatenate([first[:, None] + inward, last[:, None] - inward])
+    windows = value[places].reshape(-1, window)
+    mask[rows] = _stands_out(windows, np.arange(len(rows)), threshold, floor)
     return mask
 
 
@@ -239,7 +237,8 @@ def _suspects(
     places = np.searchsorted(time_us, marks[1:])
     places = places[places < n]
     first, last = places[:-1] - 1, places[1:]
-    looked_at = np.linspace(first, last, LOOKED_AT_A_STRETCH, dtype=np.intp)
+    shares = np.arange(LOOKED_AT_A_STRETCH)[:, None]
+    looked_at = first + (last - first) * shares // (LOOKED_AT_A_STRETCH - 1)
     alike = np.zeros(len(first), dtype=np.bool_)
     for step in _steps(value[looked_at], resolution):
         alike |= (step == step[0]).all(axis=0)
