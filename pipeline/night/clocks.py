@@ -107,8 +107,7 @@ def _longest_increasing(stamps: list[int]) -> list[int]:
 def duplicate_time(time_us: Times, backward: Mask) -> Mask:
     """Samples, among those that are not backward, that repeat the time of the one before."""
     mask, forward = np.zeros(len(time_us), dtype=np.bool_), ~backward
-    stamps = time_us[forward]
-    again = np.flatnonzero(stamps[1:] == stamps[:-1]) + 1
+    again = steps_where(lambda steps: steps == 0, time_us[forward]) + 1
     if len(again):
         mask[np.flatnonzero(forward)[again]] = True
     return mask
