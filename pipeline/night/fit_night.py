@@ -19,7 +19,6 @@ from leakage import EstimationError, LeakageError, Motor
 from leakage.estimation.sample_blocks import TRAINING
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
-from pipeline.config.periods import ChosenPeriods
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
@@ -277,7 +276,7 @@ def choose_parts(
         samples.period_us,
         night.start_us,
         settings.windows,
-        ChosenPeriods.of(file.periods, night),
+        file.periods.within(night),
     )
     counted = tuple(
         Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()
