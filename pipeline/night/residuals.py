@@ -56,10 +56,11 @@ def night_residuals(
     `fitted_error` are the errors of all samples in the columns that were fitted.
     """
     samples = statistics.samples
+    driving = statistics.conditions
     inputs = [
-        np.abs(samples.pressure_difference_bar),
-        samples.oil_temperature_c,
-        np.abs(samples.speed_rpm),
+        driving.pressure_difference_pa,
+        driving.oil_temperature_c,
+        driving.speed_rpm,
     ]
     columns = [(False, fitted_error, inputs)]
     if statistics.z is not statistics.unsmoothed:
