@@ -90,10 +90,9 @@ def raised(values: Array) -> list[list[int]]:
             false_alarms_per_year=RATE_PER_MOTOR / known,
             baseline=BaselineSettings(relative_floor=floor),
         )
-        changes = monitor(np.arange(len(values)), values[:, place], settings).changes
-        found.append(
-            [one.night for one in changes if one.after in RAISED and one.before not in RAISED]
-        )
+        states = monitor(np.arange(len(values)), values[:, place], settings).states
+        is_raised = np.isin(states, RAISED)
+        found.append((1 + np.flatnonzero(is_raised[1:] & ~is_raised[:-1])).tolist())
     return found
 
 

@@ -42,7 +42,7 @@ from benchmarks.machine_nights import (
     nights_of,
 )
 from benchmarks.model_verdict import VG46
-from benchmarks.results_file import RESULTS, Part, write_parts
+from benchmarks.results_file import RESULTS, Part, description, write_parts
 from pipeline.demo import noise
 
 Array = NDArray[np.float64]
@@ -192,12 +192,12 @@ def outcome(name: str, cell: Cell, number: int, limits: dict[str, float]) -> dic
     return found | {"named": list(told.named), "is_common": told.is_common}
 
 
-def limits_of(name: str, motors: int = CALIBRATED_ON, nights: int = YEAR) -> dict[str, float]:
+def limits_of(name: str) -> dict[str, float]:
     """Limits with which the charts of healthy motors alarm at the rate."""
     course = CELLS["healthy"].course(0)
     highest: dict[str, list[Array]] = {}
-    for number in range(motors):
-        made = nights_of(MACHINES[name], course, (SEED + 1, number), range(nights))
+    for number in range(CALIBRATED_ON):
+        made = nights_of(MACHINES[name], course, (SEED + 1, number), range(YEAR))
         for method, values in charts(made, BASELINE).items():
             highest.setdefault(method, []).append(np.maximum.accumulate(values[BASELINE:]))
     return {method: _limit(np.array(paths)) for method, paths in highest.items()}
@@ -313,9 +313,4 @@ def main(options: Sequence[str] = ()) -> None:
             file.write_text(json.dumps(stored, ensure_ascii=False) + "\n", "utf-8")
             sys.stderr.write(f"{name}: {one}\n")
     title = "The grey box beside charts, a regression and gradient boosting"
-    text = (__doc__ or "").split("\n\n", 1)[1].strip()
-    write_parts("alternatives", title, text, list(parts(stored)))
-
-
-if __name__ == "__main__":
-    main()
+    write_parts("alternatives", title, description(__doc__), list(parts(stored)))

@@ -55,7 +55,7 @@ SCATTERS = (0.5, 0.6, 0.7, 0.85, 1.0, 1.2, 1.5)
 CANDIDATES = np.exp(np.linspace(np.log(2.0), np.log(400.0), 400))
 ROUNDS = 2_000
 ASCENT = 0.03
-TABLE = Path(__file__).parent.parent / "leakage" / "cusum_limits.py"
+TABLE = Path(__file__).parent.parent / "leakage" / "course" / "cusum_limits.py"
 
 
 def estimated(values: Array) -> tuple[Array, Array, Array]:
@@ -263,7 +263,3 @@ def module_text(limits: Array, of_floor: Array) -> str:
     rows = [", ".join(f"{limit:.1f}" for limit in of_rate) for of_rate in of_floor]
     lines += ["FLOOR_LIMITS: Final = (", *(f"    ({row})," for row in rows), ")", ""]
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    main()

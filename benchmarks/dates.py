@@ -164,7 +164,3 @@ def _held(found: list[tuple[Life, TimeToLimit]]) -> float:
         for of, one in found
     ]
     return 100.0 * float(np.mean(held)) if held else np.nan
-
-
-if __name__ == "__main__":
-    main()

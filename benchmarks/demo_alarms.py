@@ -1,43 +1,51 @@
 """The demo fleet's alarms against its truth: what wears, when it was told, and through which path.
 
-`python -m benchmarks demo_alarms` makes the demo and fits it. With its folder (and that of its
-tables) as arguments, `python -m benchmarks.demo_alarms demo demo/out` takes what is there.
+`python -m benchmarks demo_alarms` makes the demo and fits it; with `--demo FOLDER` it takes the
+demo in a folder, with the tables in `FOLDER/out`.
 """
 
 from __future__ import annotations
 
+import argparse
 import datetime as dt
 import json
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import polars as pl
 
-from benchmarks.demo_run import COMMAND
 from benchmarks.results_file import Part, write_parts
 
+COMMAND = Path(sys.executable).with_name("motor-leakage")
 RAISED = ("warning", "alarm")
 NONE = "–"
 
 Alarm = dict[str, Any]
 
 
-def main() -> None:
+def main(options: Sequence[str] = ()) -> None:
     """Measure and write `benchmarks/results/demo_alarms.md`."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks demo_alarms")
+    parser.add_argument("--demo", type=Path)
+    asked: Path | None = parser.parse_args(list(options)).demo
+    if asked is not None:
+        compare(asked)
+        return
     with tempfile.TemporaryDirectory() as folder:
         demo = Path(folder) / "demo"
         for arguments in (["demo", demo], ["fit-fleet", demo / "configs" / "fleet.toml"]):
             subprocess.run([COMMAND, *arguments], check=True, capture_output=True)
-        compare(demo, demo / "out")
+        compare(demo)
 
 
-def compare(demo: Path, output: Path) -> None:
+def compare(demo: Path) -> None:
     """Write the comparison of one demo's alarms with its truth."""
     truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))["motors"]
-    files = sorted((output / "tables" / "alarms").glob("*/*.parquet"))
+    files = sorted((demo / "out" / "tables" / "alarms").glob("*/*.parquet"))
     alarms = pl.concat(pl.read_parquet(path) for path in files).sort("night", "indicator")
     raised = {
         motor_id: alarms.filter(pl.col("to_state").is_in(RAISED), motor_id=motor_id).to_dicts()
@@ -137,11 +145,3 @@ def _verdict(worn: set[str], named: set[str], raised: list[Alarm]) -> str:
         told = [one for one in raised if "cannot be told" in one["reason"]]
         return "said that it cannot be told" if told else "not named"
     return "right" if named == worn else "right, in part" if named < worn else "wrong"
-
-
-if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        folder = Path(sys.argv[1])
-        compare(folder, Path(sys.argv[2]) if len(sys.argv) > 2 else folder / "out")
-    else:
-        main()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.results_file import Part, write_parts
+from benchmarks.results_file import Part, description, median_and_late, write_parts
 from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
 from leakage import OperatingConditions, regressors
 from leakage.course.baseline import COEFFICIENT_FLOOR, LEAKAGE_FLOOR, BaselineSettings
@@ -150,7 +150,8 @@ def watched(found: Course) -> dict[str, Monitoring]:
 
 def raised(found: Monitoring) -> int:
     """How often an indicator became a warning or an alarm."""
-    return sum(one.after in RAISED and one.before not in RAISED for one in found.changes)
+    is_raised = np.isin(found.states, RAISED)
+    return int(np.count_nonzero(is_raised[1:] & ~is_raised[:-1]))
 
 
 def healthy_part() -> Part:
@@ -211,11 +212,11 @@ def worn_part() -> Part:
                 for found in (course(minutes, nights, wear, generator) for _ in range(WORN_MOTORS))
             ]
             cells = [
-                _delays([_first(found[name]) for found in states])
+                median_and_late([_first(found[name]) for found in states])
                 for name in (*PATHS, "deviation", "reference leakage")
             ]
             soonest = [min(_first(one) for one in found.values()) for found in states]
-            rows.append([words, f"{minutes}", _delays(soonest), *cells])
+            rows.append([words, f"{minutes}", median_and_late(soonest), *cells])
     return Part(
         "Nights to detection",
         f"Median and 90 % quantile of the nights after a step (night {STEP_AT}), or of the night "
@@ -230,21 +231,7 @@ def _first(told: NDArray[np.bool_]) -> float:
     return float(told.argmax()) if told.any() else np.inf
 
 
-def _delays(nights: list[float]) -> str:
-    ends = np.quantile(nights, (0.5, 0.9), method="higher")
-    return " / ".join(f"{one:.0f}" if np.isfinite(one) else "–" for one in ends)
-
-
 def main() -> None:
     """Write `benchmarks/results/filtered_nights.md`."""
-    text = __doc__ or ""
-    write_parts(
-        "filtered_nights",
-        "Nights with little data",
-        text.split("\n\n", 1)[1].strip(),
-        [healthy_part(), worn_part()],
-    )
-
-
-if __name__ == "__main__":
-    main()
+    parts = [healthy_part(), worn_part()]
+    write_parts("filtered_nights", "Nights with little data", description(__doc__), parts)

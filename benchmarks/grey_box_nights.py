@@ -28,14 +28,14 @@ from leakage.estimation.slow_errors import short_blocks
 from pipeline.config import MotorSpec, load_fleet
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
-from pipeline.trends.baseline_blocks import BlockFiles
-from pipeline.trends.duty import with_duty
-from pipeline.trends.filtered_nights import with_filter
-from pipeline.trends.history import rows_by_night
-from pipeline.trends.model import with_misfit
-from pipeline.trends.night_records import Layout
+from pipeline.trends.baselines.blocks import BlockFiles
+from pipeline.trends.baselines.duty import with_duty
+from pipeline.trends.figures.filtered_nights import with_filter
+from pipeline.trends.nights.from_tables import rows_by_night
+from pipeline.trends.nights.records import Layout
 from pipeline.trends.stage import Part, standing_of
-from pipeline.trends.standing import RAISED, Standing
+from pipeline.trends.states.model import with_misfit
+from pipeline.trends.states.standing import RAISED, Standing
 
 Array = NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def night_rows(night: Night, label: dt.date) -> dict[str, list[dict[str, object]
         NO_SEARCH,
         np.random.default_rng(0),
     )
-    fit, verdicts = found.fit, found.identification
+    fit, verdicts = found.fit, found.identified(excitation)
     temperature, pressure, speed = night.means.mean(axis=0).tolist()
     active = ~(fit.certificate.fixed | fit.certificate.at_lower | fit.certificate.at_upper)
     response = temperature_response(
@@ -191,26 +191,18 @@ def standing(nights: Sequence[Night], rows: Sequence[Rows]) -> Standing:
     history = rows_by_night([spec], *frames)[spec.motor_id]
     first, blocks = dt.date.min, NightBlocks(CONFIGS, (), nights=nights)
     filtered = with_misfit(with_filter(history, (), first), (), first)
-    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None)
+    return standing_of(Part.of(with_duty(filtered, (), first, blocks), ()), None, None)
 
 
 @dataclass(frozen=True, slots=True)
 class Watch:
-    """What the project says of a motor.
+    """What the project says of a motor."""
 
-    Attributes
-    ----------
-    raised
-        Nights with a warning or an alarm of a leakage, of the drain flow or of a loss factor.
-    named
-        Paths that are named ten nights after the first of them from a night on.
-    is_common
-        True if a change of all flows is told then.
-    """
-
+    # Nights with a warning or an alarm of a leakage, of the drain flow or of a loss factor.
     raised: NDArray[np.bool_]
+    # Paths that are named ten nights after the first of them from a night on.
     named: tuple[str, ...]
-    is_common: bool
+    is_common: bool  # a change of all flows is told then
 
 
 def watched(found: Standing, begin: int, after: int = 10) -> Watch:

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.simulated_nights import motor, true_coefficients
+from benchmarks.simulated_nights import held_levels, motor, true_coefficients, warming_up
 from leakage import Motor, OperatingConditions, regressors
 from leakage.estimation.block_statistics import factors
 from leakage.physics.oil import FilmPressure, Oil, flow_drive_per_s
@@ -35,29 +35,17 @@ TOP_BAR, TOP_RPM = (220.0, 300.0), (80.0, 110.0)
 
 @dataclass(frozen=True)
 class State:
-    """What a motor and its sensors are in a night; as at first, by default.
+    """What a motor and its sensors are in a night; as at first, by default."""
 
-    Attributes
-    ----------
-    paths
-        Factors on K.
-    viscosity, gain
-        Factors on the oil's viscosity and on what the flow meter reads.
-    oil
-        The oil in the motor; None: the stated one.
-    warmer_k, reads_high_c
-        Oil warmer than at first, and what its sensor reads too much.
-    load
-        Factor on the highest load.
-    """
-
-    paths: Mapping[str, float] = field(default_factory=dict)
+    paths: Mapping[str, float] = field(default_factory=dict)  # factors on K
+    # viscosity, gain: factors on the oil's viscosity and on what the flow meter reads.
     viscosity: float = 1.0
     gain: float = 1.0
-    oil: Oil | None = None
+    oil: Oil | None = None  # the oil in the motor; None: the stated one
+    # warmer_k, reads_high_c: oil warmer than at first, and what its sensor reads too much.
     warmer_k: float = 0.0
     reads_high_c: float = 0.0
-    load: float = 1.0
+    load: float = 1.0  # factor on the highest load
 
 
 Course = Callable[[int], State]
@@ -65,20 +53,13 @@ Course = Callable[[int], State]
 
 @dataclass(frozen=True)
 class Machine:
-    """In what a machine differs from the model that is fitted to it.
+    """In what a machine differs from the model that is fitted to it."""
 
-    Attributes
-    ----------
-    film_pressure
-        Pressure at which its films have their viscosity.
-    per_kelvin
-        Change of all flows with temperature beyond that of the viscosity [1/K].
-    charge_bar
-        Charge pressure that leaks past the low side; None: leakage is one-sided.
-    """
-
+    # Pressure at which its films have their viscosity.
     film_pressure: FilmPressure = MODEL.film_pressure
+    # Change of all flows with temperature beyond that of the viscosity [1/K].
     per_kelvin: float = 0.0
+    # Charge pressure that leaks past the low side; None: leakage is one-sided.
     charge_bar: float | None = None
 
 
@@ -91,29 +72,15 @@ TWO_SIDED = Machine(FilmPressure("slot"), -0.009, 15.0)
 
 @dataclass(frozen=True, slots=True)
 class Night:
-    """A night as logged; b blocks of 120 samples.
+    """A night as logged; b blocks of 120 samples."""
 
-    Attributes
-    ----------
-    factors
-        Triangular factors of the blocks, columns as of the stated model, shape (b, c, c).
-    means
-        Mean temperature [°C], pressure [bar] and speed [rpm] of each, shape (b, 3).
-    drives
-        Means of ΔP/η, ΔP, ΔP²/η and ω ΔP/η of each, shape (b, 4), each about 1.
-    flow_l_per_min
-        Mean drain flow of each, shape (b,).
-    spans
-        Lowest and highest pressure, temperature and speed, shape (3, 2).
-    histograms
-        Samples by pressure, temperature and speed, in the bins of `operation`.
-    """
-
+    # Triangular factors of the blocks, columns as of the stated model, shape (b, c, c).
     factors: Array
-    means: Array
-    drives: Array
-    flow_l_per_min: Array
-    spans: Array
+    means: Array  # mean temperature [°C], pressure [bar] and speed [rpm] of each, shape (b, 3)
+    drives: Array  # means of ΔP/η, ΔP, ΔP²/η and ω ΔP/η of each, shape (b, 4), each about 1
+    flow_l_per_min: Array  # mean drain flow of each, shape (b,)
+    spans: Array  # lowest and highest pressure, temperature and speed, shape (3, 2)
+    # Samples by pressure, temperature and speed, in the bins of `operation`.
     histograms: tuple[list[int], ...]
 
 
@@ -169,23 +136,14 @@ def _parts(wander: noise.NightWander) -> tuple[Array, Array, Array]:
 
 def _duty(generator: np.random.Generator, state: State) -> tuple[Array, Array, Array]:
     """Pressure [bar], temperature [°C] and speed [rpm]: a warm-up under steps of load."""
-    warm_c, cold_k = generator.uniform(54.0, 60.0), generator.uniform(8.0, 16.0)
-    temperature = warm_c - cold_k * np.exp(-np.arange(N) / generator.uniform(1200.0, 2400.0))
-    temperature += _steps(-1.5, 1.5, 600, 200.0, generator)
+    temperature = warming_up(N, generator)
     top_bar = state.load * generator.uniform(*TOP_BAR)
     top_rpm = generator.uniform(*TOP_RPM)
     return (
-        _steps(15.0, top_bar, 60, 3.0, generator),
+        held_levels(N, 15.0, top_bar, 60, 3.0, generator),
         temperature,
-        _steps(3.0, top_rpm, 90, 3.0, generator),
+        held_levels(N, 3.0, top_rpm, 90, 3.0, generator),
     )
-
-
-def _steps(
-    low: float, high: float, hold_s: int, lag_s: float, generator: np.random.Generator
-) -> Array:
-    held = np.repeat(generator.uniform(low, high, N // hold_s + 1), hold_s)[:N]
-    return noise.lagging(held, 1.0, lag_s)
 
 
 def _block_means(channels: Sequence[Array]) -> Array:

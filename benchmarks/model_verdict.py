@@ -19,10 +19,17 @@ from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from benchmarks.results_file import write_results
-from benchmarks.simulated_nights import REFERENCE, motor, true_coefficients
+from benchmarks.simulated_nights import (
+    REFERENCE,
+    held_levels,
+    motor,
+    true_coefficients,
+    warming_up,
+)
 from leakage import Motor, OperatingConditions, SpeedCurve, regressors
 from leakage.estimation.block_statistics import factors, merge, with_free_known
 from leakage.estimation.certificate import certify
+from leakage.estimation.error_sources import ChannelTolerance, Tolerances
 from leakage.estimation.model_verdict import (
     COEFFICIENT_FACTOR,
     LEAKAGE_FACTOR,
@@ -33,7 +40,7 @@ from leakage.estimation.model_verdict import (
     structured_misfit,
 )
 from leakage.estimation.multi_start import Parametrisation
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances, error_budget
+from leakage.estimation.sensitivities import error_budget
 from leakage.estimation.slow_errors import WIDENING, short_blocks, slow_errors, whitened
 from leakage.estimation.uncertainty import cluster_robust
 from leakage.physics.annular_gap import AnnularGap
@@ -62,40 +69,28 @@ VERDICTS = ("supported", "doubtful", "disproved", None)
 
 @dataclass(frozen=True, kw_only=True)
 class SensorFaults:
-    """What sensors do wrong.
+    """What sensors do wrong."""
 
-    Attributes
-    ----------
-    temperature_lag_s, drain_lag_s
-        First-order lags of the temperature sensor, and of the flow behind the motor.
-    dead_below_l_per_min
-        Flow below which the meter stands still.
-    """
-
+    # temperature_lag_s, drain_lag_s: first-order lags of the temperature sensor, and of the flow
+    # behind the motor.
     temperature_lag_s: float = 0.0
     drain_lag_s: float = 0.0
-    dead_below_l_per_min: float = 0.0
+    dead_below_l_per_min: float = 0.0  # flow below which the meter stands still
 
 
 @dataclass(frozen=True)
 class Case(SensorFaults):
-    """A motor with its sensors as they are, and the errors of its flow.
+    """A motor with its sensors as they are, and the errors of its flow."""
 
-    Attributes
-    ----------
-    motor, charge_bar
-        The truth; a charge pressure where leakage is two-sided.
-    temperature_by_load_k, flow_by_load_l_per_min
-        What the sensors read too much at 300 bar; the temperature as much too low at 0 bar.
-    phi, slow_s, noise
-        Memory of the errors from second to second; time over which a slow error twice as large
-        forgets, 0: there is none; size of the errors over the usual one.
-    """
-
+    # motor, charge_bar: the truth; a charge pressure where leakage is two-sided.
     motor: Motor = MODEL
     charge_bar: float | None = None
+    # temperature_by_load_k, flow_by_load_l_per_min: what the sensors read too much at 300 bar; the
+    # temperature as much too low at 0 bar.
     temperature_by_load_k: float = 0.0
     flow_by_load_l_per_min: float = 0.0
+    # phi, slow_s, noise: memory of the errors from second to second; time over which a slow error
+    # twice as large forgets, 0: there is none; size of the errors over the usual one.
     phi: float = 0.9
     slow_s: float = 0.0
     noise: float = 1.0
@@ -211,7 +206,9 @@ def logged(
 ) -> Logged:
     """Simulate a night, up to some pressure and speed, with factors on the gaps' K."""
     n = 60 * MINUTES
-    pressure, temperature, speed = _duty(n, generator, top_bar, top_rpm)
+    temperature = warming_up(n, generator)
+    pressure = held_levels(n, 15.0, top_bar, 60, 3.0, generator)
+    speed = held_levels(n, 3.0, top_rpm, 90, 3.0, generator)
     theta = true_coefficients(case.motor) * [*wear, 1.0]
     at = OperatingConditions.from_bar(pressure, temperature, speed, case.charge_bar)
     flow = _lagged(regressors(case.motor, at) @ np.append(theta, 1.0), case.drain_lag_s)
@@ -277,27 +274,10 @@ def _fitted(
     intervals = [distribution.interval(one) for one in contrasts]
     statistical = np.array([np.nan if one is None else one.half_width for one in intervals])
     taus = [structured_misfit([one]).l_per_min for one in (own, *[stated or own] * 3)]
-    reach = model_errors(blocks, fixed, contrasts, 1.0) * np.array(taus)
+    reach = model_errors(merge(blocks), fixed, contrasts, 1.0) * np.array(taus)
     total = np.sqrt(statistical**2 + sensors**2 + (reach * FACTORS) ** 2)
     estimate = np.append(contrasts[0] @ theta + row[-1], theta[:3])
     return np.array([estimate, statistical, total]), own
-
-
-def _duty(
-    n: int, generator: np.random.Generator, top_bar: float, top_rpm: float
-) -> tuple[Array, Array, Array]:
-    """Pressure [bar], temperature [°C] and speed [rpm]: a warm-up under steps of load."""
-    warm_c, cold_k = generator.uniform(54.0, 60.0), generator.uniform(8.0, 16.0)
-    temperature = warm_c - cold_k * np.exp(-np.arange(n) / generator.uniform(1200.0, 2400.0))
-    temperature += _steps(n, -1.5, 1.5, 600, 200.0, generator)
-    pressure = _steps(n, 15.0, top_bar, 60, 3.0, generator)
-    return pressure, temperature, _steps(n, 3.0, top_rpm, 90, 3.0, generator)
-
-
-def _steps(
-    n: int, low: float, high: float, hold: int, lag_s: float, generator: np.random.Generator
-) -> Array:
-    return _lagged(np.repeat(generator.uniform(low, high, n // hold + 1), hold)[:n], lag_s)
 
 
 def _lagged(values: Array, lag_s: float) -> Array:

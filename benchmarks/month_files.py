@@ -11,21 +11,23 @@ import hashlib
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import duckdb
 import numpy as np
 import polars as pl
-import pyarrow as pa
 
-from benchmarks.report import fitted_night
 from benchmarks.results_file import write_results
+from pipeline.config import load_fleet
+from pipeline.demo import write_demo
+from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.schema import FITS, OPERATION, TRENDS, Table
 from pipeline.store.manifest import manifest_keys, update_manifest
 from pipeline.store.months import join_months, last_month_over
-from pipeline.store.tables import night_file, read_rows, write_parts
+from pipeline.store.tables import encode_table, night_file, read_rows
 from pipeline.store.verification import compare_published
-from pipeline.trends.latest_states import latest_states
+from pipeline.trends.rows.latest_states import latest_states
 
 MOTORS, NIGHTS = 300, 365
 FIRST = dt.date(2025, 1, 1)
@@ -38,7 +40,7 @@ def main() -> None:
     """Measure and write `benchmarks/results/month_files.md`."""
     with tempfile.TemporaryDirectory() as folder:
         output = Path(folder) / "out"
-        templates = fitted_night(Path(folder))
+        templates = _fitted_night(Path(folder))
         for number in range(NIGHTS):
             _write_night(output, templates, number)
         before = _measured(output)
@@ -50,6 +52,19 @@ def main() -> None:
     rows.append(["joining eleven months, once", "", joining])
     title = f"Files of nights and of months: {MOTORS} motors, {NIGHTS} nights, {len(TABLES)} tables"
     write_results("month_files", title, ("what", "a file a night", "closed months joined"), rows)
+
+
+def _fitted_night(folder: Path) -> Mapping[Table, pl.DataFrame]:
+    """The rows of one motor and night of the demo, by table."""
+    demo = folder / "demo"
+    write_demo(demo, nights=2, minutes=120.0, workers=2)
+    fleet = load_fleet(demo / "configs" / "fleet.toml")
+    chosen = fleet.motors[-1].motor_id
+    output = folder / "fitted"
+    run_fleet(RunRequest(replace(fleet, output=output), motors=(chosen,)))
+    last = max((output / "tables" / "fits").rglob("*.parquet")).stem
+    night = dt.date.fromisoformat(last)
+    return {table: pl.read_parquet(night_file(output, table, night)) for table in TABLES}
 
 
 def _write_night(output: Path, templates: Mapping[Table, pl.DataFrame], number: int) -> None:
@@ -67,10 +82,7 @@ def _write_night(output: Path, templates: Mapping[Table, pl.DataFrame], number: 
             if kind == pl.Float64 and name not in table.key
         ]
         rows = rows.with_columns(pl.lit(night).alias("night"), *moved)
-        stream = pa.BufferOutputStream()
-        whole = rows.select(table.schema.keys()).sort(table.key)
-        write_parts(stream, table.schema, [("", whole)])
-        content = stream.getvalue().to_pybytes()
+        content = encode_table(table.name, rows.select(table.schema.keys()).sort(table.key))
         path = night_file(output, table, night)
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(content)
@@ -124,7 +136,3 @@ def _seconds(do: Callable[[], object], rounds: int = ROUNDS) -> str:
         do()
         taken.append(time.perf_counter() - begin)
     return f"{min(taken):.2f} s"
-
-
-if __name__ == "__main__":
-    main()

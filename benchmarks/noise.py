@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from benchmarks.model_verdict import VG46
 from benchmarks.night_kinds import CYCLES_S, ERRORS, Kind, SimulatedNights
-from benchmarks.results_file import Part, write_parts
+from benchmarks.results_file import Part, description, write_parts
 from leakage import Constant, Laminar, Motor, OperatingConditions, Parameter, regressors
 from leakage.course.temperature_correction import temperature_correction
 from leakage.estimation.block_fit import SampleBlocks, fit_blocks
@@ -90,28 +90,18 @@ class Seen:
 
 @dataclass(frozen=True, slots=True)
 class Character:
-    """What errors are like; relative to the mean flow.
+    """What errors are like; relative to the mean flow."""
 
-    Attributes
-    ----------
-    sizes
-        Of all, and by time scale: within 10 s, a minute, ten minutes, an hour, and longer.
-    correlations
-        After `LAGS_S`.
-    beyond, kurtosis
-        Share beyond three robust standard deviations and excess kurtosis, of the errors about
-        their means of a minute.
-    drift
-        Standard deviation of the means of 20 minutes.
-    tau, per_kelvin, half_width, memory_min
-        Of the fitted law: structured misfit, b with its ±, memory of slow errors; nan for others.
-    """
-
+    # Of all, and by time scale: within 10 s, a minute, ten minutes, an hour, and longer.
     sizes: tuple[float, ...]
-    correlations: tuple[float, ...]
+    correlations: tuple[float, ...]  # after `LAGS_S`
+    # beyond, kurtosis: share beyond three robust standard deviations and excess kurtosis, of the
+    # errors about their means of a minute.
     beyond: float
     kurtosis: float
-    drift: float
+    drift: float  # standard deviation of the means of 20 minutes
+    # tau, per_kelvin, half_width, memory_min: of the fitted law: structured misfit, b with its ±,
+    # memory of slow errors; nan for others.
     tau: float = np.nan
     per_kelvin: float = np.nan
     half_width: float = np.nan
@@ -204,7 +194,7 @@ def of_law(seen: Seen, motor: Motor) -> Character:
         tau=told.share if told else np.nan,
         per_kelvin=b.per_kelvin if b else np.nan,
         half_width=b.half_width if b else np.nan,
-        memory_min=found.identification.slow.memory_s(BLOCK_S) / 60.0,
+        memory_min=found.slow.memory_s(BLOCK_S) / 60.0,
     )
 
 
@@ -280,10 +270,5 @@ def main(options: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks noise")
     parser.add_argument("--folder", type=Path, required=True, help="of records *UT*.csv")
     records = read_records(parser.parse_args(list(options)).folder)
-    text = (__doc__ or "").split("\n\n", 1)[1].strip()
     parts = [record_part(one) for one in records]
-    write_parts("noise", "The noise library against a real record", text, parts)
-
-
-if __name__ == "__main__":
-    main()
+    write_parts("noise", "The noise library against a real record", description(__doc__), parts)

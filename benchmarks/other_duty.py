@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from joblib import Parallel, delayed
 from numpy.typing import NDArray
 
 from benchmarks.model_verdict import CASES, MODEL, Case, Logged, logged, wander
@@ -222,8 +221,4 @@ def _watched(first: Case, then: Case, nights: int, seed: int) -> NDArray[np.bool
 
 
 def _many(cases: Sequence[tuple[Case, str, Sequence[float]]], motors: int) -> list[Outcome]:
-    return list(
-        Parallel(n_jobs=1)(
-            delayed(after_a_change)(*one, seed) for one in cases for seed in range(motors)
-        )
-    )
+    return [after_a_change(*one, seed) for one in cases for seed in range(motors)]

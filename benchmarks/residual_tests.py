@@ -45,28 +45,16 @@ ROWS_A_BLOCK = int(BLOCK_S * RATE_HZ)
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """What the nights of a row of the table are.
+    """What the nights of a row of the table are."""
 
-    Attributes
-    ----------
-    hours, phi
-        Length of the night; coefficient of the errors.
-    uneven
-        Whether errors are three times larger below 100 bar.
-    refused
-        One sample in so many is refused; 0: none.
-    delay
-        Samples by which the flow comes late.
-    ring
-        Factor on the deformation constant of the rings that the logs were made with.
-    """
-
+    # hours, phi: length of the night; coefficient of the errors.
     hours: float
     phi: float
     nights: int
-    uneven: bool = False
-    refused: int = 0
-    delay: int = 0
+    uneven: bool = False  # errors are three times larger below 100 bar
+    refused: int = 0  # one sample in so many is refused; 0: none
+    delay: int = 0  # samples by which the flow comes late
+    # Factor on the deformation constant of the rings that the logs were made with.
     ring: float = 1.0
 
     @property

@@ -12,6 +12,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 RESULTS = Path(__file__).parent / "results"
 
 
@@ -49,15 +52,29 @@ def write_stored(
 ) -> None:
     """Measure all parts or some (`--only A,B`); the others are as they were stored."""
     parser = argparse.ArgumentParser(prog=f"python -m benchmarks {name}")
-    parser.add_argument("--only", default=",".join(makers))
+    parser.add_argument("--only", default=",".join(makers), help=f"of {', '.join(makers)}")
+    asked = parser.parse_args(list(options)).only.split(",")
+    if strangers := sorted(set(asked) - set(makers)):
+        parser.error(f"no part {', '.join(strangers)}; there are {', '.join(makers)}")
     file = RESULTS / f"{name}.json"
     stored: dict[str, dict[str, Any]] = {}
-    for one in parser.parse_args(list(options)).only.split(","):
+    for one in asked:
         made = asdict(makers[one]())
         stored = json.loads(file.read_text("utf-8")) if file.exists() else {}
         stored[one] = made
         file.write_text(json.dumps(stored, indent=1, ensure_ascii=False) + "\n", "utf-8")
     write_parts(name, title, text, [Part(**stored[one]) for one in makers if one in stored])
+
+
+def description(doc: str | None) -> str:
+    """A benchmark's docstring without its first line, which is the title."""
+    return (doc or "").split("\n\n", 1)[1].strip()
+
+
+def median_and_late(values: Sequence[float] | NDArray[np.float64]) -> str:
+    """Median and 90 % quantile of times of which some never come (infinite)."""
+    ends = np.quantile(values, (0.5, 0.9), method="higher")
+    return " / ".join(f"{one:.0f}" if np.isfinite(one) else "–" for one in ends)
 
 
 def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

@@ -10,8 +10,6 @@ long.
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import subprocess
 import sys
@@ -20,14 +18,15 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import psutil
 import pyarrow.parquet as pq
 
 from benchmarks.day_fleets import later, log_of, make_fleet, write_day
-from benchmarks.results_file import RESULTS, Part, write_parts
+from benchmarks.results_file import Part, write_stored
 from benchmarks.whole_runs import elapsed, first_night, fit_command
 from pipeline.config import Execution, Fleet, load_fleet
 from pipeline.demo import write_demo
@@ -37,7 +36,6 @@ from pipeline.workers.process import Loss
 
 ROOT = Path(__file__).parent.parent
 MIB = 1 << 20
-STORED = RESULTS / "scale.json"
 # A task of the simulated fleet takes what a light night takes, and stages about as much.
 FLEET_TASKS = 10_000
 TASK_S = 0.1
@@ -74,34 +72,25 @@ def sleep_and_stage(task: Night) -> int:
 
 def main(options: Sequence[str] = ()) -> None:
     """Measure and write `benchmarks/results/scale.md`."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks scale")
-    parser.add_argument("--only", default=",".join(PARTS))
-    asked = parser.parse_args(list(options)).only.split(",")
-    if strangers := sorted(set(asked) - set(PARTS)):
-        parser.error(f"no part {', '.join(strangers)}; there are {', '.join(PARTS)}")
-    stored = json.loads(STORED.read_text("utf-8")) if STORED.exists() else {}
-    for name in asked:
-        load = os.getloadavg()[0]
-        with tempfile.TemporaryDirectory() as folder:
-            _say(f"{name}: begins")
-            part, seconds = _with_time(PARTS[name], Path(folder))
-            _say(f"{name}: {seconds:.0f} s")
-        text = f"{part.text} Load before it began: {load:.1f}."
-        stored[name] = asdict(replace(part, text=text))
-        STORED.write_text(json.dumps(stored, indent=1) + "\n", "utf-8")
-    parts = [Part(**stored[name]) for name in PARTS if name in stored]
-    write_parts("scale", "Past one machine", f"{os.cpu_count()} cores. {__doc__}", parts)
+    makers = {name: partial(_measured, name) for name in PARTS}
+    text = f"{os.cpu_count()} cores. {__doc__}"
+    write_stored("scale", "Past one machine", text, makers, options)
+
+
+def _measured(name: str) -> Part:
+    """A part, with the load of the machine before it began."""
+    load = os.getloadavg()[0]
+    _say(f"{name}: begins")
+    begin = time.perf_counter()
+    with tempfile.TemporaryDirectory() as folder:
+        part = PARTS[name](Path(folder))
+    _say(f"{name}: {time.perf_counter() - begin:.0f} s")
+    return replace(part, text=f"{part.text} Load before it began: {load:.1f}.")
 
 
 def _say(line: str) -> None:
     sys.stderr.write(f"{line}\n")
     sys.stderr.flush()
-
-
-def _with_time(function: Callable[[Path], Part], folder: Path) -> tuple[Part, float]:
-    begin = time.perf_counter()
-    part = function(folder)
-    return part, time.perf_counter() - begin
 
 
 def _demo(folder: Path, nights: int, minutes: float) -> Fleet:
@@ -174,7 +163,6 @@ def _throughput(folder: Path) -> Part:
             with _engine(backend, workers) as execution:
                 seconds = _fit(fleet, folder / f"{backend}-{workers}", execution)
             rows.append([backend, str(workers), f"{seconds:.1f} s", f"{nights / seconds:.1f}"])
-            _say(f"throughput: {backend}, {workers} workers: {seconds:.1f} s")
     return Part(
         "Throughput",
         f"The demo fleet, {len(fleet.motors)} motors with 6 nights of 60 minutes each: a whole "
@@ -199,12 +187,7 @@ def _run_tasks(execution: Execution, tasks: Sequence[Night]) -> float:
         # The first tasks find the workers and load the code.
         warm = [replace(task, seconds=0.0) for task in tasks[: 4 * execution.workers]]
         list(run_tasks(sleep_and_stage, warm, _lost))
-
-        def drain() -> None:
-            for _ in run_tasks(sleep_and_stage, tasks, _lost):
-                pass
-
-        return _timed(drain)
+        return _timed(lambda: list(run_tasks(sleep_and_stage, tasks, _lost)))
 
 
 def _overhead(folder: Path) -> Part:
@@ -218,7 +201,6 @@ def _overhead(folder: Path) -> Part:
                 size = f"{staged // 1000} kB"
                 each = f"{1000 * seconds / n:.2f} ms"
                 rows.append([backend, size, each, f"{n / seconds:.0f}"])
-                _say(f"overhead: {backend}, {size}: {each}")
     return Part(
         "Overhead of a task",
         f"{EMPTY_TASKS} tasks that do nothing, and {QUICK_TASKS} that only stage rows, two "
@@ -275,7 +257,6 @@ def _large_fleet(folder: Path) -> Part:
                 f"{(largest['client'] - before) / MIB:.0f} MiB",
             ]
         )
-        _say(f"fleet: {in_flight} in flight: {seconds:.0f} s")
     return Part(
         f"{FLEET_TASKS} motors through a scheduler",
         f"Simulated motors of {TASK_S:g} s that sleep and stage {STAGED_BYTES // 1000} kB each, "
@@ -322,7 +303,6 @@ def _kind(process: psutil.Process) -> str:
 
 def _year(folder: Path) -> Part:
     fleet = _demo(folder, YEAR, 20.0)
-    _say("year: logs are written")
     motor = fleet.motors[0].motor_id
     rows = []
     whole: float | None = None
@@ -337,7 +317,6 @@ def _year(folder: Path) -> Part:
             output = folder / f"year-{backend}-{nights_a_part}"
             seconds = _fit(fleet, output, how, (motor,))
         whole = whole or seconds
-        _say(f"year: {backend}, {nights_a_part} nights a part: {seconds:.0f} s")
         rows.append(
             [
                 backend,
@@ -397,7 +376,6 @@ def _circuits(folder: Path) -> Part:
             costs.append(elapsed(command))
             times = [f"{one:.1f} s" for cost in costs for one in (cost.elapsed_s, cost.processor_s)]
             rows.append([str(n), tank or "one each", *times])
-            _say(f"circuits: {n} motors, {tank or 'one each'}: {', '.join(times)}")
     return Part(
         "Many motors on one tank",
         f"Motors with logs of {SHORT_MINUTES:g} minutes, two workers: a run with nothing new, and "

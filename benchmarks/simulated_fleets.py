@@ -40,25 +40,15 @@ REFERENCE_LEAKAGE = 3
 
 @dataclass(frozen=True, slots=True)
 class NightErrors:
-    """Errors of the simulated nights of a kind.
+    """Errors of the simulated nights of a kind."""
 
-    Attributes
-    ----------
-    errors
-        Relative errors of the indicators, shape (nights, 5); nan where the night has none that the
-        package would publish.
-    answers
-        Their change by 1 °C, by a gain of 1 (all of the flow), and by 1 bar, shape (nights, 5, 3).
-    shares
-        Share of ring, piston and sleeve in each night's flow, shape (nights, 3).
-    reference_shares
-        The same of the reference leakage, shape (3,).
-    """
-
+    # Relative errors of the indicators, shape (nights, 5); nan where the night has none that the
+    # package would publish.
     errors: Array
+    # Their change by 1 °C, by a gain of 1 (all of the flow), and by 1 bar, shape (nights, 5, 3).
     answers: Array
-    shares: Array
-    reference_shares: Array
+    shares: Array  # share of ring, piston and sleeve in each night's flow, shape (nights, 3)
+    reference_shares: Array  # the same of the reference leakage, shape (3,)
 
 
 def night_errors(kind: Kind) -> NightErrors:

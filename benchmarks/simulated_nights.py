@@ -92,6 +92,21 @@ def duty(
     )
 
 
+def warming_up(n: int, generator: np.random.Generator) -> Array:
+    """Oil temperature over n seconds [°C]: a warm-up, and steps of ten minutes."""
+    warm_c, cold_k = generator.uniform(54.0, 60.0), generator.uniform(8.0, 16.0)
+    rise: Array = np.exp(-np.arange(n) / generator.uniform(1200.0, 2400.0))
+    return warm_c - cold_k * rise + held_levels(n, -1.5, 1.5, 600, 200.0, generator)
+
+
+def held_levels(
+    n: int, low: float, high: float, hold_s: int, lag_s: float, generator: np.random.Generator
+) -> Array:
+    """Levels at 1 Hz that are held for so long each, smoothed; shape (n,)."""
+    held = np.repeat(generator.uniform(low, high, n // hold_s + 1), hold_s)[:n]
+    return lagging(held, 1.0, lag_s)
+
+
 class CompressedNights:
     """Factors of nights that share their duty and differ in their flow.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import resource
 import shutil
@@ -29,15 +28,12 @@ class Cost:
     ----------
     elapsed_s, processor_s
         On the clock, and of all its processes together.
-    reading_s
-        Of a reader: the time in it alone, of the slower of two; 0 for others.
     parent_mib
         Peak memory of the parent process; 0 where nobody looked.
     """
 
     elapsed_s: float
     processor_s: float
-    reading_s: float = 0.0
     parent_mib: float = 0.0
 
 
@@ -66,12 +62,14 @@ def reading(reader: str, files: Sequence[Path]) -> Cost:
     used = _children_s()
     begin = time.perf_counter()
     both = [
-        subprocess.Popen([*command, *map(str, half)], stdout=subprocess.PIPE, env=ENVIRONMENT)
+        subprocess.Popen([*command, *map(str, half)], env=ENVIRONMENT)
         for half in (files[::2], files[1::2])
         if half
     ]
-    seconds = [float(json.loads(process.communicate()[0])) for process in both]
-    return Cost(time.perf_counter() - begin, _children_s() - used, max(seconds))
+    for process in both:
+        if process.wait():
+            raise RuntimeError(f"{reader} ended with {process.returncode}")
+    return Cost(time.perf_counter() - begin, _children_s() - used)
 
 
 def interleaved(cases: Mapping[str, Callable[[], Cost]], repeats: int) -> dict[str, Cost]:
@@ -88,7 +86,7 @@ def median(costs: Sequence[Cost]) -> Cost:
     return Cost(
         *(
             statistics.median(getattr(cost, name) for cost in costs)
-            for name in ("elapsed_s", "processor_s", "reading_s", "parent_mib")
+            for name in ("elapsed_s", "processor_s", "parent_mib")
         )
     )
 

@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from pipeline.config import Alarms
-from pipeline.config.motors import Channel, Logs
+from pipeline.config.channels import Channel
+from pipeline.config.logs import Logs
 from pipeline.ingest.csv import header as csv_header
 from pipeline.ingest.csv import text as csv_text
 from pipeline.ingest.mcap import cdr_walk as mcap_cdr_walk

@@ -28,12 +28,12 @@ from pipeline.schema import (
 )
 from pipeline.store.tables import night_file, read_table, table_folder, write_table
 from pipeline.store.views import write_views
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
-from pipeline.trends.decisions import Decision
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.rows.trend_rows import trend_rows
 from pipeline.trends.stage import with_q_values
-from pipeline.trends.standing import Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.nights import (
     Nights,
     motor,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -90,27 +89,6 @@ class Limits:
 
     warning: float | None = None
     alarm: float | None = None
-    deadband: float = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class StateChange:
-    """A change of state.
-
-    Attributes
-    ----------
-    place
-        In the series.
-    night
-        Its number.
-    before, after
-        The states.
-    """
-
-    place: int
-    night: int
-    before: State
-    after: State
 
 
 def above_level(
@@ -233,7 +211,7 @@ def limit_severity(values: Array, limits: Limits, rule: Levels) -> Severities:
     found = np.zeros(len(values), dtype=np.int64)
     for severity, limit in ((1, limits.warning), (2, limits.alarm)):
         if limit is not None:
-            found[above_level(values, limit, limits.deadband, rule)] = severity
+            found[above_level(values, limit, 0.0, rule)] = severity
     return found
 
 
@@ -248,33 +226,6 @@ def nights_since_good(nights: Nights, good: NDArray[np.bool_]) -> Nights:
     never = nights[0] - np.iinfo(np.int32).max if len(nights) else 0
     last: Nights = np.maximum.accumulate(np.where(good, nights, never))
     return nights - last
-
-
-def state_changes(nights: Nights, states: list[State]) -> tuple[StateChange, ...]:
-    """The nights on which the state is another than on the night before.
-
-    Parameters
-    ----------
-    nights
-        Shape (n,).
-    states
-        As many.
-
-    Returns
-    -------
-    tuple of StateChange
-        In order.
-
-    Examples
-    --------
-    >>> [(c.night, c.after) for c in state_changes(np.arange(3), ["ok", "warning", "warning"])]
-    [(1, 'warning')]
-    """
-    return tuple(
-        StateChange(place, int(nights[place]), before, after)
-        for place, (before, after) in enumerate(itertools.pairwise(states), start=1)
-        if before != after
-    )
 
 
 def _count(condition: NDArray[np.bool_], nights: int) -> NDArray[np.int64]:

@@ -68,14 +68,11 @@ class Cusum:
     onset
         Place in the series of the first night after S was last 0, where a change stands told, shape
         (n,); −1 elsewhere. It estimates when the change began.
-    limit
-        h.
     """
 
     statistic: Array
     is_on: NDArray[np.bool_]
     onset: NDArray[np.int64]
-    limit: float
 
 
 def cusum(nights: Nights, values: Array, baseline: Baseline, limit: float) -> Cusum:
@@ -122,7 +119,7 @@ def cusum(nights: Nights, values: Array, baseline: Baseline, limit: float) -> Cu
     watched = np.flatnonzero(np.isfinite(values) & (nights >= baseline.last_night))
     # The last night of the baseline whitens the first after it, and has no sum of its own.
     if baseline.status == "insufficient" or len(watched) < 2:
-        return Cusum(statistic, is_on, onset, limit)
+        return Cusum(statistic, is_on, onset)
     steps = _steps(nights[watched], values[watched], baseline)[1:]
     watched = watched[1:]
     sums, on, began = _with_way_back(steps, limit)
@@ -131,7 +128,7 @@ def cusum(nights: Nights, values: Array, baseline: Baseline, limit: float) -> Cu
     seen = held >= 0
     is_on[seen] = on[held[seen]]
     onset[seen] = np.where(on, watched[began], -1)[held[seen]]
-    return Cusum(statistic, is_on, onset, limit)
+    return Cusum(statistic, is_on, onset)
 
 
 @lru_cache(maxsize=64)

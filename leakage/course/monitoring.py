@@ -7,8 +7,8 @@ says of each night what a run on that night said.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, field, replace
-from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,19 +20,14 @@ from leakage.course.alarms import (
     Limits,
     Severities,
     State,
-    StateChange,
     level_severity,
     limit_severity,
     nights_since_good,
-    state_changes,
 )
 from leakage.course.autoregression import Array, Nights, variance_of_sum
 from leakage.course.baseline import Baseline, BaselineSettings, fit_baseline
 from leakage.course.cusum import cusum, cusum_limit
 from leakage.course.slope import check_series
-
-LeadsTo: TypeAlias = Literal["nothing", "warning", "alarm"]
-_SEVERITY_OF: dict[LeadsTo, int] = {"nothing": 0, "warning": 1, "alarm": 2}
 
 # Good nights that say how large a change is now; from so many on, by the end of their line.
 NIGHTS_OF_SIZE = 10
@@ -48,8 +43,6 @@ class MonitorSettings:
     false_alarms_per_year
         Allowed rate of this one indicator on a healthy motor: the motor's rate over the number of
         its indicators.
-    cusum_leads_to
-        State for a change that is certain but below the levels.
     baseline
         Settings of the baseline.
     levels
@@ -61,7 +54,6 @@ class MonitorSettings:
     """
 
     false_alarms_per_year: float = 0.02
-    cusum_leads_to: LeadsTo = "warning"
     baseline: BaselineSettings = field(default_factory=BaselineSettings)
     levels: Levels = field(default_factory=Levels)
     limits: Limits = field(default_factory=Limits)
@@ -69,11 +61,13 @@ class MonitorSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class Track:
-    """One series against its baseline.
+class Monitoring:
+    """An indicator against its baseline, and its states.
 
     Attributes
     ----------
+    states
+        One a night.
     baselines
         In the order in which they served: provisional ones, then the whole, or the last of them
         again where it is kept; none where there are too few good nights, or their mean is not
@@ -97,6 +91,7 @@ class Track:
         Nights since the last one with a value, shape (n,).
     """
 
+    states: list[State]
     baselines: tuple[Baseline, ...]
     served_from: tuple[int, ...]
     deviation: Array
@@ -109,27 +104,8 @@ class Track:
 
     def baseline_at(self, place: int) -> Baseline | None:
         """The baseline that served in a night; None before there was one."""
-        served = int(np.searchsorted(self.served_from, place, side="right"))
+        served = bisect_right(self.served_from, place)
         return self.baselines[served - 1] if served else None
-
-
-@dataclass(frozen=True, slots=True)
-class Monitoring:
-    """An indicator's states.
-
-    Attributes
-    ----------
-    own
-        The indicator against its baseline.
-    states
-        One a night.
-    changes
-        Where they change.
-    """
-
-    own: Track
-    states: list[State]
-    changes: tuple[StateChange, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +115,7 @@ class ChangeSize:
     Attributes
     ----------
     since_night
-        Number of the night on which the change began, as estimated from the cumulative sum.
+        Number of the night on which the change began.
     relative, lower, upper
         Rise over the baseline, and its interval, [-].
     n
@@ -161,6 +137,10 @@ def monitor(
     limited: Array | None = None,
 ) -> Monitoring:
     """Watch an indicator from an event that starts a baseline to tonight.
+
+    The first good nights make a provisional baseline, and longer ones take its place
+    (`BaselineSettings.lengths`), unless a change stands told by then, or the longer one rises, or
+    has a slope that the shorter has not: wear must not become its own baseline.
 
     Parameters
     ----------
@@ -196,111 +176,71 @@ def monitor(
     >>> generator = np.random.default_rng(1)
     >>> nights = np.arange(120)
     >>> values = 1.37 * (1 + 0.004 * generator.standard_normal(120)) * (1 + 0.2 * (nights >= 90))
-    >>> [(one.night, one.before, one.after) for one in monitor(nights, values).changes]
-    [(15, 'insufficient', 'ok'), (92, 'ok', 'warning')]
-    """
-    chosen = settings or MonitorSettings()
-    own = track(nights, values, chosen, allowance, limited)
-    is_stale = own.since_good > chosen.stale_nights
-    if limited is not None:
-        # A limit that is passed now is no old news.
-        fresh = nights_since_good(nights, np.isfinite(limited)) <= chosen.stale_nights
-        is_stale &= ~(fresh & (own.limit_severity > 0))
-    states = _states(own, is_stale)
-    return Monitoring(own, states, state_changes(nights, states))
-
-
-def track(
-    nights: Nights,
-    values: Array,
-    settings: MonitorSettings,
-    allowance: Array | float = 0.0,
-    limited: Array | None = None,
-) -> Track:
-    """Follow one series against its own baseline.
-
-    The first good nights make a provisional baseline, and longer ones take its place
-    (`BaselineSettings.lengths`), unless a change stands told by then, or the longer one rises, or
-    has a slope that the shorter has not: wear must not become its own baseline.
-
-    Parameters
-    ----------
-    nights, values, settings, allowance, limited
-        As for :func:`monitor`.
-
-    Returns
-    -------
-    Track
-        See there.
-
-    Raises
-    ------
-    ShapeError
-        ``shape`` or ``night_order``.
-    ParameterError
-        ``alarm_rate``.
+    >>> states = monitor(nights, values).states
+    >>> states.index("ok"), states.index("warning")
+    (15, 92)
     """
     check_series(nights, values)
-    good = np.isfinite(values)
+    chosen = settings or MonitorSettings()
+    limited = values if limited is None else limited
     parts = _Parts.empty(len(nights))
-    served = _serve(nights, values, settings, parts, allowance)
-    first_served = served[0][0] if served else len(nights)
-    return Track(
+    served = _serve(nights, values, chosen, parts, allowance)
+    has_baseline = np.arange(len(nights)) >= (served[0][0] if served else len(nights))
+    beyond = limit_severity(limited, chosen.limits, chosen.levels)
+    since_good = nights_since_good(nights, np.isfinite(values))
+    # A limit that is passed now is no old news.
+    fresh = nights_since_good(nights, np.isfinite(limited)) <= chosen.stale_nights
+    states = np.array(OF_SEVERITY, dtype=object)[np.maximum(parts.severity, beyond)]
+    states[(since_good > chosen.stale_nights) & ~(fresh & (beyond > 0))] = "stale"
+    states[~has_baseline & (beyond == 0)] = "insufficient"
+    return Monitoring(
+        states=states.tolist(),
         baselines=tuple(baseline for _, baseline in served),
         served_from=tuple(start for start, _ in served),
         deviation=parts.deviation,
         evidence=parts.evidence,
         onset=parts.onset,
         severity=parts.severity,
-        limit_severity=limit_severity(
-            values if limited is None else limited, settings.limits, settings.levels
-        ),
-        has_baseline=np.arange(len(nights)) >= first_served,
-        since_good=nights_since_good(nights, good),
+        limit_severity=beyond,
+        has_baseline=has_baseline,
+        since_good=since_good,
     )
 
 
 def change_size(
-    nights: Nights, values: Array, followed: Track, place: int, coverage: float = 0.95
-) -> ChangeSize | None:
-    """Size of the change that is reported on a night, with an interval.
+    nights: Nights, values: Array, baseline: Baseline, onset: int, place: int
+) -> ChangeSize:
+    """Size of a change on a night, with its 95 % interval.
 
     Parameters
     ----------
     nights, values
-        As for :func:`track`.
-    followed
-        Result of :func:`track` for them.
-    place
-        Place of the night in the series.
-    coverage
-        Coverage of the interval, which accounts for the scatter of the nights and the error of
-        the baseline.
+        As for :func:`monitor`.
+    baseline
+        Baseline that serves the night.
+    onset, place
+        Places in the series of the night on which the change began, and of the night.
 
     Returns
     -------
-    ChangeSize or None
-        From up to ten good nights since the change began. None if the cumulative sum reports no
-        change on that night.
+    ChangeSize
+        From up to ten good nights since the change began. The interval holds the scatter of the
+        nights and the error of the baseline.
 
     Notes
     -----
     A mean over ten nights lags behind wear that continues. The size is therefore the end of the
     straight line through them; with fewer than five nights it is their mean.
     """
-    began, baseline = int(followed.onset[place]), followed.baseline_at(place)
-    if began < 0 or baseline is None:
-        return None
-    recent = np.flatnonzero(np.isfinite(values[: place + 1]) & (np.arange(place + 1) >= began))
-    recent = recent[-NIGHTS_OF_SIZE:]
+    recent = onset + np.flatnonzero(np.isfinite(values[onset : place + 1]))[-NIGHTS_OF_SIZE:]
     weights = weights_of_now(nights[recent])
     ratio = float(weights @ values[recent]) / baseline.mean
     # Nights scatter in proportion to the indicator.
     scatter = baseline.sd**2 * variance_of_sum(weights, baseline.phi, nights[recent])
     error = ratio * math.hypot(math.sqrt(scatter), baseline.mean_error) / baseline.mean
-    half = float(stdtrit(baseline.n - 1, 0.5 + coverage / 2)) * error
+    half = float(stdtrit(baseline.n - 1, 0.975)) * error
     rise = ratio - 1.0
-    return ChangeSize(int(nights[began]), rise, rise - half, rise + half, len(recent))
+    return ChangeSize(int(nights[onset]), rise, rise - half, rise + half, len(recent))
 
 
 def weights_of_now(nights: Nights) -> Array:
@@ -368,7 +308,8 @@ class _Parts:
         sums = cusum(nights, values - baseline.mean * allowed, baseline, limit)
         relative_sd = baseline.highest_sd() / baseline.mean
         by_level = level_severity((deviation - allowed)[start:], relative_sd, settings.levels)
-        by_sum = np.where(sums.is_on[start:], _SEVERITY_OF[settings.cusum_leads_to], 0)
+        # A change that is certain but below the levels is a warning.
+        by_sum = sums.is_on[start:].astype(np.int64)
         self.deviation[start:stop] = deviation[start:]
         self.evidence[start:stop] = sums.statistic[start:] / limit
         self.onset[start:stop] = sums.onset[start:]
@@ -414,16 +355,6 @@ def _why_kept(first: Baseline, whole: Baseline, told: bool) -> str:
     if whole.sloped and (not first.sloped or whole.mean > first.mean):
         return f"kept at {first.n} good nights: {whole.n} have a slope"
     return ""
-
-
-def _states(own: Track, is_stale: NDArray[np.bool_]) -> list[State]:
-    """State of each night from its track."""
-    severity = np.maximum(own.severity, own.limit_severity)
-    states = np.array(OF_SEVERITY, dtype=object)[severity]
-    states[is_stale] = "stale"
-    states[~own.has_baseline & (own.limit_severity == 0)] = "insufficient"
-    found: list[State] = states.tolist()
-    return found
 
 
 def _joined(*reasons: str) -> str:

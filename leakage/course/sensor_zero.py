@@ -30,22 +30,17 @@ class ZeroCourse:
     ----------
     drifts
         True where the move is certain and beyond the tolerance.
-    zero, lower, upper
-        Present zero, and its 95 % interval [unit].
+    zero
+        Present zero [unit].
     change, change_lower, change_upper
         Present zero less initial zero, and its 95 % interval [unit].
-    n_halts
-        Halts that counted by then.
     """
 
     drifts: NDArray[np.bool_]
     zero: Array
-    lower: Array
-    upper: Array
     change: Array
     change_lower: Array
     change_upper: Array
-    n_halts: NDArray[np.int64]
 
 
 def zero_course(
@@ -95,7 +90,7 @@ def zero_course(
     size = np.where(known, size, LEAST_HALTS)
     if not kept.any():
         nothing = np.full(len(zeros), np.nan)
-        return ZeroCourse(known, nothing, nothing, nothing, nothing, nothing, nothing, count)
+        return ZeroCourse(known, nothing, nothing, nothing, nothing)
     # The first one, not their middle: what is known after a halt must not hang on later ones.
     reference = float(zeros[kept][0])
     sums = _Sums.of(zeros[kept] - reference, errors[kept])
@@ -103,7 +98,6 @@ def zero_course(
     now, now_variance = sums.mean(np.maximum(end - size, 0), end, size)
     first_end = np.minimum(size, len(sums.value) - 1)
     before, before_variance = sums.mean(np.zeros_like(size), first_end, size)
-    half = stdtrit(size - 1.0, 0.5 + COVERAGE / 2) * np.sqrt(now_variance)
     change, variance = now - before, now_variance + before_variance
     # Welch and Satterthwaite, for groups of one size.
     both = now_variance**2 + before_variance**2
@@ -113,16 +107,12 @@ def zero_course(
     def only(values: Array) -> Array:
         return np.where(known, values, np.nan)
 
-    zero = reference + now
     return ZeroCourse(
         drifts=known & (np.abs(change) > np.maximum(reach, tolerance)),
-        zero=only(zero),
-        lower=only(zero - half),
-        upper=only(zero + half),
+        zero=only(reference + now),
         change=only(change),
         change_lower=only(change - reach),
         change_upper=only(change + reach),
-        n_halts=count,
     )
 
 

@@ -16,6 +16,7 @@ References
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal, TypeAlias
@@ -31,7 +32,7 @@ from leakage.course.autoregression import (
     estimated_phi,
     whitened,
 )
-from leakage.errors import ParameterError, ShapeError
+from leakage.errors import ShapeError
 
 SlopeStatus: TypeAlias = Literal["ok", "provisional", "too_few_nights", "no_scatter", "no_span"]
 
@@ -66,9 +67,6 @@ class Slope:
         Two-sided, of no slope.
     phi
         Correlation of neighbouring nights.
-    residual_sd
-        Scatter of the nights about the line [unit]; of a night of weight 1, where they have
-        weights.
     theil_sen_outside
         Whether the Theil–Sen slope lies outside the interval: the nights are no line with errors.
     """
@@ -81,7 +79,6 @@ class Slope:
     upper: float | None = None
     p_value: float | None = None
     phi: float | None = None
-    residual_sd: float | None = None
     theil_sen_outside: bool = False
 
 
@@ -89,7 +86,6 @@ def fit_slope(
     nights: Nights,
     values: Array,
     position: Array | None = None,
-    sd: Array | None = None,
     coverage: float = 0.95,
     *,
     median: bool = True,
@@ -105,9 +101,6 @@ def fit_slope(
     position
         What the slope is per unit of, such as running hours, shape (n,); the nights themselves
         where it is left out.
-    sd
-        Relative scatter of each night, where it is known, shape (n,), positive; all alike where it
-        is left out.
     coverage
         Of the interval.
     median
@@ -122,8 +115,6 @@ def fit_slope(
     ------
     ShapeError
         ``shape`` or ``night_order``.
-    ParameterError
-        ``night_scatter``.
 
     Notes
     -----
@@ -137,40 +128,26 @@ def fit_slope(
     >>> found.status, round(found.theil_sen, 3), found.lower < 0.01 < found.upper
     ('ok', 0.01, True)
     """
-    scale = np.ones(len(values)) if sd is None else sd
     x = nights.astype(np.float64) if position is None else position
-    check_series(nights, values, x, scale)
-    kept = np.isfinite(values) & np.isfinite(x) & np.isfinite(scale)
-    if not np.all(scale[kept] > 0.0):
-        raise ParameterError("night_scatter", "a night's scatter is not positive; expected above 0")
+    check_series(nights, values, x)
+    kept = np.isfinite(values) & np.isfinite(x)
     n = int(kept.sum())
     if n < LEAST_NIGHTS:
         return Slope("too_few_nights", n)
-    nights, values, x, scale = nights[kept], values[kept], x[kept], scale[kept]
+    nights, values, x = nights[kept], values[kept], x[kept]
     if not np.ptp(x) > 0.0:
         return Slope("no_span", n)
-    centred = x - float(np.mean(x))
     median_slope = theil_sen(x, values) if median else None
-    design = np.column_stack([np.ones(n), centred]) / scale[:, None]
-    first, residuals = _least_squares(design, values / scale)
-    if float(np.std(residuals)) <= RELATIVE_ROUNDING * float(np.max(np.abs(values / scale))):
-        return Slope(
-            "no_scatter",
-            n,
-            median_slope,
-            slope=float(first[1]),
-            phi=0.0,
-            residual_sd=0.0,
-        )
+    columns = np.column_stack([np.ones(n), values, x - float(np.mean(x))])
+    line = CourseFits.of(columns)
+    residuals = line.residuals(0)
+    if float(np.std(residuals)) <= RELATIVE_ROUNDING * float(np.max(np.abs(values))):
+        return Slope("no_scatter", n, median_slope, slope=float(line.slopes[0]), phi=0.0)
     phi = estimated_phi(residuals, nights)
-    rho = correlation_to_previous(phi, nights)
-    white = whitened(design, rho)
-    line, errors = _least_squares(white, whitened(values / scale, rho))
-    freedom = n - PARAMETERS
-    variance = float(errors @ errors) / freedom
-    error = float(np.sqrt(variance * np.linalg.inv(white.T @ white)[1, 1]))
+    line = CourseFits.of(whitened(columns, correlation_to_previous(phi, nights)))
+    slope, errors, freedom = float(line.slopes[0]), line.residuals(0), n - PARAMETERS
+    error = math.sqrt(float(errors @ errors) / freedom / float(line.spans[0]))
     half = float(stdtrit(freedom, 0.5 + coverage / 2)) * error
-    slope = float(line[1])
     return Slope(
         status="ok" if n >= SURE_NIGHTS else "provisional",
         n=n,
@@ -180,9 +157,48 @@ def fit_slope(
         upper=slope + half,
         p_value=float(2.0 * stdtr(freedom, -abs(slope) / error)),
         phi=phi,
-        residual_sd=float(np.sqrt(variance)),
         theil_sen_outside=median_slope is not None and abs(median_slope - slope) > half,
     )
+
+
+@dataclass(frozen=True, slots=True)
+class CourseFits:
+    """Least squares of a level and of each of some courses in turn.
+
+    Attributes
+    ----------
+    length
+        Squared length of the column of the level.
+    level, middles
+        Mean of the values, and of each course, weighted by it.
+    slopes, spans
+        Of each course: its coefficient, and its squared length about its middle.
+    centred
+        Values and courses less the part of the level, shape (n, 1 + s).
+    """
+
+    length: float
+    level: float
+    middles: Array
+    slopes: Array
+    spans: Array
+    centred: Array
+
+    @classmethod
+    def of(cls, columns: Array) -> CourseFits:
+        """Regressions on columns of the level, the values and the courses, shape (n, 2 + s)."""
+        ones = columns[:, 0]
+        length = float(ones @ ones)
+        means = ones @ columns[:, 1:] / length
+        centred = columns[:, 1:] - np.outer(ones, means)
+        spans = np.einsum("ij,ij->j", centred[:, 1:], centred[:, 1:])
+        slopes = centred[:, 0] @ centred[:, 1:] / spans
+        return cls(length, float(means[0]), means[1:], slopes, spans, centred)
+
+    def residuals(self, course: int) -> Array:
+        """Residuals of one of the courses, shape (n,)."""
+        left: Array = self.centred[:, 0] - self.slopes[course] * self.centred[:, 1 + course]
+        return left
 
 
 def theil_sen(position: Array, values: Array) -> float:
@@ -259,13 +275,6 @@ def check_series(nights: Nights, *columns: Array) -> None:
         raise ShapeError(
             "night_order", "numbers of nights repeat or go back; expected them increasing"
         )
-
-
-def _least_squares(design: Array, values: Array) -> tuple[Array, Array]:
-    """Coefficients and residuals, by QR."""
-    q, r = np.linalg.qr(design)
-    coefficients: Array = np.linalg.solve(r, q.T @ values)
-    return coefficients, values - design @ coefficients
 
 
 @lru_cache(maxsize=16)

@@ -45,7 +45,7 @@ from leakage.course.autoregression import (
     variance_of_mean,
     whitened,
 )
-from leakage.course.slope import LEAST_NIGHTS, PARAMETERS, check_series
+from leakage.course.slope import LEAST_NIGHTS, PARAMETERS, CourseFits, check_series
 from leakage.estimation.robust import MAD_TO_SD
 
 TimeStatus: TypeAlias = Literal[
@@ -186,15 +186,26 @@ def _prior() -> Array:
     return np.asarray(1.0 / (3.0 * counts[kinds]), dtype=np.float64)
 
 
+_PRIOR = _prior()
+
+
+def _squares(found: CourseFits) -> Array:
+    """Sum of the squared residuals of each shape."""
+    values = found.centred[:, 0]
+    left: Array = float(values @ values) - found.slopes**2 * found.spans
+    return np.maximum(left, len(values) * ROUNDING**2)
+
+
 def _crossed_by_shape(nights: Nights, u: Array, y: Array, at: Array) -> tuple[Array, float]:
     """Probability that a course has reached 1 at some positions, and that it rises."""
     freedom = len(u) - PARAMETERS
     columns = np.column_stack([np.ones(len(u)), y, _shapes(u).T])
-    best = _fitted(columns).residuals_of_best()
+    plain = CourseFits.of(columns)
+    best = plain.residuals(int(np.argmin(_squares(plain))))
     rho = correlation_to_previous(estimated_phi(best, nights), nights)
-    found = _fitted(whitened(columns, rho))
-    squares = found.squares()
-    log_weights = np.log(_prior() / np.sqrt(found.spans))
+    found = CourseFits.of(whitened(columns, rho))
+    squares = _squares(found)
+    log_weights = np.log(_PRIOR / np.sqrt(found.spans))
     log_weights -= TEMPERING * freedom / 2.0 * np.log(squares)
     weights = np.exp(log_weights - np.max(log_weights))
     weights /= weights.sum()
@@ -213,53 +224,6 @@ def _student(t: Array, freedom: int) -> Array:
     normal = factor * np.sqrt(freedom * np.log1p(t**2 / freedom))
     result: Array = ndtr(np.copysign(normal, t))
     return result
-
-
-@dataclass(frozen=True, slots=True)
-class _Fitted:
-    """Least squares of a level and each shape in turn, the level where it is free of the slope.
-
-    Attributes
-    ----------
-    length
-        Squared length of the column of the level.
-    level, middles
-        Mean of the values, and of each shape, weighted by it.
-    slopes, spans
-        Of each shape: its coefficient, and its squared length about its middle.
-    centred
-        Values and shapes less the part of the level, shape (n, 1 + s).
-    """
-
-    length: float
-    level: float
-    middles: Array
-    slopes: Array
-    spans: Array
-    centred: Array
-
-    def squares(self) -> Array:
-        """Sum of the squared residuals of each shape."""
-        values = self.centred[:, 0]
-        left: Array = float(values @ values) - self.slopes**2 * self.spans
-        return np.maximum(left, len(values) * ROUNDING**2)
-
-    def residuals_of_best(self) -> Array:
-        """Residuals of the shape that leaves least."""
-        best = int(np.argmin(self.squares()))
-        left: Array = self.centred[:, 0] - self.slopes[best] * self.centred[:, 1 + best]
-        return left
-
-
-def _fitted(columns: Array) -> _Fitted:
-    """Regressions on columns of the level, the values and the shapes, shape (n, 2 + s)."""
-    ones = columns[:, 0]
-    length = float(ones @ ones)
-    means = ones @ columns[:, 1:] / length
-    centred = columns[:, 1:] - np.outer(ones, means)
-    spans = np.einsum("ij,ij->j", centred[:, 1:], centred[:, 1:])
-    slopes = centred[:, 0] @ centred[:, 1:] / spans
-    return _Fitted(length, float(means[0]), means[1:], slopes, spans, centred)
 
 
 def _crossed_by_jumps(u: Array, y: Array, ahead: Array) -> tuple[Array, float]:

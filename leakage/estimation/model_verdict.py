@@ -386,14 +386,14 @@ def verdict_in_words(misfit: StructuredMisfit, low_side: LowSide = "unknown") ->
 
 
 def model_errors(
-    factors: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
+    whole: Array, fixed: NDArray[np.bool_], contrasts: Array, misfit_l_per_min: float
 ) -> Array:
     """R(c): what a structured misfit can do to combinations of coefficients.
 
     Parameters
     ----------
-    factors
-        Factors of the fit's blocks, not whitened, shape (b, c, c).
+    whole
+        Merged factor of the fit's blocks, not whitened, shape (c, c).
     fixed
         Coefficients that are not estimated, shape (c − 2,).
     contrasts
@@ -406,7 +406,6 @@ def model_errors(
     ndarray
         In the units of the combinations, shape (m,).
     """
-    whole = merge(factors)
     free = np.flatnonzero(~fixed & (np.abs(whole).max(axis=0)[:-2] > 0.0))
     scale = np.linalg.norm(whole[:, free], axis=0)
     _, size, rotation = np.linalg.svd(whole[:, free] / scale, full_matrices=False)

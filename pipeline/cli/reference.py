@@ -7,18 +7,24 @@ pages that are out of date are named on stderr, and the exit code is 1.
 from __future__ import annotations
 
 import argparse
+import ast
+import inspect
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
 
 import polars as pl
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import ModelSchema
 
 from pipeline.config import MotorFile, Settings
+from pipeline.config.channels import FALLBACK_VALID_RANGE
 from pipeline.config.motor_types import MotorTypeFile, OilFile
-from pipeline.config.motors import FALLBACK_VALID_RANGE
 from pipeline.config.oil_samples import OilCircuitFile
-from pipeline.config.settings import FleetFile, Section
+from pipeline.config.section import Section
+from pipeline.config.settings import FleetFile
 from pipeline.schema import (
     LOOKS,
     NIGHT_TABLES,
@@ -84,6 +90,31 @@ KINDS: Final[Mapping[str, str]] = {
 }
 
 
+class WithMeanings(GenerateJsonSchema):
+    """Schema of a model in which each key is described by the text below it."""
+
+    def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
+        """Schema of a model, or of one below it."""
+        found = super().model_schema(schema)
+        for name, words in _meanings(schema["cls"]).items():
+            found["properties"][name]["description"] = words
+        return found
+
+
+def _meanings(model: type) -> dict[str, str]:
+    """Texts below the keys of a model and of its bases."""
+    if model is Section:
+        return {}
+    found = {name: words for base in model.__bases__ for name, words in _meanings(base).items()}
+    (definition,) = ast.parse(inspect.getsource(model)).body
+    assert isinstance(definition, ast.ClassDef)
+    for key, text in pairwise(definition.body):
+        match key, text:
+            case ast.AnnAssign(ast.Name(name)), ast.Expr(ast.Constant(str(words))):
+                found[name] = words.removesuffix(".")
+    return found
+
+
 def config_reference() -> str:
     """The page `config.md`: every key of every config file, from the models that read them."""
     lines = [
@@ -97,7 +128,7 @@ def config_reference() -> str:
         "The examples on this page make up one complete fleet; it lies in `docs/example/`.",
     ]
     for file, model in FILES.items():
-        schema = model.model_json_schema()
+        schema = model.model_json_schema(schema_generator=WithMeanings)
         folder, _, _ = file.rpartition("/")
         lines += [f"## `{folder + '/<name>.toml' if folder else file}`", *_model_lines(schema)]
         if model is MotorFile:
@@ -254,6 +285,8 @@ def _default(field: Schema) -> str:
     if "default" not in field:
         return ""
     value = field["default"]
+    if value and isinstance(value, Mapping):
+        return ""
     return "none" if value is None else f"`{json.dumps(value, ensure_ascii=False)}`"
 
 

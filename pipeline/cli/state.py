@@ -22,7 +22,7 @@ from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.config import MotorSpec
-    from pipeline.trends.decisions import Decision
+    from pipeline.trends.nights.decisions import Decision
 
 
 def status(
@@ -87,8 +87,8 @@ def ack(
     --sound balance_sleeve --note "rings scored"
     """
     from pipeline.report.status import RAISED, last_alarm
-    from pipeline.trends.decisions import FINDINGS, Decision, record_decision
-    from pipeline.trends.motor_states import TOLD
+    from pipeline.trends.nights.decisions import FINDINGS, Decision, record_decision
+    from pipeline.trends.rows.motor_states import TOLD
 
     if not note.strip():
         raise UsageError("note", "--note: expected some words")
@@ -155,7 +155,7 @@ def _opened(
     UsageError
         ``finding``, ``date`` or ``finding_part``.
     """
-    from pipeline.trends.decisions import Decision
+    from pipeline.trends.nights.decisions import Decision
 
     now, day = dt.datetime.now(dt.UTC), night_label(opened or None, "--opened")
     if day is None or not any(parts) or not is_alone:
@@ -186,7 +186,7 @@ def baseline_reset(
     Example: motor-leakage baseline reset configs/fleet.toml CB560-01 2026-02-15 --note "new"
     """
     from pipeline.report.status import known_indicators
-    from pipeline.trends.decisions import Decision, record_decision
+    from pipeline.trends.nights.decisions import Decision, record_decision
 
     label = night_label(night, "NIGHT")
     assert label is not None

@@ -1,24 +1,23 @@
 """Typed config: the only door for settings."""
 
+from pipeline.config.channels import Channel
+from pipeline.config.execution import Execution, Retention
 from pipeline.config.faults import ConfigError, Fault
-from pipeline.config.loading import Fleet, MotorSpec, absolute, load_fleet, overlap
-from pipeline.config.motors import Channel, Event, MotorFile
-from pipeline.config.settings import (
-    Alarms,
+from pipeline.config.fitting import Estimation
+from pipeline.config.fleet import Fleet, MotorSpec, absolute, overlap
+from pipeline.config.loading import load_fleet
+from pipeline.config.motors import Event, MotorFile
+from pipeline.config.preparation import (
     Cleaning,
-    Estimation,
-    Execution,
-    Look,
     Nights,
-    Retention,
     SensorHealth,
-    Settings,
     Smoothing,
     TimeBase,
     TransportDelay,
-    Trend,
     Windows,
 )
+from pipeline.config.settings import Settings
+from pipeline.config.watching import Alarms, Look, Trend
 
 __all__ = [
     "Alarms",

@@ -6,8 +6,8 @@ import datetime as dt
 
 from pydantic import Field, field_validator
 
-from pipeline.config.receivers import require_variable
-from pipeline.config.settings import Section
+from pipeline.config.receivers import Secret
+from pipeline.config.section import Positive, Section
 
 START, END = "{start}", "{end}"
 """Stand in a query for the borders of a night, half open."""
@@ -16,41 +16,23 @@ START, END = "{start}", "{end}"
 class Database(Section):
     """A query in a PostgreSQL database, asked night by night."""
 
-    query: str = Field(
-        description="One `SELECT` with the marks `{start}` and `{end}`, which become time stamps "
-        "with a zone (`timestamptz`): `SELECT * FROM log WHERE time >= {start} AND time < {end}`. "
-        "Only the columns, the motor and the tags that this file names are fetched of it"
-    )
-    connection: str = Field(
-        "${MOTOR_LEAKAGE_DATABASE}",
-        min_length=1,
-        description="`${NAME}` of the environment variable that holds the address, "
-        "`postgresql://user:password@host/database?sslmode=verify-full`; the address itself "
-        "belongs into no config file",
-    )
-    begin: dt.date = Field(description="First night that is asked for")
-    look_back_days: int = Field(
-        3,
-        ge=0,
-        le=366,
-        description="Nights before the newest that every run asks for again, for rows that came "
-        "late or were corrected; shorter than the time for which the database keeps its rows",
-    )
-    statement_timeout_s: float = Field(
-        600.0,
-        gt=0.0,
-        le=86_400.0,
-        allow_inf_nan=False,
-        description="Longest time for the query of one night; the server ends it then",
-    )
-    connect_timeout_s: int = Field(
-        10, ge=2, le=600, description="Longest time for one attempt to connect"
-    )
-
-    @field_validator("connection")
-    @classmethod
-    def _is_variable(cls, connection: str) -> str:
-        return require_variable(connection)
+    query: str
+    """One `SELECT` with the marks `{start}` and `{end}`, which become time stamps with a zone
+    (`timestamptz`): `SELECT * FROM log WHERE time >= {start} AND time < {end}`. Only the columns,
+    the motor and the tags that this file names are fetched of it."""
+    connection: Secret = Field("${MOTOR_LEAKAGE_DATABASE}", min_length=1)
+    """`${NAME}` of the environment variable that holds the address,
+    `postgresql://user:password@host/database?sslmode=verify-full`; the address itself belongs into
+    no config file."""
+    begin: dt.date
+    """First night that is asked for."""
+    look_back_days: int = Field(3, ge=0, le=366)
+    """Nights before the newest that every run asks for again, for rows that came late or were
+    corrected; shorter than the time for which the database keeps its rows."""
+    statement_timeout_s: Positive = Field(600.0, le=86_400.0)
+    """Longest time for the query of one night; the server ends it then."""
+    connect_timeout_s: int = Field(10, ge=2, le=600)
+    """Longest time for one attempt to connect."""
 
     @field_validator("query")
     @classmethod

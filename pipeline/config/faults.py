@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from pipeline.errors import MotorLeakageError, one_line
+from pipeline.messages import counted
 
 # Stands in the place of a fault for a key itself.
 KEY_MARK = "[key]"
@@ -25,6 +26,8 @@ OPENINGS = {
 }
 
 Place = tuple[str | int, ...]
+Misfit = tuple[Place, str, object]
+"""Key within a table, what was expected, and what stands there."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,11 +48,10 @@ class ConfigError(MotorLeakageError):
     def __init__(self, faults: Iterable[Fault]) -> None:
         self.faults = tuple(dict.fromkeys(faults))
         lines = "\n".join(f"  {fault}" for fault in self.faults)
-        count = len(self.faults)
-        super().__init__("config", f"{count} config fault{'s' if count > 1 else ''}\n{lines}")
+        super().__init__("config", f"{counted(len(self.faults), 'config fault')}\n{lines}")
 
 
-def refuse(title: str, found: Iterable[tuple[Place, str, object]]) -> None:
+def refuse(found: Iterable[Misfit]) -> None:
     """Let a validator report several faults, each at its own key.
 
     Raises
@@ -66,7 +68,7 @@ def refuse(title: str, found: Iterable[tuple[Place, str, object]]) -> None:
         for place, message, given in found
     ]
     if details:
-        raise ValidationError.from_exception_data(title, details)
+        raise ValidationError.from_exception_data("faults", details)
 
 
 def faults_of(
@@ -131,11 +133,11 @@ def _below(document: object, part: str | int) -> object:
 
 
 def _quote(given: object) -> str:
-    """Value in the file, unless it is long or may hold a secret."""
+    """Value in the file, unless there is none, it is long, or may hold a secret."""
     text = json.dumps(given, default=str, ensure_ascii=False)
     long = isinstance(given, Mapping | list | tuple) and len(text) > LONGEST_QUOTE
     secret = isinstance(given, Mapping) and any(f'"{key}"' in text for key in UNQUOTED)
-    return "" if long or secret else f"got {text}; "
+    return "" if given is None or long or secret else f"got {text}; "
 
 
 def _expected(message: str) -> str:

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import re
+from typing import Annotated
+
+from pydantic import AfterValidator
 
 FieldPath = tuple[str | int, ...]
 """Keys and array positions, from the message inwards."""
@@ -50,6 +53,16 @@ def field_path(field: str, topic: str = "") -> FieldPath:
         path.append(re.sub(r"\\(.)", r"\1", key, flags=re.DOTALL))
         path.extend(int(position) for position in re.findall(r"\d+", positions))
     return tuple(path)
+
+
+def _field_text(text: str) -> str:
+    if text:
+        field_path(text)
+    return text
+
+
+FieldText = Annotated[str, AfterValidator(_field_text)]
+"""A path as it is written in a config; empty: none."""
 
 
 def path_text(path: FieldPath) -> str:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from leakage import Motor
-from pipeline.config.loading import MotorSpec
+from pipeline.config.fleet import MotorSpec
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.periods import ChosenPeriods
 from pipeline.config.readers import reader_entry, reader_version

@@ -8,15 +8,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from leakage import AnnularGap, Laminar, Oil, Parameter, SpeedCurve
 from leakage.physics.motor import FIXED_COLUMNS
 from leakage.physics.paths import FLUSHING_PARAMETER, FLUSHING_PATH, LeakagePath
 from leakage.physics.simulated_curves import fit_deformation_pressure, fit_speed_curve
 from leakage.physics.walther import walther_coefficients
-from pipeline.config.faults import Place, refuse
-from pipeline.config.settings import NonNegative, Positive, Section
+from pipeline.config.faults import Misfit
+from pipeline.config.section import Id, NonNegative, Positive, Section
 
 BAR = 1e5
 MILLIMETRE = 1e-3
@@ -35,16 +35,19 @@ Source = Annotated[
 class Unknown(Section):
     """An unknown of the model: starting value, bounds, and whether it is held fixed."""
 
-    value: float = Field(description="Value where fixed, else the first starting point")
-    minimum: float = Field(description="Lower bound")
-    maximum: float = Field(description="Upper bound")
-    fixed: bool = Field(False, description="Held at `value`")
+    value: float
+    """Value where fixed, else the first starting point."""
+    minimum: float
+    """Lower bound."""
+    maximum: float
+    """Upper bound."""
+    fixed: bool = False
+    """Held at `value`."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> Unknown:
+    def misfits(self) -> Iterator[Misfit]:
+        """Bounds that do not enclose the value."""
         if not self.minimum <= self.value <= self.maximum:
-            raise ValueError("expected minimum <= value <= maximum")
-        return self
+            yield (), "expected minimum <= value <= maximum", None
 
     def parameter(self, name: str, unit: str) -> Parameter:
         """The unknown as the estimation knows it."""
@@ -54,26 +57,26 @@ class Unknown(Section):
 class GapHeight(Unknown):
     """Gap height in µm."""
 
-    value: float = Field(8.0, description="Value where fixed, else the first starting point, µm")
-    minimum: Positive = Field(1.0, description="Lower bound, µm")
-    maximum: Positive = Field(60.0, description="Upper bound, µm")
+    value: float = 8.0
+    minimum: Positive = 1.0
+    maximum: Positive = 60.0
 
 
 class Eccentricity(Unknown):
     """Eccentricity between 0 (concentric) and 1 (touching)."""
 
-    value: float = Field(0.5, description="Value where fixed, else the first starting point")
-    minimum: NonNegative = Field(0.0, description="Lower bound")
-    maximum: float = Field(1.0, le=1, description="Upper bound")
+    value: float = 0.5
+    minimum: NonNegative = 0.0
+    maximum: float = Field(1.0, le=1)
 
 
 class Scale(Unknown):
     """Factor on a curve; fixed at 1 unless freed."""
 
-    value: float = Field(1.0, description="Value where fixed, else the first starting point")
-    minimum: NonNegative = Field(0.0, description="Lower bound")
-    maximum: Positive = Field(10.0, description="Upper bound")
-    fixed: bool = Field(True, description="Held at `value`")
+    value: float = 1.0
+    minimum: NonNegative = 0.0
+    maximum: Positive = 10.0
+    fixed: bool = True
 
 
 class PathSection(Section):
@@ -84,9 +87,16 @@ class PathSection(Section):
     # Keys that say how well something is known.
     tolerance_keys: ClassVar[frozenset[str]] = frozenset()
 
-    name: Name = Field(description="Name of the path in the tables")
+    name: Name
+    """Name of the path in the tables."""
     law: str
+    """The path's law."""
     source: Source
+
+    def misfits(self) -> Iterator[Misfit]:
+        """Two sources of one thing, or none; numbers that the physics refuses, which raise."""
+        yield from ()
+        self.path()
 
     def path(self) -> LeakagePath:
         """The path as the physics knows it."""
@@ -101,31 +111,31 @@ class AnnularGapPath(PathSection):
     )
     tolerance_keys = frozenset({"deformation_tolerance_percent"})
 
-    law: Literal["annular_gap"] = Field(description="The path's law")
-    count: int = Field(ge=1, description="Interfaces at high pressure at any time")
-    radius_mm: Positive = Field(description="Radius of the gap")
-    length_mm: Positive = Field(description="Length of the gap in the direction of flow")
-    height_factor: Positive = Field(1.0, description="Factor on the gap height (1.1 for sleeves)")
-    deformation_pressure_bar: Positive | None = Field(
-        None, description="Deformation constant X; without it, or points, the gap does not deform"
-    )
-    deformation_points: tuple[tuple[float, float, float], ...] | None = Field(
-        None,
-        description="Points [pressure difference in bar, gap height in µm, flow in l/min] of a "
-        "simulation at constant viscosity, to which X is fitted",
-    )
-    deformation_tolerance_percent: NonNegative = Field(
-        0.0, description="Stated tolerance of the deformation constant; 0: none stated"
-    )
-    gap_um: GapHeight = Field(default_factory=lambda: GapHeight(), description="Gap height")
-    eccentricity: Eccentricity | None = Field(None, description="Eccentricity, if the path has one")
+    law: Literal["annular_gap"]
+    count: int = Field(ge=1)
+    """Interfaces at high pressure at any time."""
+    radius_mm: Positive
+    """Radius of the gap."""
+    length_mm: Positive
+    """Length of the gap in the direction of flow."""
+    height_factor: Positive = 1.0
+    """Factor on the gap height (1.1 for sleeves)."""
+    deformation_pressure_bar: Positive | None = None
+    """Deformation constant X; without it, or points, the gap does not deform."""
+    deformation_points: tuple[tuple[float, float, float], ...] | None = None
+    """Points [pressure difference in bar, gap height in µm, flow in l/min] of a simulation at
+    constant viscosity, to which X is fitted."""
+    deformation_tolerance_percent: NonNegative = 0.0
+    """Stated tolerance of the deformation constant; 0: none stated."""
+    gap_um: GapHeight = GapHeight()
+    """Gap height."""
+    eccentricity: Eccentricity | None = None
+    """Eccentricity, if the path has one."""
 
-    @model_validator(mode="after")
-    def _one_source_of_deformation(self) -> AnnularGapPath:
+    def misfits(self) -> Iterator[Misfit]:
         if self.deformation_pressure_bar is not None and self.deformation_points is not None:
-            raise ValueError("expected deformation_pressure_bar or deformation_points, not both")
-        self.path()
-        return self
+            yield (), "expected deformation_pressure_bar or deformation_points, not both", None
+        yield from super().misfits()
 
     def path(self) -> AnnularGap:
         """The path as the physics knows it."""
@@ -162,31 +172,30 @@ class SpeedCurvePath(PathSection):
     scale_keys = frozenset({"scale"})
     tolerance_keys = frozenset({"curve_tolerance_percent"})
 
-    law: Literal["speed_curve"] = Field(description="The path's law")
-    count: int = Field(ge=1, description="Interfaces at high pressure at any time")
-    coefficients: tuple[float, ...] | None = Field(
-        None, description="Coefficients, highest power first, l/min over rpm", min_length=1
-    )
-    speed_range_rpm: tuple[float, float] | None = Field(
-        None, description="Range over which the coefficients hold; the end value is held outside"
-    )
-    points: tuple[tuple[float, float], ...] | None = Field(
-        None, description="Points [speed in rpm, flow in l/min] to which a quintic is fitted"
-    )
-    reference_pressure_bar: Positive = Field(description="Pressure difference of the simulation")
-    reference_viscosity_mpa_s: Positive = Field(description="Dynamic viscosity of the simulation")
-    curve_tolerance_percent: NonNegative = Field(
-        0.0, description="Stated tolerance of the curve's level; 0: none stated"
-    )
-    scale: Scale = Field(default_factory=lambda: Scale(), description="Factor on the curve")
+    law: Literal["speed_curve"]
+    count: int = Field(ge=1)
+    """Interfaces at high pressure at any time."""
+    coefficients: tuple[float, ...] | None = Field(None, min_length=1)
+    """Coefficients, highest power first, l/min over rpm."""
+    speed_range_rpm: tuple[float, float] | None = None
+    """Range over which the coefficients hold; the end value is held outside."""
+    points: tuple[tuple[float, float], ...] | None = None
+    """Points [speed in rpm, flow in l/min] to which a quintic is fitted."""
+    reference_pressure_bar: Positive
+    """Pressure difference of the simulation."""
+    reference_viscosity_mpa_s: Positive
+    """Dynamic viscosity of the simulation."""
+    curve_tolerance_percent: NonNegative = 0.0
+    """Stated tolerance of the curve's level; 0: none stated."""
+    scale: Scale = Scale()
+    """Factor on the curve."""
 
-    @model_validator(mode="after")
-    def _one_source_of_the_curve(self) -> SpeedCurvePath:
+    def misfits(self) -> Iterator[Misfit]:
         given = self.coefficients is not None and self.speed_range_rpm is not None
         if given == (self.points is not None):
-            raise ValueError("expected coefficients with speed_range_rpm, or points")
-        self.path()
-        return self
+            yield (), "expected coefficients with speed_range_rpm, or points", None
+        else:
+            self.path()
 
     def path(self) -> SpeedCurve:
         """The path as the physics knows it."""
@@ -216,14 +225,11 @@ class LaminarPath(PathSection):
 
     scale_keys = frozenset({"count", "coefficient_m3"})
 
-    law: Literal["laminar"] = Field(description="The path's law")
-    count: int = Field(ge=1, description="Interfaces at high pressure at any time")
-    coefficient_m3: Unknown = Field(description="Loss factor of one interface, m³")
-
-    @model_validator(mode="after")
-    def _physical(self) -> LaminarPath:
-        self.path()
-        return self
+    law: Literal["laminar"]
+    count: int = Field(ge=1)
+    """Interfaces at high pressure at any time."""
+    coefficient_m3: Unknown
+    """Loss factor of one interface, m³."""
 
     def path(self) -> Laminar:
         """The path as the physics knows it."""
@@ -237,33 +243,26 @@ DeclaredPath = Annotated[AnnularGapPath | SpeedCurvePath | LaminarPath, Field(di
 class LeakageLimits(Section):
     """Absolute limits of the reference leakage; there is no universal one, so none by default."""
 
-    warning_l_per_min: Positive | None = Field(
-        None, description="Reference leakage that is a warning whatever the baseline"
-    )
-    alarm_l_per_min: Positive | None = Field(
-        None, description="Reference leakage that is an alarm whatever the baseline"
-    )
+    warning_l_per_min: Positive | None = None
+    """Reference leakage that is a warning whatever the baseline."""
+    alarm_l_per_min: Positive | None = None
+    """Reference leakage that is an alarm whatever the baseline."""
 
 
 class MotorTypeFile(Section):
     """`motor_types/<motor_type>.toml`."""
 
-    motor_type: str = Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$", description="The type")
-    path: tuple[DeclaredPath, ...] = Field(min_length=1, description="Leakage paths of the type")
-    surface_roughness_um: tuple[Positive, Positive] = Field(
-        (0.2, 0.2), description="R_a of the two surfaces of a gap, for the film thickness ratio"
-    )
+    motor_type: Id
+    """The type."""
+    path: tuple[DeclaredPath, ...] = Field(min_length=1)
+    """Leakage paths of the type."""
+    surface_roughness_um: tuple[Positive, Positive] = (0.2, 0.2)
+    """R_a of the two surfaces of a gap, for the film thickness ratio."""
+    limits: LeakageLimits = LeakageLimits()
+    """Absolute limits, where there are any."""
 
-    limits: LeakageLimits = Field(
-        default_factory=lambda: LeakageLimits(), description="Absolute limits, where there are any"
-    )
-
-    @model_validator(mode="after")
-    def _names_once(self) -> MotorTypeFile:
-        refuse("path", self._taken_names())
-        return self
-
-    def _taken_names(self) -> Iterator[tuple[Place, str, object]]:
+    def misfits(self) -> Iterator[Misfit]:
+        """Names of paths and of their parameters that are taken."""
         names, parameters = {*FIXED_COLUMNS, FLUSHING_PATH}, {FLUSHING_PARAMETER}
         for index, declared in enumerate(self.path):
             own = {parameter.name for parameter in declared.path().parameters}
@@ -280,28 +279,28 @@ class MotorTypeFile(Section):
 class OilFile(Section):
     """`oils/<oil>.toml`: an oil's data sheet."""
 
-    name: str = Field(min_length=1, description="The oil's name, as reports show it")
+    name: str = Field(min_length=1)
+    """The oil's name, as reports show it."""
     source: Source
-    reference_temperatures_c: tuple[float, float] = Field(
-        description="Temperatures of the two reference viscosities"
-    )
-    reference_viscosities_mm2_per_s: tuple[Positive, Positive] = Field(
-        description="Kinematic viscosities at these temperatures"
-    )
-    density_15_c_kg_per_m3: Positive = Field(description="Density at 15 °C")
-    thermal_expansion_per_k: NonNegative = Field(7.0e-4, description="β of the density")
-    pressure_viscosity_per_pa: NonNegative = Field(2.0e-8, description="α of the Barus equation")
-    pressure_viscosity_tolerance_percent: NonNegative = Field(
-        0.0, description="Stated tolerance of α; 0: none stated"
-    )
-    density_tolerance_percent: NonNegative = Field(
-        0.0, description="Stated tolerance of the density; 0: none stated"
-    )
+    reference_temperatures_c: tuple[float, float]
+    """Temperatures of the two reference viscosities."""
+    reference_viscosities_mm2_per_s: tuple[Positive, Positive]
+    """Kinematic viscosities at these temperatures."""
+    density_15_c_kg_per_m3: Positive
+    """Density at 15 °C."""
+    thermal_expansion_per_k: NonNegative = 7.0e-4
+    """β of the density."""
+    pressure_viscosity_per_pa: NonNegative = 2.0e-8
+    """α of the Barus equation."""
+    pressure_viscosity_tolerance_percent: NonNegative = 0.0
+    """Stated tolerance of α; 0: none stated."""
+    density_tolerance_percent: NonNegative = 0.0
+    """Stated tolerance of the density; 0: none stated."""
 
-    @model_validator(mode="after")
-    def _physical(self) -> OilFile:
+    def misfits(self) -> tuple[()]:
+        """Numbers that the physics refuses, which raise."""
         self.oil()
-        return self
+        return ()
 
     def oil(self) -> Oil:
         """The oil as the physics knows it."""

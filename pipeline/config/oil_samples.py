@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from leakage.physics.oil_in_use import curve_between
 from leakage.physics.walther import walther_coefficients, walther_through
-from pipeline.config.faults import Place, refuse
+from pipeline.config.faults import Misfit
 from pipeline.config.motor_types import OilFile
-from pipeline.config.settings import Section
+from pipeline.config.section import Section
 
 Walther = tuple[float, float]
 # A viscosity further from the data sheet, by this factor, is a slip or another oil.
@@ -23,24 +23,19 @@ FURTHEST = 3.0
 class OilSample(Section):
     """An analysis of the oil in use."""
 
-    date: dt.date = Field(description="Day on which it was drawn: the first night's label")
-    viscosity_40_c_mm2_per_s: Annotated[float, Field(ge=2, le=2000)] | None = Field(
-        None, description="Kinematic viscosity at 40 °C"
-    )
-    viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = Field(
-        None, description="Kinematic viscosity at 100 °C; without it the data sheet's slope holds"
-    )
-    water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000)] | None = Field(
-        None, description="Water content; it changes no figure, and is told beside the viscosity"
-    )
-    note: str = Field("", description="In words")
+    date: dt.date
+    """Day on which it was drawn: the first night's label."""
+    viscosity_40_c_mm2_per_s: Annotated[float, Field(ge=2, le=2000)] | None = None
+    """Kinematic viscosity at 40 °C."""
+    viscosity_100_c_mm2_per_s: Annotated[float, Field(ge=1, le=200)] | None = None
+    """Kinematic viscosity at 100 °C; without it the data sheet's slope holds."""
+    water_mg_per_kg: Annotated[float, Field(ge=0, le=100_000)] | None = None
+    """Water content; it changes no figure, and is told beside the viscosity."""
+    note: str = ""
+    """In words."""
 
-    @model_validator(mode="after")
-    def _consistent(self) -> OilSample:
-        refuse("oil_samples", self._faults())
-        return self
-
-    def _faults(self) -> Iterator[tuple[Place, str, object]]:
+    def misfits(self) -> Iterator[Misfit]:
+        """Viscosities that cannot be, or none of what an analysis is for."""
         at_40, at_100 = self.viscosity_40_c_mm2_per_s, self.viscosity_100_c_mm2_per_s
         if at_40 is None and self.water_mg_per_kg is None:
             yield (), "expected viscosity_40_c_mm2_per_s or water_mg_per_kg", None
@@ -62,15 +57,15 @@ class OilSample(Section):
 class OilCircuitFile(Section):
     """`oil_circuits/<oil_circuit>.toml`: samples of the oil that motors share."""
 
-    oil_samples: tuple[OilSample, ...] = Field((), description="Analyses of the oil, by date")
+    oil_samples: tuple[OilSample, ...] = ()
+    """Analyses of the oil, by date."""
 
-    @model_validator(mode="after")
-    def _in_order(self) -> OilCircuitFile:
-        refuse("oil circuit", order_faults(self.oil_samples))
-        return self
+    def misfits(self) -> Iterator[Misfit]:
+        """Samples that are not in order of their dates."""
+        return order_faults(self.oil_samples)
 
 
-def order_faults(samples: Sequence[OilSample]) -> Iterator[tuple[Place, str, object]]:
+def order_faults(samples: Sequence[OilSample]) -> Iterator[Misfit]:
     """Samples that are not in order of their dates."""
     for index, (before, after) in enumerate(pairwise(samples), start=1):
         if after.date <= before.date:

@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from typing import Annotated
+
+from pydantic import AfterValidator
 
 GROUP = "motor_leakage.readers"
 BUILT_IN = {name: f"pipeline.ingest.{name}:READER" for name in ("csv", "mcap", "parquet")}
@@ -37,6 +40,10 @@ def reader_entry(name: str) -> EntryPoint:
 def reader_version(entry: EntryPoint) -> str:
     """Package and version of an installed reader; empty for a built-in one."""
     return f"{entry.dist.name} {entry.dist.version}" if entry.dist else ""
+
+
+FormatName = Annotated[str, AfterValidator(lambda name: reader_entry(name).name)]
+"""Name of a format that a reader is there for."""
 
 
 @cache

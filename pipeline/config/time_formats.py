@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from typing import Annotated
 
 import polars as pl
+from pydantic import AfterValidator
 
 EPOCH_UNITS = {"epoch_s": 1_000_000, "epoch_ms": 1_000, "epoch_us": 1, "epoch_ns": 1}
 """Microseconds in a unit of each epoch format (`epoch_ns` is divided by 1000 instead)."""
@@ -15,8 +17,8 @@ EXCEL_DAYS = "excel_days"
 _DIRECTIVES = frozenset("YymdHIMSfzpbBj%")
 
 
-def require_time_format(time_format: str) -> None:
-    """Refuse a format without a day, hour and minute, or with a directive that is not supported.
+def require_time_format(time_format: str) -> str:
+    """The format, if it has a day, hour and minute, and no directive that is not supported.
 
     Raises
     ------
@@ -26,9 +28,10 @@ def require_time_format(time_format: str) -> None:
     Examples
     --------
     >>> require_time_format("%d.%m.%Y %H:%M:%S,%f")
+    '%d.%m.%Y %H:%M:%S,%f'
     """
     if time_format in ("iso8601", EXCEL_DAYS, *EPOCH_UNITS):
-        return
+        return time_format
     directives = re.findall(r"%(.?)", time_format)
     if not set(directives) <= _DIRECTIVES:
         raise ValueError(
@@ -48,6 +51,10 @@ def require_time_format(time_format: str) -> None:
         parsed(pl.Series(["?"]), time_format)
     except pl.exceptions.PolarsError as error:
         raise ValueError(f"time format {time_format!r}: {error}") from error
+    return time_format
+
+
+TimeFormat = Annotated[str, AfterValidator(require_time_format)]
 
 
 def parsed(texts: pl.Series, time_format: str) -> pl.Series:

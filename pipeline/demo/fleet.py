@@ -25,29 +25,15 @@ SLEEVE: Final = "balance_sleeve"
 
 @dataclass(frozen=True, slots=True)
 class DemoMotor:
-    """A motor of the demo; its type, oil and log dialect stand in its config file.
+    """A motor of the demo; its type, oil and log dialect stand in its config file."""
 
-    Parameters
-    ----------
-    motor_id
-        As in the config.
-    duty
-        What it is asked to do.
-    wear
-        How it wears; None: it does not.
-    gap_factors
-        Gap heights of this motor as built, relative to those of its type's config, by path, [-].
-    flushing_l_per_min
-        Flow that flushes its case, [l/min].
-    frozen
-        Number of a night in which a sensor freezes, and its channel.
-    """
-
-    motor_id: str
-    duty: Duty
-    wear: Wear | None
+    motor_id: str  # as in the config
+    duty: Duty  # what it is asked to do
+    wear: Wear | None  # how it wears; None: it does not
+    # Gap heights of this motor as built, relative to those of its type's config, by path, [-].
     gap_factors: Mapping[str, float]
-    flushing_l_per_min: float = 0.0
+    flushing_l_per_min: float = 0.0  # flow that flushes its case, [l/min]
+    # Number of a night in which a sensor freezes, and its channel.
     frozen: tuple[int, str] | None = None
 
     @property
@@ -59,30 +45,14 @@ class DemoMotor:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """Extent of the simulation.
-
-    Parameters
-    ----------
-    nights
-        Number of nights.
-    minutes
-        Length of a night's log, [min].
-    rate_hz
-        Rate of all channels but the temperature, which is logged every second, [Hz].
-    seed
-        Seed of the whole fleet.
-    first_night
-        Label of night 1: the date on which it ends.
-    slow_errors_min
-        Time constant of slow errors of the drain flow, [min]; 0: none.
-    """
+    """Extent of the simulation."""
 
     nights: int
-    minutes: float
-    rate_hz: float
-    seed: int
-    first_night: dt.date
-    slow_errors_min: float = 0.0
+    minutes: float  # length of a night's log, [min]
+    rate_hz: float  # rate of all channels but the temperature, which is logged every second, [Hz]
+    seed: int  # seed of the whole fleet
+    first_night: dt.date  # label of night 1: the date on which it ends
+    slow_errors_min: float = 0.0  # time constant of slow errors of the drain flow, [min]; 0: none
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,21 +83,13 @@ class DemoNight:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """State of a motor in a night that no log shows.
+    """State of a motor in a night that no log shows."""
 
-    Attributes
-    ----------
-    gaps_um
-        Gap height of each annular gap, [µm].
-    coefficients
-        Coefficient of every path by name: K of the gaps, [m³]; scale of the rollers' curve, [-];
-        flushing, [l/min].
-    reference_leakage_l_per_min
-        Leakage without flushing at the reference conditions, [l/min].
-    """
-
-    gaps_um: Mapping[str, float]
+    gaps_um: Mapping[str, float]  # gap height of each annular gap, [µm]
+    # Coefficient of every path by name: K of the gaps, [m³]; scale of the rollers' curve, [-];
+    # flushing, [l/min].
     coefficients: Mapping[str, float]
+    # Leakage without flushing at the reference conditions, [l/min].
     reference_leakage_l_per_min: float
 
 

@@ -38,17 +38,7 @@ def autoregression(white: FloatArray, phi: float) -> FloatArray:
 
     .. math:: x_0 = w_0, \quad x_k = \varphi x_{k-1} + \sqrt{1 - \varphi^2}\,w_k
 
-    Parameters
-    ----------
-    white
-        Independent values of zero mean, shape (n, ...).
-    phi
-        φ, the correlation of neighbours, 0 to 1.
-
-    Returns
-    -------
-    ndarray
-        Shape and unit of `white`; the correlation at lag k is φ^k.
+    `white` are independent values of zero mean, shape (n, ...); the correlation at lag k is φ^k.
 
     Examples
     --------
@@ -106,23 +96,7 @@ def dead_band(
     width_l_per_min: float = 0.02,
     below_bar: float = 40.0,
 ) -> FloatArray:
-    """Reading of a flow meter that loses a little at low pressure and never reads below 0.
-
-    Parameters
-    ----------
-    flow_l_per_min
-        True flow, shape (n,), [l/min].
-    pressure_difference_bar
-        Shape (n,), [bar]; its sign does not count.
-    width_l_per_min
-        What the meter loses, [l/min].
-    below_bar
-        Where it loses that, [bar].
-
-    Returns
-    -------
-    ndarray
-        Shape (n,), [l/min].
+    """Reading of a flow meter that loses `width_l_per_min` at low pressure and is never below 0.
 
     Examples
     --------
@@ -148,18 +122,12 @@ def lagging(signal: FloatArray, step_s: float, time_constant_s: float) -> FloatA
 
 @dataclass(frozen=True, slots=True)
 class NightWander:
-    """Errors that sensors keep for a night, shape (nights, ...) each.
+    """Errors that sensors keep for a night, shape (nights, ...) each."""
 
-    Attributes
-    ----------
-    temperature_c, pressure_bar
-        Added to the oil temperature and the pressure difference, [°C] and [bar].
-    gain
-        Relative error of the drain flow, [-].
-    """
-
+    # temperature_c, pressure_bar: added to the oil temperature and the pressure difference, [°C]
+    # and [bar].
     temperature_c: FloatArray
-    gain: FloatArray
+    gain: FloatArray  # relative error of the drain flow, [-]
     pressure_bar: FloatArray
 
 

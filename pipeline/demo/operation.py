@@ -23,53 +23,34 @@ TEMPERATURE_PERIODS_S: Final = (1500.0, 3000.0)
 
 @dataclass(frozen=True, slots=True)
 class Duty:
-    """Duty of a motor.
+    """Duty of a motor."""
 
-    Parameters
-    ----------
-    pressure_bar
-        Lowest and highest level of the pressure difference, [bar]; the same twice: one pressure.
-    low_pressure_share
-        Share of the levels that lie below 100 bar, where the pressures reach that low, [-].
-    pressure_drift_bar, pressure_ripple_bar
-        Standard deviation of the slow and of the fast variation around a level, [bar].
-    speed_rpm
-        Lowest and highest level of the speed, [rpm]; levels are even in the logarithm.
-    temperature_c
-        Middle of a night's oil temperature and its swing to either side, [°C].
-    reverses
-        Whether the motor runs backward after every other halt.
-    """
-
+    # Lowest and highest level of the pressure difference, [bar]; the same twice: one pressure.
     pressure_bar: tuple[float, float] = (15.0, 300.0)
+    # Share of the levels that lie below 100 bar, where the pressures reach that low, [-].
     low_pressure_share: float = 0.45
+    # pressure_drift_bar, pressure_ripple_bar: standard deviation of the slow and of the fast
+    # variation around a level, [bar].
     pressure_drift_bar: float = 3.0
     pressure_ripple_bar: float = 0.4
+    # Lowest and highest level of the speed, [rpm]; levels are even in the logarithm.
     speed_rpm: tuple[float, float] = (3.0, 110.0)
+    # Middle of a night's oil temperature and its swing to either side, [°C].
     temperature_c: tuple[float, float] = (49.0, 8.5)
-    reverses: bool = False
+    reverses: bool = False  # the motor runs backward after every other halt
 
 
 @dataclass(frozen=True, slots=True)
 class Operation:
-    """True conditions in a motor, sample by sample, before any sensor.
+    """True conditions in a motor, sample by sample, before any sensor."""
 
-    Attributes
-    ----------
-    time_s
-        Time since the start, shape (n,), [s].
-    pressure_difference_bar, speed_rpm
-        Shape (n,), [bar] and [rpm]; negative where the motor runs backward, 0 where it stands.
-    oil_temperature_c
-        Shape (n,), [°C].
-    back_flow
-        Shape (n,): the drain line empties backward through its sensor, right after a halt.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  # time since the start, shape (n,), [s]
+    # pressure_difference_bar, speed_rpm: shape (n,), [bar] and [rpm]; negative where the motor runs
+    # backward, 0 where it stands.
     pressure_difference_bar: FloatArray
-    oil_temperature_c: FloatArray
+    oil_temperature_c: FloatArray  # shape (n,), [°C]
     speed_rpm: FloatArray
+    # Shape (n,): the drain line empties backward through its sensor, right after a halt.
     back_flow: NDArray[np.bool_]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage import OperatingConditions, leakage_l_per_min
-from pipeline.config.motors import ChannelName
+from pipeline.config.channels import ChannelName
 from pipeline.demo.fleet import DemoNight, Plan, truth_of
 from pipeline.demo.noise import FloatArray, correlated_noise
 from pipeline.demo.operation import Operation, simulate_operation

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config.motors import ChannelName
+from pipeline.config.channels import ChannelName
 from pipeline.demo.noise import FloatArray, correlated_noise
 
 NOISE_TIME_CONSTANT_S: Final = 3.9  # φ = 0.95 at 5 samples a second
@@ -18,69 +18,38 @@ MICROSECONDS: Final = 1_000_000
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """One channel's sensor.
+    """One channel's sensor."""
 
-    Parameters
-    ----------
-    resolution
-        Smallest step, [unit of the channel].
-    noise
-        Standard deviation of its white noise, [unit of the channel].
-    spike
-        Typical height of a spike, [unit of the channel].
-    error_value
-        Reading of a broken sensor, outside its range, [unit of the channel].
-    maximum
-        Highest reading, [unit of the channel].
-    """
-
-    resolution: float
-    noise: float
-    spike: float
-    error_value: float
-    maximum: float | None = None
+    resolution: float  # smallest step, [unit of the channel]
+    noise: float  # standard deviation of its white noise, [unit of the channel]
+    spike: float  # typical height of a spike, [unit of the channel]
+    error_value: float  # reading of a broken sensor, outside its range, [unit of the channel]
+    maximum: float | None = None  # highest reading, [unit of the channel]
 
 
 @dataclass(frozen=True, slots=True)
 class FaultRates:
-    """Rates of faults, in events per hour unless stated otherwise.
+    """Rates of faults, in events per hour unless stated otherwise."""
 
-    Parameters
-    ----------
-    spikes, values_out_of_range, not_finite
-        Single samples, in each channel.
-    blank_stretches
-        Some seconds without a value, in each channel.
-    missing_periods
-        Twenty seconds to three minutes without anything, in all channels.
-    disordered_stamps
-        Stamps that repeat the one before, and as many that lie before it.
-    """
-
+    # spikes, values_out_of_range, not_finite: single samples, in each channel.
     spikes: float = 4.0
     values_out_of_range: float = 1.0
     not_finite: float = 0.0
-    blank_stretches: float = 0.7
+    blank_stretches: float = 0.7  # some seconds without a value, in each channel
+    # Twenty seconds to three minutes without anything, in all channels.
     missing_periods: float = 0.7
+    # Stamps that repeat the one before, and as many that lie before it.
     disordered_stamps: float = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A night's log before it takes a format.
+    """A night's log before it takes a format."""
 
-    Attributes
-    ----------
-    time_us
-        UTC stamp of each row in the file's order, shape (n,), [µs].
-    values
-        Each channel in its canonical unit, shape (n,); NaN: no value there.
-    own_delay_us
-        Where the channels have stamps of their own: their delay behind `time_us`, shape (n,), [µs].
-    """
-
-    time_us: NDArray[np.int64]
+    time_us: NDArray[np.int64]  # UTC stamp of each row in the file's order, shape (n,), [µs]
+    # Each channel in its canonical unit, shape (n,); NaN: no value there.
     values: Mapping[ChannelName, FloatArray]
+    # Where the channels have stamps of their own: their delay behind `time_us`, shape (n,), [µs].
     own_delay_us: Mapping[ChannelName, NDArray[np.int64]] = field(default_factory=dict)
 
 

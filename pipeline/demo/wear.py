@@ -12,43 +12,18 @@ Course = Literal["step", "linear", "accelerating"]
 
 @dataclass(frozen=True, slots=True)
 class Wear:
-    """Gap heights that grow.
+    """Gap heights that grow."""
 
-    Parameters
-    ----------
-    words
-        What happens, for people.
-    paths
-        Leakage paths whose gaps grow.
-    first_night
-        Number of the first night with wear, counted from 1.
-    gap_growth
-        Relative growth of the gap height when the wear is complete, [-].
-    course
-        ``step``: complete from its first night on; ``linear`` and ``accelerating`` (with the
-        square of time): complete from night 75 on.
-    """
-
-    words: str
-    paths: tuple[str, ...]
-    first_night: int
-    gap_growth: float
+    words: str  # what happens, for people
+    paths: tuple[str, ...]  # leakage paths whose gaps grow
+    first_night: int  # number of the first night with wear, counted from 1
+    gap_growth: float  # relative growth of the gap height when the wear is complete, [-]
+    # ``step``: complete from its first night on; ``linear`` and ``accelerating`` (with the square
+    # of time): complete from night 75 on.
     course: Course
 
     def growth(self, path: str, number: int) -> float:
-        """Relative growth of a path's gap height by a night, [-].
-
-        Parameters
-        ----------
-        path
-            Name of the path.
-        number
-            Number of the night, counted from 1.
-
-        Returns
-        -------
-        float
-            0 before the wear, and for paths that do not wear.
+        """Relative growth of a path's gap height by a night, counted from 1, [-].
 
         Examples
         --------

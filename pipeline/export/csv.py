@@ -34,20 +34,13 @@ _UNSAFE_WITHIN = rf"([;\t\r\n\x00])([{_FORMULA_START}])"
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Selection of rows.
+    """Selection of rows."""
 
-    Attributes
-    ----------
-    tables
-        Tables, in the order in which they are written.
-    motors
-        Ids; empty: all. Tables without a motor are not affected.
-    since, until
-        First and last night, or day (UTC) of what has a time instead. Others are not affected.
-    """
-
-    tables: tuple[Table, ...] = TABLES
+    tables: tuple[Table, ...] = TABLES  # tables, in the order in which they are written
+    # Ids; empty: all. Tables without a motor are not affected.
     motors: tuple[str, ...] = ()
+    # since, until: first and last night, or day (UTC) of what has a time instead. Others are not
+    # affected.
     since: dt.date | None = None
     until: dt.date | None = None
 

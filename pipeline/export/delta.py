@@ -9,7 +9,7 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
-from pipeline.config.loading import is_url
+from pipeline.config.fleet import is_url
 from pipeline.errors import StoreError, UsageError
 from pipeline.schema import TABLES, Table
 from pipeline.store.object_store import ObjectStore

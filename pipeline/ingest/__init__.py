@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.motors import COUNTED, Channel, Channels, Logs
+from pipeline.config.channels import COUNTED, Channel, Channels
+from pipeline.config.logs import Logs
 from pipeline.ingest.assembly import Samples, log_of_samples, span_of_log
 from pipeline.ingest.contract import LogFile, Place, RawChannel, RawLog, Reader, readable
 from pipeline.ingest.readers import (

@@ -36,7 +36,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 
 

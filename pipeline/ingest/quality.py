@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from pipeline.config.motors import QualityValue
+from pipeline.config.channels import QualityValue
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text
 

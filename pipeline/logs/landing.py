@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from pipeline.clock import EPOCH, FARTHEST_AHEAD, MICROSECOND, latest_us
 from pipeline.config import MotorSpec
 from pipeline.config.databases import END, START, Database
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.config.nights import DAY, Night, night, night_of, nights_between
 from pipeline.errors import LogError
 from pipeline.ingest import LogFile

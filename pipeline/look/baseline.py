@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from leakage.course.baseline import Baseline
-from leakage.course.monitoring import track
+from leakage.course.monitoring import monitor
 from leakage.course.step_detection import (
     BlockErrors,
     StepWatch,
@@ -35,16 +35,17 @@ from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
 from pipeline.store.tables import read_rows
-from pipeline.trends.decisions import Decision
-from pipeline.trends.eras import eras_of, indicators_of
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, Indicator
-from pipeline.trends.reading import read_nights
-from pipeline.trends.record import Record, resets_of
-from pipeline.trends.segments import segments
-from pipeline.trends.temperature import NIGHTS
-from pipeline.trends.tonight import Tonight
-from pipeline.trends.watch import monitor_settings
+from pipeline.trends.baselines.eras import eras_of
+from pipeline.trends.baselines.leakages import indicators_of
+from pipeline.trends.figures.indicators import DEVIATION, Indicator
+from pipeline.trends.figures.temperature import NIGHTS
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.reading import read_nights
+from pipeline.trends.nights.segments import segments
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import Record, resets_of
+from pipeline.trends.states.watch import monitor_settings
 
 Array = NDArray[np.float64]
 
@@ -279,7 +280,7 @@ def _watched_baseline(
     segment = segments(history, decisions, DEVIATION)[-1]
     settings = monitor_settings(history.spec, indicators[DEVIATION], len(indicators))
     here = slice(segment.first, segment.end)
-    followed = track(history.numbers[here], indicators[DEVIATION].watched[here], settings)
+    followed = monitor(history.numbers[here], indicators[DEVIATION].watched[here], settings)
     return followed.baselines[-1] if followed.baselines else None
 
 

@@ -37,8 +37,8 @@ from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import TOLD_LOOKS, open_outbox, read_outbox, take_up
 from pipeline.telling.receivers import receivers_of
 from pipeline.trends.circuits import circuits_of, decisions_of
-from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.record import read_record
+from pipeline.trends.nights.decisions import Decision, read_decisions
+from pipeline.trends.nights.trend_record import read_record
 from pipeline.versions import own_version
 
 log = logging.getLogger(__name__)

@@ -26,7 +26,7 @@ from pipeline.look.state import (
     Rise,
     Scores,
 )
-from pipeline.trends.motor_states import CLEAR, LOOK_NOW
+from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 
 # Blocks before the first new one whose samples are cleaned with it, and the wait for the samples
 # behind it that the rules look at.

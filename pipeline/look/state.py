@@ -12,7 +12,7 @@ import numpy as np
 from leakage.course.step_detection import StepWatch
 from pipeline.arrays import utc
 from pipeline.store.sealed import put_sealed, read_if_whole, unseal
-from pipeline.trends.motor_states import LookStanding
+from pipeline.trends.rows.motor_states import LookStanding
 
 if TYPE_CHECKING:
     from pipeline.ingest import Place

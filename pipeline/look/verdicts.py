@@ -18,7 +18,7 @@ from pipeline.look.state import LookState, Rise
 from pipeline.night.stored_blocks import BLOCK_COLUMNS, StoredBlocks
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.tables import read_rows
-from pipeline.trends.motor_states import CLEAR, LOOK_NOW
+from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW
 
 # Blocks of a night that give a verdict, and nights that are waited for them.
 LEAST_BLOCKS, MOST_NIGHTS = 5, 7

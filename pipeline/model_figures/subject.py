@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from leakage import AnnularGap, FilmPressure, Motor, OperatingConditions, SpeedCurve
 from leakage.physics.oil import dynamic_viscosity_pa_s, flow_drive_per_s
 from leakage.physics.paths import LeakagePath
-from pipeline.config.loading import Fleet
+from pipeline.config.fleet import Fleet
 from pipeline.config.motor_types import (
     BAR,
     MICROMETRE,
@@ -36,43 +36,25 @@ _LONGEST_NAME = 60
 
 @dataclass(frozen=True, slots=True)
 class ModelSubject:
-    """A motor type with its oil, at the values that its config files state.
+    """A motor type with its oil, at the values that its config files state."""
 
-    Attributes
-    ----------
-    motor
-        The declared paths with the oil; gap heights and eccentricities are the configured ones.
-    oil_name
-        Name in the oil's file.
-    reference_viscosities
-        Data-sheet points (temperature, [°C]; kinematic viscosity, [mm²/s]).
-    roughness_m
-        R_a of the two surfaces of a gap, [m].
-    pressure_bar, temperature_c, speed_rpm
-        Reference conditions.
-    charge_over_case_bar
-        Charge above case pressure for two-sided leakage; None: one-sided.
-    deformation_points
-        Points (ΔP, [bar]; h, [µm]; Q, [l/min]) by path to which X is fitted.
-    speed_points
-        Points (ω, [rpm]; Q, [l/min]) by path to which the curve is fitted.
-    placeholders
-        Paths with placeholder values.
-    oil_is_placeholder
-        The oil has placeholder values.
-    """
-
+    # The declared paths with the oil; gap heights and eccentricities are the configured ones.
     motor: Motor
-    oil_name: str
+    oil_name: str  # name in the oil's file
+    # Data-sheet points (temperature, [°C]; kinematic viscosity, [mm²/s]).
     reference_viscosities: tuple[tuple[float, float], ...]
-    roughness_m: tuple[float, float]
+    roughness_m: tuple[float, float]  # R_a of the two surfaces of a gap, [m]
+    # pressure_bar, temperature_c, speed_rpm: reference conditions.
     pressure_bar: float
     temperature_c: float
     speed_rpm: float
+    # Charge above case pressure for two-sided leakage; None: one-sided.
     charge_over_case_bar: float | None
+    # Points (ΔP, [bar]; h, [µm]; Q, [l/min]) by path to which X is fitted.
     deformation_points: Mapping[str, Array]
+    # Points (ω, [rpm]; Q, [l/min]) by path to which the curve is fitted.
     speed_points: Mapping[str, Array]
-    placeholders: frozenset[str]
+    placeholders: frozenset[str]  # paths with placeholder values
     oil_is_placeholder: bool
 
     @property
@@ -136,15 +118,13 @@ def stated(path: LeakagePath) -> str:
     return words
 
 
-def subject_of(
-    motor_type: MotorTypeFile, oil: OilFile, settings: Settings, motor: Motor | None = None
-) -> ModelSubject:
+def subject_of(motor_type: MotorTypeFile, oil: OilFile, settings: Settings) -> ModelSubject:
     """Subject from the files of a motor type and an oil."""
     model, reference = settings.model, settings.reference
     charge = model.charge_pressure_bar - model.case_pressure_bar
     film_pressure = FilmPressure(model.film_pressure, model.film_pressure_share)
     return ModelSubject(
-        motor=motor or Motor(motor_type.motor_type, motor_type.paths(), oil.oil(), film_pressure),
+        motor=Motor(motor_type.motor_type, motor_type.paths(), oil.oil(), film_pressure),
         # A name may hold line breaks; a figure's line cannot.
         oil_name=textwrap.shorten(oil.name, _LONGEST_NAME),
         reference_viscosities=tuple(

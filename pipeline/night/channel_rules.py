@@ -6,7 +6,8 @@ import math
 from dataclasses import dataclass
 
 from pipeline.config import Channel, Cleaning
-from pipeline.config.motors import FALLBACK_VALID_RANGE, Logs
+from pipeline.config.channels import FALLBACK_VALID_RANGE
+from pipeline.config.logs import Logs
 from pipeline.night.sampling import PERIODIC, Sampling
 
 TEMPERATURE_FROZEN_AFTER_S = 900.0

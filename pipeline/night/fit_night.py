@@ -25,14 +25,8 @@ from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
 from pipeline.night.fit import fit_modes, with_residuals
 from pipeline.night.operation_rows import operation_row
-from pipeline.night.rows import (
-    Rows,
-    fit_rows,
-    prediction_rows,
-    quality_rows,
-    statistics_rows,
-    unfitted_row,
-)
+from pipeline.night.rows import Rows, fit_rows, unfitted_row
+from pipeline.night.sample_rows import prediction_rows, quality_rows, statistics_rows
 from pipeline.night.sampling import means_too_long
 from pipeline.night.statistics import NightStatistics, night_statistics
 from pipeline.night.stored_blocks import StoredBlocks
@@ -98,7 +92,7 @@ def fit_night(
     Parameters
     ----------
     spec
-        The motor with its resolved config.
+        The motor with its resolved config, in the form in which it is fitted.
     night
         The night.
     channels
@@ -126,8 +120,8 @@ def fit_night(
             rows["quality"] += quality_rows(spec.motor_id, night.date, outside)
             _require_parts(samples, outside)
         with _timed(seconds, "statistics_s"):
-            motor = spec.motor(night.date, spec.file.flushing.mode)
-            statistics = night_statistics(spec, motor, night, samples)
+            motor = spec.stated.motor(night.date, spec.file.flushing.mode)
+            statistics = night_statistics(spec.stated, motor, night, samples)
             ratio = _sensor_ratio(motor, samples)
             rows["block_statistics"] = statistics_rows(
                 spec.motor_id, night.date, motor, statistics, ratio

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.arrays import SECOND_US, Mask, Times, Values
 from pipeline.config import Channel, Cleaning
-from pipeline.config.motors import ChannelName
+from pipeline.config.channels import ChannelName
 
 # cm³/µs -> l/min.
 CM3_PER_US_TO_L_PER_MIN = 60.0 * SECOND_US / 1000.0

@@ -13,10 +13,10 @@ from leakage.estimation.compression import CompressedSamples, compress
 from leakage.estimation.multi_start import Parametrisation
 from leakage.estimation.sample_blocks import split_into_blocks
 from pipeline.config import MotorSpec
+from pipeline.config.fitting import Model
 from pipeline.config.hashes import model_hash
 from pipeline.config.nights import Night
 from pipeline.config.periods import ChosenPeriods
-from pipeline.config.settings import Model
 from pipeline.night.time_base import Samples
 from pipeline.night.viscosity import driven
 

@@ -6,9 +6,9 @@ import datetime as dt
 
 import numpy as np
 
-from leakage.estimation.sensitivities import ChannelTolerance, Tolerances
+from leakage.estimation.error_sources import ChannelTolerance, Tolerances
 from pipeline.config import MotorSpec
-from pipeline.config.motors import Channel
+from pipeline.config.channels import Channel
 
 PRESSURES = ("pressure_difference", "high_port_pressure", "low_port_pressure")
 # EN 837-1, class 1: 1 % of the range, which is this where the config tells none [bar].

@@ -38,7 +38,7 @@ from pipeline.report.pages import ASSETS, UTC, FleetFacts, fleet_html, motor_htm
 from pipeline.report.status import changed_by_rules
 from pipeline.report.tables import SHOWN_TABLES, ReportTables, read_night, read_tables
 from pipeline.report.trends import changes_of_state, motor_states, trend_payload
-from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS, frame
+from pipeline.schema import ALARMS, FITS, SCHEMA_VERSION, TRENDS
 from pipeline.store.atomic_files import remove_leftovers
 from pipeline.store.tables import night_paths, table_folder
 from pipeline.telling.delivery import Receiver
@@ -56,107 +56,58 @@ Entries = dict[str, tuple[str, int]]
 
 @dataclass(frozen=True, slots=True)
 class KnownMotor:
-    """Facts on a motor that only the config has.
-
-    Attributes
-    ----------
-    motor_type
-        Its type.
-    events
-        Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
-    paths
-        Names of its leakage paths, in the config's order.
-    """
+    """Facts on a motor that only the config has."""
 
     motor_type: str
+    # Its dated events, each with `date`, `kind` and `note`; each starts a new baseline.
     events: tuple[Mapping[str, Any], ...] = ()
-    paths: tuple[str, ...] = ()
+    paths: tuple[str, ...] = ()  # names of its leakage paths, in the config's order
 
 
 @dataclass(frozen=True, slots=True)
 class ReportRequest:
-    """Request for a report.
+    """Request for a report."""
 
-    Attributes
-    ----------
-    output
-        Output folder of the runs, in which `tables/` lies.
-    folder
-        Folder of the report.
-    fleet
-        Name of the fleet; where empty, that of the newest run.
-    known
-        Motors of the config by id, those without any night too.
-    motors
-        Ids of the motors to show; empty for all.
-    nights
-        Newest nights that get a file of their own; None for all.
-    execution
-        How many nights are made at the same time, and within which limits.
-    made
-        Time of making, which the fleet's page tells; None: it tells none.
-    zone
-        Time zone of the fleet.
-    old_after_nights
-        Nights after which a motor's newest data are old.
-    receivers
-        Receivers of alarms; what they have not taken is on the fleet's page.
-    """
-
-    output: Path
-    folder: Path
-    fleet: str = ""
+    output: Path  # output folder of the runs, in which `tables/` lies
+    folder: Path  # folder of the report
+    fleet: str = ""  # name of the fleet; where empty, that of the newest run
+    # Motors of the config by id, those without any night too.
     known: Mapping[str, KnownMotor] = field(default_factory=dict)
-    motors: tuple[str, ...] = ()
-    nights: int | None = None
+    motors: tuple[str, ...] = ()  # ids of the motors to show; empty for all
+    nights: int | None = None  # newest nights that get a file of their own; None for all
+    # How many nights are made at the same time, and within which limits.
     execution: Execution = field(default_factory=lambda: Execution(backend="sequential"))
+    # Time of making, which the fleet's page tells; None: it tells none.
     made: dt.datetime | None = None
-    zone: ZoneInfo = UTC
-    old_after_nights: int = 7
+    zone: ZoneInfo = UTC  # time zone of the fleet
+    old_after_nights: int = 7  # nights after which a motor's newest data are old
+    # Receivers of alarms; what they have not taken is on the fleet's page.
     receivers: tuple[Receiver, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class ReportResult:
-    """Result of a report.
+    """Result of a report."""
 
-    Attributes
-    ----------
-    index
-        The page to open.
-    n_motors, n_nights
-        Motors shown, and nights of the fleet that were made anew.
-    n_written, n_removed
-        Files that were written and removed; all others were as they had to be.
-    faults
-        Table files that could not be read, in words.
-    """
-
-    index: Path
+    index: Path  # the page to open
+    # n_motors, n_nights: motors shown, and nights of the fleet that were made anew.
     n_motors: int
     n_nights: int
+    # n_written, n_removed: files that were written and removed; all others were as they had to be.
     n_written: int
     n_removed: int
-    faults: tuple[str, ...]
+    faults: tuple[str, ...]  # table files that could not be read, in words
 
 
 @dataclass(frozen=True, slots=True)
 class NightTask:
-    """A night to make: plain data, small enough to send to a worker.
-
-    Attributes
-    ----------
-    before
-        Entries of the night's files in the manifest, by path.
-    names
-        Names of the motors' folders; other motors are left out.
-    """
+    """A night to make: plain data, small enough to send to a worker."""
 
     output: Path
     folder: Path
     night: dt.date
-    names: Mapping[str, str]
-    before: Mapping[str, tuple[str, int]]
+    names: Mapping[str, str]  # names of the motors' folders; other motors are left out
+    before: Mapping[str, tuple[str, int]]  # entries of the night's files in the manifest, by path
 
 
 def build_report(request: ReportRequest) -> ReportResult:
@@ -339,14 +290,12 @@ def _make_pages(
     for asset in ASSETS:
         write(f"assets/{asset.name}", asset.read_bytes())
     _write_chart_library(request.folder, before, now)
-    alarms = history.trends.get(ALARMS.name, frame(ALARMS, []))
-    by_rules = changed_by_rules(alarms).filter(pl.col("motor_id").is_in(list(names)))
+    by_rules = changed_by_rules(history.rows(ALARMS)).filter(pl.col("motor_id").is_in(list(names)))
     told = by_rules.sort(ALARMS.key).with_columns(page=pl.col("motor_id").replace(names))
-    by_type = {row.state.motor_id: row.motor_type for row in rows}
-    trends = history.trends.get(TRENDS.name)
-    parts = {} if trends is None else scores(history.decisions, trends, by_type)
-    write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
     by_id = {row.state.motor_id: row for row in rows}
+    by_type = {motor_id: row.motor_type for motor_id, row in by_id.items()}
+    parts = scores(history.decisions, history.rows(TRENDS), by_type)
+    write(INDEX, fleet_html(facts, rows, told.to_dicts(), parts).encode())
     for motor in motors:
         name = names[motor.motor_id]
         page = _motor_page(request, history, motor, name, by_id[motor.motor_id], facts, now)

@@ -23,10 +23,7 @@ HARMFUL = "<>&"
 def numbers(values: ArrayLike) -> dict[str, str]:
     """Numbers as little-endian single floats in Base64; NaN where there is none.
 
-    Parameters
-    ----------
-    values
-        Shape (n,); seven digits of them are kept, which no chart can show.
+    Seven digits are kept, more than a chart can show.
 
     Examples
     --------

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UsageError
+from pipeline.messages import counted
 from pipeline.report.explain_residuals import explain_residuals
+from pipeline.report.words import UNITS
 from pipeline.schema import (
     FITS,
     INPUT_FILES,
@@ -23,7 +25,7 @@ from pipeline.schema import (
     Table,
 )
 from pipeline.store.tables import read_rows
-from pipeline.trends.motor_states import CHANGED, FITS_OF_A_NIGHT, fit_words
+from pipeline.trends.rows.motor_states import CHANGED, FITS_OF_A_NIGHT, fit_words
 
 Row = dict[str, Any]
 
@@ -31,7 +33,6 @@ Row = dict[str, Any]
 WORTH_TELLING = 0.005
 LARGEST_EFFECTS = 3
 PARTS_OF_A_TOTAL = {"samples": "statistical", "sensors": "sensor", "model": "model"}
-# Fits of a night by the column of `fits`, in words.
 
 
 def explain(output: Path, motor_id: str, night: dt.date) -> list[str]:
@@ -99,7 +100,7 @@ def _files(rows: list[Row], told: str | None) -> Iterator[str]:
     for row in rows:
         # What failed the night stands in the headline.
         said = f"; {row['message']}" if row["message"] not in (None, told) else ""
-        size = "" if row["rows"] is None else f", {row['rows']} rows"
+        size = "" if row["rows"] is None else f", {counted(row['rows'], 'row')}"
         yield f"log {row['path']}: {row['status']}{size}{said}"
 
 
@@ -212,7 +213,7 @@ def _verdicts(rows: list[Row]) -> Iterator[str]:
     for row in rows:
         if not row["parameter"].startswith(("K_", "C_", "scale_")):
             continue
-        unit = f" {_in_words(row['unit'])}".rstrip()
+        unit = f" {UNITS.get(row['unit'], row['unit'])}".rstrip()
         text = f"{row['parameter']}: {row['verdict'].replace('_', ' ')}"
         if row["verdict"] in ("identified", "uncertain"):
             text += f", {row['value']:.4g} [{row['lower']:.4g}, {row['upper']:.4g}]{unit}"
@@ -239,12 +240,8 @@ def _tolerance(row: Row) -> str:
     assumed = f" (assumed: {row['assumed_sensor']})" if row["assumed_sensor"] else ""
     if row["tolerance_unit"] == "1":
         return f"{100 * row['tolerance']:g} %{assumed}"
-    return f"{row['tolerance']:g} {_in_words(row['tolerance_unit'])}{assumed}"
-
-
-def _in_words(unit: str) -> str:
-    """A unit of the tables as people write it."""
-    return {"m3": "m³", "um": "µm", "l_per_min": "l/min", "1": ""}.get(unit, unit)
+    unit = UNITS.get(row["tolerance_unit"], row["tolerance_unit"])
+    return f"{row['tolerance']:g} {unit}{assumed}"
 
 
 def _modes(fits: list[Row]) -> Iterator[str]:

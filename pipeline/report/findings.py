@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import polars as pl
 
-from pipeline.trends.decisions import Decision
+from pipeline.trends.nights.decisions import Decision
 
 # Nights up to the last one before the opening in which the newest alarm counts: a motor may stand
 # for weeks before it is opened.
@@ -21,22 +21,13 @@ COLUMNS = ("motor_id", "night", "state", "path")
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """Parts that inspections looked at.
+    """Parts that inspections looked at."""
 
-    Attributes
-    ----------
-    named_right, named_wrong
-        Parts that an alarm named: worn, and sound.
-    cannot_be_told
-        Worn parts of a motor in alarm of which no part was named.
-    missed
-        Worn parts that no alarm named, though it named others or there was none.
-    """
-
+    # named_right, named_wrong: parts that an alarm named: worn, and sound.
     named_right: int = 0
     named_wrong: int = 0
-    cannot_be_told: int = 0
-    missed: int = 0
+    cannot_be_told: int = 0  # worn parts of a motor in alarm of which no part was named
+    missed: int = 0  # worn parts that no alarm named, though it named others or there was none
 
 
 def scores(

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pipeline.palette import path_places
 from pipeline.report.history import Array, Course, MotorHistory
 from pipeline.report.words import plain
-from pipeline.trends.motor_states import GAP, REFERENCES, MotorState
-from pipeline.trends.words import name_of
+from pipeline.trends.rows.motor_states import GAP, REFERENCES, MotorState
+from pipeline.trends.states.words import name_of
 
 Limits = dict[str, Array]
 PATH = "leakage_"
@@ -22,18 +22,10 @@ KINDS = dict(zip(REFERENCES, ("reference", "frozen", "comparable"), strict=True)
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A course on the first screen.
+    """A course on the first screen."""
 
-    Attributes
-    ----------
-    name
-        For people.
-    place
-        Place of its path among the colours; None for what is no single path.
-    """
-
-    name: str
-    place: int | None
+    name: str  # for people
+    place: int | None  # place of its path among the colours; None for what is no single path
     course: Course
 
     @property
@@ -46,31 +38,18 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class FirstScreen:
-    """Content of the first screen of a motor's page, over its n nights.
+    """Content of the first screen of a motor's page, over its n nights."""
 
-    Attributes
-    ----------
-    changes
-        Change of each gap that has a baseline, %; if none has, of the leakage.
-    limits
-        Levels of warning and alarm of the change that leads, by name, shape (n,), %.
-    limits_of
-        Its name; empty without limits.
-    leakage_kind, leakage
-        Leakage at comparable conditions, l/min, and which conditions; not known: the drain flow.
-    paths
-        Its parts, l/min; empty where the nights do not tell the paths apart.
-    flow
-        Mean drain flow as measured, l/min.
-    """
-
+    # Change of each gap that has a baseline, %; if none has, of the leakage.
     changes: tuple[Line, ...]
-    limits: Limits
-    limits_of: str
+    limits: Limits  # levels of warning and alarm of the change that leads, by name, shape (n,), %
+    limits_of: str  # name of that change; empty without limits
+    # leakage_kind, leakage: which comparable conditions, and the leakage there, l/min; the drain
+    # flow where it is not known.
     leakage_kind: str
     leakage: Course
-    paths: tuple[Line, ...]
-    flow: Course
+    paths: tuple[Line, ...]  # its parts, l/min; empty where the nights do not tell the paths apart
+    flow: Course  # mean drain flow as measured, l/min
 
 
 def first_screen(motor: MotorHistory, state: MotorState, declared: Sequence[str]) -> FirstScreen:

@@ -13,7 +13,7 @@ from pipeline.report.first_screen import KINDS, drawn_kind
 from pipeline.report.history import COMPARABLE, OWN_REFERENCE, REFERENCE, Course, MotorHistory
 from pipeline.report.sparkline import STEP, Sparkline, sparkline, strip
 from pipeline.report.words import SENSORS, STATUSES
-from pipeline.trends.motor_states import MotorState, urgency
+from pipeline.trends.rows.motor_states import MotorState, urgency
 
 Span = tuple[dt.date, dt.date]
 ONE_DAY = dt.timedelta(days=1)
@@ -24,47 +24,27 @@ BASELINES = {"reference": REFERENCE, "frozen": OWN_REFERENCE, "comparable": COMP
 
 @dataclass(frozen=True, slots=True)
 class FleetRow:
-    """A motor on the fleet page.
+    """A motor on the fleet page."""
 
-    Attributes
-    ----------
-    state
-        As `motor-leakage status` prints it.
-    leakage_kind
-        Conditions of its leakage: `reference`, `frozen`, `comparable`, `own` or `flow`.
-    drawn_now
-        Its newest figure where the state has none for want of a baseline, l/min.
-    flow_now
-        Newest mean drain flow as measured, l/min; None without one.
-    newest_data
-        End of the newest data that were kept, UTC; None without any.
-    validation_fit, previous_fit
-        Of the last good night, percent.
-    kept_percent
-        Median share of samples kept in the recent fitted nights.
-    strip, strip_words
-        Outcomes of the recent nights of the fleet's calendar, as pictures and as words.
-    sensors
-        Zeros of the sensors at halts, in words; empty where unknown.
-    """
-
-    state: MotorState
+    state: MotorState  # as `motor-leakage status` prints it
     page: str
     motor_type: str
+    # Conditions of its leakage: `reference`, `frozen`, `comparable`, `own` or `flow`.
     leakage_kind: str
+    # Its newest figure where the state has none for want of a baseline, l/min.
     drawn_now: float | None
-    flow_now: float | None
-    newest_data: dt.datetime | None
+    flow_now: float | None  # newest mean drain flow as measured, l/min; None without one
+    newest_data: dt.datetime | None  # end of the newest data that were kept, UTC; None without any
     line: Sparkline | None
-    validation_fit: float | None
-    previous_fit: float | None
-    kept_percent: float | None
+    validation_fit: float | None  # of the last good night, percent
+    kept_percent: float | None  # median share of samples kept in the recent fitted nights
     n_recent_good: int
     n_recent: int
+    # strip, strip_words: outcomes of the recent nights of the fleet's calendar, drawn and in words.
     strip: Mapping[str, str]
     strip_width: int
     strip_words: str
-    sensors: str
+    sensors: str  # zeros of the sensors at halts, in words; empty where unknown
 
 
 def fleet_rows(
@@ -116,7 +96,6 @@ def _row(
         newest_data=newest,
         line=sparkline(days, course, ends, level) if ends else None,
         validation_fit=last.get("validation_fit_percent"),
-        previous_fit=last.get("previous_model_fit_percent"),
         kept_percent=100.0 * kept if isinstance(kept, float) else None,
         n_recent_good=there.count("ok"),
         n_recent=len(there),

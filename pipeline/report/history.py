@@ -24,14 +24,9 @@ NO_TRENDS = frame(TRENDS, [])
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """A figure over a motor's nights with its 95 % interval; NaN where there is none.
+    """A figure over a motor's nights with its 95 % interval; NaN where there is none."""
 
-    Attributes
-    ----------
-    value, lower, upper
-        Shape (n,), one a night.
-    """
-
+    # value, lower, upper: shape (n,), one a night.
     value: Array
     lower: Array
     upper: Array
@@ -51,23 +46,13 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class MotorHistory:
-    """All nights of a motor.
-
-    Attributes
-    ----------
-    motor_id
-        The motor.
-    fits
-        Its primary fits in time order, one row a night, n of them; none for a motor without any.
-    nights
-        Labels of these nights.
-    trends
-        Its rows of `trends` by indicator, in time order; empty where no run has judged trends.
-    """
+    """All nights of a motor."""
 
     motor_id: str
+    # Its primary fits in time order, one row a night, n of them; none for a motor without any.
     fits: pl.DataFrame
-    nights: tuple[dt.date, ...]
+    nights: tuple[dt.date, ...]  # labels of these nights
+    # Its rows of `trends` by indicator, in time order; empty where no run has judged trends.
     trends: Mapping[str, pl.DataFrame]
 
     @property
@@ -132,7 +117,7 @@ class MotorHistory:
 def motor_histories(history: ReportTables, motors: Sequence[str]) -> Iterator[MotorHistory]:
     """The history of each motor."""
     fits = by_motor(history.fits)
-    trends = by_motor(history.trends.get("trends", NO_TRENDS))
+    trends = by_motor(history.rows(TRENDS))
     for motor_id in motors:
         own = fits.get(motor_id, history.fits.clear())
         judged = trends.get(motor_id, NO_TRENDS).sort("indicator", "night")

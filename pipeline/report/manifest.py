@@ -20,20 +20,12 @@ FILE = "manifest.json"
 
 @dataclass(slots=True)
 class ReportManifest:
-    """Pages and data files that a run has written.
+    """Pages and data files that a run has written."""
 
-    Attributes
-    ----------
-    program
-        Hash of all that shapes pages beside the tables.
-    nights
-        Hash of the table files that each night was made from, by label.
-    files
-        Hash and size of every file of the report, by path relative to its folder.
-    """
-
-    program: str
+    program: str  # hash of all that shapes pages beside the tables
+    # Hash of the table files that each night was made from, by label.
     nights: dict[str, str] = field(default_factory=dict)
+    # Hash and size of every file of the report, by path relative to its folder.
     files: dict[str, tuple[str, int]] = field(default_factory=dict)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import datetime as dt
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import polars as pl
@@ -255,10 +256,6 @@ def _residuals(rows: pl.DataFrame) -> ByMotor:
     return series
 
 
-def _verdicts(rows: pl.DataFrame) -> ByMotor:
-    return _named(rows, VERDICT_COLUMNS)
-
-
 # Part of a payload: the table it is made from, how, and what stands for it where it is absent.
 PARTS: Mapping[str, tuple[str, Callable[[pl.DataFrame], ByMotor], Any]] = {
     "fit": ("fits", _fit, None),
@@ -271,5 +268,5 @@ PARTS: Mapping[str, tuple[str, Callable[[pl.DataFrame], ByMotor], Any]] = {
     "samples": ("predictions", _samples, None),
     "coverage": ("block_statistics", _coverage, None),
     "residuals": ("residual_tests", _residuals, []),
-    "verdicts": ("residual_verdicts", _verdicts, []),
+    "verdicts": ("residual_verdicts", partial(_named, columns=VERDICT_COLUMNS), []),
 }

@@ -33,9 +33,9 @@ from pipeline.report.words import (
     sentence,
     signed,
 )
-from pipeline.trends.decisions import Decision
-from pipeline.trends.motor_states import ORDER
-from pipeline.trends.words import day, name_of
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.rows.motor_states import ORDER
+from pipeline.trends.states.words import day, name_of
 
 FOLDER = Path(__file__).parent
 UTC = ZoneInfo("UTC")
@@ -44,32 +44,17 @@ ASSETS = tuple(sorted((FOLDER / "assets").iterdir()))
 
 @dataclass(frozen=True, slots=True)
 class FleetFacts:
-    """Facts on the fleet that all pages show.
-
-    Attributes
-    ----------
-    first, newest
-        The fleet's first and newest night.
-    faults
-        Table files that could not be read.
-    undelivered
-        Alarms that a receiver has not taken, in words.
-    made
-        Time of making; None: it is not told.
-    zone
-        Time zone of the fleet.
-    old_after_nights
-        Nights after which a motor's newest data are old.
-    """
+    """Facts on the fleet that all pages show."""
 
     name: str
+    # first, newest: the fleet's first and newest night.
     first: dt.date | None
     newest: dt.date | None
-    faults: tuple[str, ...] = ()
-    undelivered: tuple[str, ...] = ()
-    made: dt.datetime | None = None
-    zone: ZoneInfo = UTC
-    old_after_nights: int = 7
+    faults: tuple[str, ...] = ()  # table files that could not be read
+    undelivered: tuple[str, ...] = ()  # alarms that a receiver has not taken, in words
+    made: dt.datetime | None = None  # time of making; None: it is not told
+    zone: ZoneInfo = UTC  # time zone of the fleet
+    old_after_nights: int = 7  # nights after which a motor's newest data are old
 
 
 def fleet_html(

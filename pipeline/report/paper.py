@@ -29,8 +29,8 @@ from pipeline.report.tables import read_tables
 from pipeline.report.trends import motor_states
 from pipeline.report.words import LEAKAGE_KINDS, figure, plain, sentence
 from pipeline.store.atomic_files import put
-from pipeline.trends.motor_states import MotorState
-from pipeline.trends.words import day
+from pipeline.trends.rows.motor_states import MotorState
+from pipeline.trends.states.words import day
 
 Nights = NDArray[np.datetime64]
 

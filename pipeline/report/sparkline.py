@@ -30,24 +30,14 @@ STRIP_HEIGHT, BAR, STEP = 10, 3, 4
 
 @dataclass(frozen=True, slots=True)
 class Sparkline:
-    """A course as SVG paths in a box of `WIDTH` by `HEIGHT`.
+    """A course as SVG paths in a box of `WIDTH` by `HEIGHT`."""
 
-    Attributes
-    ----------
-    line, band
-        The values, broken where nights have none, and their intervals.
-    baseline
-        Level of the baseline; empty without one.
-    last
-        Place of the newest value.
-    smallest, largest
-        Of the values.
-    """
-
+    # line, band: the values, broken where nights have none, and their intervals.
     line: str
     band: str
-    baseline: str
-    last: tuple[float, float]
+    baseline: str  # level of the baseline; empty without one
+    last: tuple[float, float]  # place of the newest value
+    # smallest, largest: of the values.
     smallest: float
     largest: float
 
@@ -79,7 +69,7 @@ def sparkline(
         inside: Array = np.clip((flow - median) / reach, -1.0, 1.0)
         return HEIGHT / 2 - inside * (HEIGHT / 2 - MARGIN)
 
-    kept = keep_extremes(value[:, None], POINTS)
+    kept = keep_extremes([value], POINTS)
     drawn = known[kept]
     # Beyond a week without a value the line is not drawn.
     breaks = np.concatenate([[True], np.diff(days[drawn]) > max(7, 3 * span / POINTS)])

@@ -20,10 +20,10 @@ from pipeline.store.tables import read_rows
 from pipeline.store.verification import TableFault, compare_published
 from pipeline.telling.delivery import Receiver
 from pipeline.telling.outbox import Backlog, backlogs
-from pipeline.trends.decisions import Decision, read_decisions
-from pipeline.trends.latest_states import published_states
-from pipeline.trends.motor_states import CHANGED, SENSORS, MotorState, urgency
-from pipeline.trends.words import name_of
+from pipeline.trends.nights.decisions import Decision, read_decisions
+from pipeline.trends.rows.latest_states import published_states
+from pipeline.trends.rows.motor_states import CHANGED, SENSORS, MotorState, urgency
+from pipeline.trends.states.words import name_of
 
 # States that an inspection can confirm, and those that can be acknowledged.
 RAISED = CHANGED
@@ -31,36 +31,22 @@ RAISED = CHANGED
 
 @dataclass(frozen=True, slots=True)
 class FleetStatus:
-    """All motors, those that need attention first.
-
-    Attributes
-    ----------
-    motors
-        One each.
-    last_good_run
-        When the last run ended that went through all motors; None where none did.
-    findings_confirmed, findings
-        Alarms with wear found at the inspection, and all inspected alarms.
-    parts
-        Parts named by alarms against those that inspections found worn, by motor type.
-    beat
-        Heartbeat of the current or the last run; None before the first.
-    receivers
-        Changes of state not yet delivered, by receiver.
-    n_by_rules
-        States of past nights that a change of the program's rules raised, changed or withdrew.
-    damage
-        Published files that are gone, or were written to since and are not what was published.
-    """
+    """All motors, those that need attention first."""
 
     motors: tuple[MotorState, ...]
+    # When the last run ended that went through all motors; None where none did.
     last_good_run: dt.datetime | None
+    # findings_confirmed, findings: alarms with wear found at the inspection, and all inspected
+    # alarms.
     findings_confirmed: int
     findings: int
-    beat: Beat | None = None
-    receivers: tuple[Backlog, ...] = ()
+    beat: Beat | None = None  # heartbeat of the current or the last run; None before the first
+    receivers: tuple[Backlog, ...] = ()  # changes of state not yet delivered, by receiver
+    # Parts named by alarms against those that inspections found worn, by motor type.
     parts: Mapping[str, Score] = field(default_factory=dict)
+    # States of past nights that a change of the program's rules raised, changed or withdrew.
     n_by_rules: int = 0
+    # Published files that are gone, or were written to since and are not what was published.
     damage: tuple[TableFault, ...] = ()
 
 

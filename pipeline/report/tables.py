@@ -31,9 +31,10 @@ from pipeline.schema import (
     STARTS,
     TREND_TABLES,
     Table,
+    frame,
 )
 from pipeline.store.tables import by_file, files_of, night_paths, read_table, while_listed
-from pipeline.trends.decisions import Decision, read_decisions
+from pipeline.trends.nights.decisions import Decision, read_decisions
 
 # Tables of a night that its page shows.
 SHOWN_TABLES = (
@@ -61,27 +62,18 @@ class Read:
 
 @dataclass(frozen=True, slots=True)
 class ReportTables:
-    """All nights of all motors.
+    """All nights of all motors."""
 
-    Attributes
-    ----------
-    fits
-        The primary fit of each motor and night, sorted by motor and night.
-    trends
-        Tables of trends and alarms by name, as far as they are there.
-    decisions
-        Acknowledgements, findings and resets, the oldest first.
-    fleet
-        Name of the fleet in the newest run; empty where there is none.
-    faults
-        Files that could not be read, in words.
-    """
-
-    fits: pl.DataFrame
+    fits: pl.DataFrame  # the primary fit of each motor and night, sorted by motor and night
+    # Tables of trends and alarms by name, as far as they are there.
     trends: Mapping[str, pl.DataFrame] = field(default_factory=dict)
-    decisions: tuple[Decision, ...] = ()
-    fleet: str = ""
-    faults: tuple[str, ...] = ()
+    decisions: tuple[Decision, ...] = ()  # acknowledgements, findings and resets, the oldest first
+    fleet: str = ""  # name of the fleet in the newest run; empty where there is none
+    faults: tuple[str, ...] = ()  # files that could not be read, in words
+
+    def rows(self, table: Table) -> pl.DataFrame:
+        """All rows of a table of trends or alarms; none where it is not there."""
+        return self.trends.get(table.name, frame(table, []))
 
 
 def read_night(output: Path, night: dt.date) -> dict[str, Read]:

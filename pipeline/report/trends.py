@@ -6,18 +6,17 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import polars as pl
 
 from pipeline.report.encoding import numbers, whole_numbers
 from pipeline.report.history import MotorHistory
 from pipeline.report.tables import ReportTables, by_motor
 from pipeline.report.words import plain
-from pipeline.schema import ALARMS, TRENDS, frame
+from pipeline.schema import ALARMS, BASELINES, CHANGE_POINTS, TRENDS, frame
 from pipeline.thinning import keep_extremes
-from pipeline.trends.latest_states import motor_state
-from pipeline.trends.motor_states import ORDER, LookStanding, MotorState
-from pipeline.trends.words import limit_dates, name_of
+from pipeline.trends.rows.latest_states import motor_state
+from pipeline.trends.rows.motor_states import ORDER, LookStanding, MotorState
+from pipeline.trends.states.words import limit_dates, name_of
 
 Payload = dict[str, Any]
 
@@ -29,7 +28,6 @@ FIRST_SCREEN = ("gap_change_", "leakage_")
 SHOWN_CHANGES = 200
 # Of the newest night of an indicator, beside its course.
 LATEST = (
-    "baseline_mean",
     "deviation_percent",
     "slope_per_year",
     "slope_per_year_lower",
@@ -38,7 +36,6 @@ LATEST = (
     "slope_per_1000_h_lower",
     "slope_per_1000_h_upper",
     "n_slope",
-    "provisional",
     "q_value",
     "state",
     "state_reason",
@@ -64,7 +61,7 @@ def motor_states(
     history: ReportTables, motors: Iterable[str], looks: Mapping[str, LookStanding]
 ) -> dict[str, MotorState]:
     """The state of each motor, the same that `motor-leakage status` prints."""
-    trends = by_motor(history.trends.get(TRENDS.name, frame(TRENDS, [])))
+    trends = by_motor(history.rows(TRENDS))
     fits = by_motor(history.fits)
     no_trends, no_fits = frame(TRENDS, []), history.fits.clear()
     return {
@@ -83,22 +80,21 @@ def motor_states(
 
 def trend_payload(motor: MotorHistory, history: ReportTables) -> Payload:
     """Trends of a motor for its page; empty lists where there are none."""
-    own = {
-        name: history.trends[name].filter(motor_id=motor.motor_id).drop("run_id", "motor_id")
-        for name in ("baselines", "change_points")
-        if name in history.trends
-    }
+    baselines, change_points = (
+        history.rows(table).filter(motor_id=motor.motor_id).drop("run_id", "motor_id")
+        for table in (BASELINES, CHANGE_POINTS)
+    )
     return {
         "order": ORDER,
         "indicators": _indicators(motor),
-        "baselines": _baselines_in_use(own.get("baselines")),
-        "change_points": _newest_change_points(own.get("change_points")),
+        "baselines": _baselines_in_use(baselines),
+        "change_points": _newest_change_points(change_points),
     }
 
 
 def changes_of_state(motor_id: str, history: ReportTables) -> list[dict[str, Any]]:
     """A motor's newest rows of `alarms`, the newest first."""
-    rows = history.trends.get(ALARMS.name, frame(ALARMS, [])).filter(motor_id=motor_id)
+    rows = history.rows(ALARMS).filter(motor_id=motor_id)
     return rows.sort("time", "indicator", descending=[True, False]).head(SHOWN_CHANGES).to_dicts()
 
 
@@ -116,7 +112,7 @@ def _indicators(motor: MotorHistory) -> list[Payload]:
 def _indicator(rows: pl.DataFrame) -> Payload:
     last = rows.row(-1, named=True)
     columns = {name: rows[name].cast(pl.Float64).to_numpy() for name in COURSES}
-    places = keep_extremes(np.column_stack([columns["value"], columns["cusum"]]), PLOTTED_NIGHTS)
+    places = keep_extremes([columns["value"], columns["cusum"]], PLOTTED_NIGHTS)
     states = rows["state"].to_list()
     return {
         "indicator": last["indicator"],
@@ -137,29 +133,24 @@ def _name(indicator: str) -> str:
     return name_of(indicator) if path == indicator else f"K of the {plain(path)}"
 
 
-def _baselines_in_use(rows: pl.DataFrame | None) -> list[Payload]:
+def _baselines_in_use(rows: pl.DataFrame) -> list[Payload]:
     """The baseline of each indicator that was frozen last."""
-    if rows is None:
-        return []
     return _records(rows.sort("indicator", "night").unique("indicator", keep="last"))
 
 
-def _newest_change_points(rows: pl.DataFrame | None) -> list[Payload]:
+def _newest_change_points(rows: pl.DataFrame) -> list[Payload]:
     """Change points as the newest night sees them."""
-    if rows is None:
-        return []
     newest = pl.col("night") == pl.col("night").max().over("indicator")
     return _records(rows.filter(newest).sort("indicator", "change_night"))
 
 
-def _records(rows: pl.DataFrame | None) -> list[Payload]:
-    return [] if rows is None else [_plain(row.items()) for row in rows.to_dicts()]
-
-
-def _plain(items: Iterable[tuple[str, Any]]) -> Payload:
-    """Values as JSON has them, dates as text; those that are absent are left out."""
-    return {
-        name: value.isoformat() if hasattr(value, "isoformat") else value
-        for name, value in items
-        if value is not None
-    }
+def _records(rows: pl.DataFrame) -> list[Payload]:
+    """Rows as JSON has them, dates as text; what is absent is left out."""
+    return [
+        {
+            name: value.isoformat() if hasattr(value, "isoformat") else value
+            for name, value in row.items()
+            if value is not None
+        }
+        for row in rows.to_dicts()
+    ]

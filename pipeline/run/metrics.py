@@ -14,7 +14,7 @@ from pipeline.run.tasks import MotorOutcome
 from pipeline.schema.fits import FAILED
 from pipeline.store.atomic_files import put, read, remove_leftovers
 from pipeline.telling.outbox import Backlog
-from pipeline.trends.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
+from pipeline.trends.rows.motor_states import CLEAR, LOOK_NOW, ORDER, LookStanding, MotorState
 
 HEAD = "# Made by motor-leakage"
 # Labels and value of a sample.

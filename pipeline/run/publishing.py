@@ -35,18 +35,18 @@ from pipeline.schema import (
 from pipeline.store.interrupts import interrupts_held
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import month_stamps, published_rows, whole_file
-from pipeline.trends.decisions import journal_file, read_decisions
-from pipeline.trends.latest_states import latest_states
-from pipeline.trends.motor_states import latest_rows
-from pipeline.trends.record import forget_records, note_touched, write_record
+from pipeline.trends.nights.decisions import journal_file, read_decisions
+from pipeline.trends.nights.tonight import Tonight, tonight_of
+from pipeline.trends.nights.trend_record import forget_records, note_touched, write_record
+from pipeline.trends.rows.latest_states import latest_states
+from pipeline.trends.rows.motor_states import latest_rows
 from pipeline.trends.tasks import (
     TrendOutcome,
+    TrendTask,
     lost_trends,
-    run_trends,
     trend_tasks,
     without_lost_motor,
 )
-from pipeline.trends.tonight import Tonight, tonight_of
 from pipeline.workers.engine import RunTasks, results_of
 from pipeline.workers.process import Loss
 
@@ -143,6 +143,13 @@ def publish_latest(publisher: Publisher, fleet: Fleet) -> None:
     rows = frame(LATEST, latest_rows(states, publisher.run_id)).sort(LATEST.key)
     if not rows.drop("run_id").equals(published.drop("run_id")):
         publisher.whole(LATEST, rows)
+
+
+def run_trends(task: TrendTask) -> TrendOutcome:
+    """As `stage.run_trends`, with which a process loads the science."""
+    from pipeline.trends import stage
+
+    return stage.run_trends(task)
 
 
 def _nothing_since(path: Path) -> bool:

@@ -11,7 +11,7 @@ from pipeline.store.manifest import manifest_keys
 from pipeline.store.sealed import read_sealed, unseal
 from pipeline.store.verification import TableFault, compare_published, verify_unlisted
 from pipeline.telling.outbox import OUTBOX_FILES, read_outbox_file
-from pipeline.trends.decisions import damaged_lines, journal_file
+from pipeline.trends.nights.decisions import damaged_lines, journal_file
 
 ONLY_WORK = "it only saves work: `check --tables --mend` removes it, and a run makes it anew"
 
@@ -34,7 +34,7 @@ def verify_tables(output: Path) -> Iterator[TableFault]:
 
 
 def _verify_sealed(output: Path) -> Iterator[TableFault]:
-    from pipeline.trends.kept_nights import kept_folder, whole_table
+    from pipeline.trends.nights.kept_nights import kept_folder, whole_table
 
     kinds: tuple[tuple[Path, str, Callable[[bytes], object]], ...] = (
         (output / "ledger", "ledger_damaged", unseal),

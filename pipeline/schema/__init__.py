@@ -7,35 +7,17 @@ added; each addition raises the version.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any
 
 import polars as pl
+import pyarrow as pa
 
-from pipeline.schema.columns import (
-    COUNTS,
-    FIT_KEY_NAMES,
-    NUMBERS,
-    TIMESTAMP,
-    Column,
-    Table,
-)
-from pipeline.schema.fits import (
-    FITS,
-    PARAMETERS,
-    SENSITIVITIES,
-    STARTS,
-)
-from pipeline.schema.residuals import (
-    PREDICTIONS,
-    RESIDUAL_TESTS,
-    RESIDUAL_VERDICTS,
-)
-from pipeline.schema.runs import (
-    DATA_DICTIONARY,
-    INPUT_FILES,
-    MOTOR_OUTCOMES,
-    RUNS,
-)
+from pipeline.schema.columns import COUNTS, FIT_KEY_NAMES, NUMBERS, TIMESTAMP, Column, Table
+from pipeline.schema.fits import FITS
+from pipeline.schema.parameters import PARAMETERS, SENSITIVITIES, STARTS
+from pipeline.schema.residuals import PREDICTIONS, RESIDUAL_TESTS, RESIDUAL_VERDICTS
+from pipeline.schema.runs import DATA_DICTIONARY, INPUT_FILES, MOTOR_OUTCOMES, RUNS
 from pipeline.schema.samples import (
     BLOCK_STATISTICS,
     OPERATION,
@@ -94,6 +76,7 @@ __all__ = [
     "WHOLE_TABLES",
     "Column",
     "Table",
+    "arrow_table",
     "data_dictionary",
     "frame",
 ]
@@ -134,8 +117,13 @@ TABLES = (
 )
 
 
-def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pl.DataFrame:
-    """Rows as a frame with exactly the table's columns and types; absent values are null.
+@cache
+def _arrow_schema(table: Table) -> pa.Schema:
+    return pl.DataFrame(schema=table.schema).to_arrow(compat_level=pl.CompatLevel.oldest()).schema
+
+
+def arrow_table(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "") -> pa.Table:
+    """Rows in Arrow with exactly the table's columns and types; absent values are null.
 
     Parameters
     ----------
@@ -149,14 +137,26 @@ def frame(table: Table, rows: Iterable[Mapping[str, Any]], *, without: str = "")
     Raises
     ------
     ValueError
-        If a row has a column that the table has not: a figure would be lost silently.
+        If a row has a column that the table has not: a figure would be lost silently; or a value
+        that its column cannot hold.
+    TypeError
+        If a value is of another type.
     """
-    schema = {name: kind for name, kind in table.schema.items() if name != without}
+    schema = _arrow_schema(table)
+    if without:
+        schema = schema.remove(schema.get_field_index(without))
     rows = list(rows)
-    strangers = {name for row in rows for name in row} - schema.keys()
+    strangers = set().union(*rows) - set(schema.names)
     if strangers:
         raise ValueError(f"{table.name} has no column {', '.join(sorted(strangers))}")
-    return pl.DataFrame(rows, schema=schema, orient="row", strict=True)
+    return pa.Table.from_pylist(rows, schema)
+
+
+def frame(table: Table, rows: Iterable[Mapping[str, Any]]) -> pl.DataFrame:
+    """The same as a data frame."""
+    found = pl.from_arrow(arrow_table(table, rows))
+    assert isinstance(found, pl.DataFrame)
+    return found
 
 
 def data_dictionary() -> pl.DataFrame:

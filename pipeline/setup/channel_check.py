@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrays import SECOND_US
 from pipeline.config import Channel, MotorSpec
-from pipeline.config.motors import COUNTED
+from pipeline.config.channels import COUNTED
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, read_log
 from pipeline.logs.files import labels_of
@@ -63,15 +63,14 @@ def check_channels(
         log = read_log(path_of(newest), spec.file.logs, spec.file.channels)
     except LogError as error:
         return (), (f"{error.code}: {error.message}",), ()
-    suspects = suspect_units(spec, max(labels_of(records[newest])), log.channels)
+    nights = labels_of(records[newest])
+    suspects = suspect_units(spec, max(nights), log.channels)
     told = units_told(path_of(newest), spec.file)
     found = tuple(
         _looked_at(spec, name, channel, log.channels[name], (told.get(name), suspects.get(name)))
         for name, channel in spec.file.channels.items()
     )
-    worth = night_worth(
-        spec, max(labels_of(records[newest])), log.channels, len(labels_of(records[newest]))
-    )
+    worth = night_worth(spec, max(nights), log.channels, len(nights))
     return found, tuple(fault for one in found for fault in one.unit_faults), (worth,)
 
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pipeline.config import Fleet, MotorSpec
+from pipeline.config.channels import COUNTED
 from pipeline.config.motor_types import OilFile
-from pipeline.config.motors import COUNTED
 from pipeline.errors import LogError
 from pipeline.logs.database import DatabaseError
 from pipeline.logs.files import change_of, failed, growing, labels_of, look_at, spanned

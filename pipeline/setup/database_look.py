@@ -42,14 +42,8 @@ ORDER BY table_schema, table_name, ordinal_position"""
 def propose_from_database(variable: str, query: str, answers: Mapping[str, str]) -> Proposal:
     """Propose a fleet from the rows of a query, or of the one table with a time.
 
-    Parameters
-    ----------
-    variable
-        Environment variable with the database's address.
-    query
-        As `logs.database.query`; empty: that of a table, which is asked for if there are several.
-    answers
-        As of `propose`.
+    `variable` is the environment variable with the database's address, `query` as
+    `logs.database.query`; empty: that of a table, which is asked for if there are several.
 
     Raises
     ------

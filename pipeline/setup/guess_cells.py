@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from pipeline.config.motors import MISSING_TOKENS, THOUSANDS
+from pipeline.config.logs import MISSING_TOKENS, THOUSANDS
 
 _GROUP = "[" + "".join(map(re.escape, THOUSANDS)) + "]"
 _NUMBER = re.compile(

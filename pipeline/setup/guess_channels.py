@@ -7,7 +7,7 @@ letter does, and a unit only where no word does.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from itertools import pairwise
 from typing import TypeVar
 
@@ -30,8 +30,8 @@ from pipeline.units import CHANNELS, QUANTITIES, UNITS, to_canonical
 
 _T = TypeVar("_T")
 
-
-_BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
+_NEEDED = ("oil_temperature", "speed", "leakage_flow")
+BRACKETED = re.compile(r"[\[(<{]([^\])>}]*)[\])>}]")
 _UNIT_NAMES = {
     **dict.fromkeys(("°c", "c", "oc", "℃", "celsius", "deg c", "grad c"), "degC"),
     **dict.fromkeys(("°f", "f", "fahrenheit", "deg f"), "degF"),
@@ -75,7 +75,7 @@ def words_of(name: str) -> tuple[str, ...]:
     (('drain', 'flow', 'lpm'), ('p', 'a'), ('dp',))
     """
     # A unit of its own beside the quantity's letter is no word: "p_Pa".
-    plain = re.sub(r"(?<=[^\W_][\W_])Pa\b", " ", _BRACKETED.sub(" ", name))
+    plain = re.sub(r"(?<=[^\W_][\W_])Pa\b", " ", BRACKETED.sub(" ", name))
     plain = plain.replace("Δ", "d").replace("∆", "d")
     parted = re.sub(r"(?<=[a-zäöå])(?=[A-Z])", " ", plain)
     found = re.findall(r"[^\W\d_]+|\d+", parted.lower())
@@ -145,7 +145,7 @@ def _quantity_of(words: Sequence[str], name: str, unit: str) -> str | None:
     letters = [LETTERS[word] for word in words if word in LETTERS]
     if letters and len(words) <= LONGEST_WITH_A_LETTER:
         return letters[0]
-    texts = [unit, *_BRACKETED.findall(name)]
+    texts = [unit, *BRACKETED.findall(name)]
     for quantity in WORDS:
         channel = _channel_of_quantity(quantity)
         if any(_unit_named(channel, text) for text in texts):
@@ -175,6 +175,23 @@ def best_by_channel(
     }
 
 
+def missing_channels(found: Collection[str]) -> list[str]:
+    """Channels that a motor has to have, besides those that were found.
+
+    Examples
+    --------
+    >>> missing_channels(["speed", "leakage_flow", "low_port_pressure"])
+    ['oil_temperature', 'high_port_pressure']
+    """
+    missing = [name for name in _NEEDED if name not in found]
+    other_ports = [name for name in PORT_PRESSURES if name not in found]
+    if "pressure_difference" in found:
+        return missing
+    if len(other_ports) == len(PORT_PRESSURES):
+        return ["pressure_difference", *missing]
+    return [*missing, *other_ports]
+
+
 def unit_of(channel: str, name: str) -> str | None:
     """Unit of a channel that a name or the cell of a line of units tells; None: none.
 
@@ -192,7 +209,7 @@ def unit_of(channel: str, name: str) -> str | None:
     # "flow_m3_h" and "flow_l_per_min", as names without a stroke have it.
     lengths = [n for n in (2, 3) if len(words) >= n]
     rates = ["/".join(part for part in words[-n:] if part != "per") for n in lengths]
-    parts = [*_BRACKETED.findall(name), *behind, *whole, *rates, *reversed(words[1:])]
+    parts = [*BRACKETED.findall(name), *behind, *whole, *rates, *reversed(words[1:])]
     return next((unit for part in parts if (unit := _unit_named(channel, part))), None)
 
 

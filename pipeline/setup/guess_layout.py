@@ -9,9 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from pipeline.config.motors import GOOD_QUALITY, LogLayout
+from pipeline.config.channels import GOOD_QUALITY
+from pipeline.config.logs import LogLayout
 from pipeline.setup.guess_cells import Marks, as_number, is_missing, is_number
 from pipeline.setup.guess_channels import (
+    BRACKETED,
     best_by_channel,
     channel_of,
     preference,
@@ -46,26 +48,13 @@ _NAME_COLUMNS = {
 VALUE_WORDS = {"value", "val", "values", "reading", "wert", "messwert", "data", "värde"}
 _QUALITY_WORDS = {"quality", "status", "qualität", "kvalitet", "calidad", "qualité"}
 _MOTOR_WORDS = {
-    *(
-        "motor",
-        "machine",
-        "maschinen",
-        "asset",
-        "equipment",
-        "drive",
-        "maschine",
-        "antrieb",
-        "anlage",
-        "maskin",
-    ),
-    *("moteur", "máquina", "maquina"),
+    *("motor", "machine", "maschinen", "asset", "equipment", "drive", "maschine", "antrieb"),
+    *("anlage", "maskin", "moteur", "máquina", "maquina"),
 }
 _NUMBER_WORDS = {"id", "name", "no", "nr", "number", "nummer", "tag"}
 _MOST_SHARED_BY_CHANCE = 0.5  # stamps of a second in which a state changes
 _UNIT_COLUMNS = {"unit", "units", "uom", "einheit", "enhet"}
 
-
-_BRACKETED = re.compile(r"[\[(<{][^\])>}]*[\])>}]")
 _LABEL = re.compile(r'([A-Za-z_]\w*)="([^"]*)"')
 _SERIES = re.compile(r'[\w:]*\{[A-Za-z_]\w*="[^"]*"(?:, ?[A-Za-z_]\w*="[^"]*")*\}')
 
@@ -204,7 +193,7 @@ def find_layout(
         found = _long(value, texts, scan)
         if found is not None:
             return found
-    if len(numbers) == 1 and channel_of(_BRACKETED.sub("", numbers[0].name)) is None:
+    if len(numbers) == 1 and channel_of(BRACKETED.sub("", numbers[0].name)) is None:
         found = _file_per_channel(numbers[0].name, times, path, read)
         if found is not None:
             return found

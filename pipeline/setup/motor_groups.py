@@ -7,10 +7,9 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from pipeline.setup.guess_channels import channel_of
+from pipeline.setup.guess_channels import BRACKETED, channel_of
 from pipeline.setup.guess_layout import FEWEST_CHANNELS
 
-_BRACKETED = re.compile(r"[\[(<{][^\])>}]*[\])>}]")
 _MARK = re.compile(r"[._/:|\\\s-]+")
 
 
@@ -51,7 +50,7 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
         for begin, end in _marks(name):
             parts.setdefault((name[:begin], True), {})[name] = name[end:]
             # What stands behind is the motor's as far as no unit follows.
-            tail = _BRACKETED.sub("", name[end:]).strip()
+            tail = BRACKETED.sub("", name[end:]).strip()
             unit = name[end:].removeprefix(tail)
             parts.setdefault((tail, False), {})[name] = name[:begin] + unit
     for (name, _), signals in parts.items():
@@ -61,7 +60,7 @@ def _candidates(names: Sequence[str]) -> Iterator[Group]:
 
 def _marks(name: str) -> list[tuple[int, int]]:
     """Begin and end of the marks between words, those in brackets left out."""
-    hidden = _BRACKETED.sub(lambda one: "x" * len(one[0]), name)
+    hidden = BRACKETED.sub(lambda one: "x" * len(one[0]), name)
     return [
         one.span() for one in _MARK.finditer(hidden) if one.start() > 0 and one.end() < len(name)
     ]

@@ -13,7 +13,7 @@ from leakage import LeakageError, Motor, OperatingConditions
 from leakage.physics.motor import path_flows_l_per_min
 from pipeline.arrays import SECOND_US
 from pipeline.config import MotorSpec
-from pipeline.config.motors import FALLBACK_VALID_RANGE
+from pipeline.config.channels import FALLBACK_VALID_RANGE
 from pipeline.ingest import RawChannel
 
 Array = NDArray[np.float64]
@@ -105,7 +105,9 @@ def _paths_told(spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: f
     """Nights after which the paths are told apart, in words."""
     motor = spec.motor(label, spec.file.flushing.mode)
     try:
-        widths = half_widths(motor, OperatingConditions.from_bar(*_ordered(inputs)), minutes)
+        pressure, speed, temperature = inputs
+        conditions = OperatingConditions.from_bar(pressure, temperature, speed)
+        widths = half_widths(motor, conditions, minutes)
     except LeakageError:
         return "paths cannot be judged: its conditions are outside the model's"
     alone = math.ceil(_ENOUGH_MINUTES / minutes)
@@ -121,11 +123,6 @@ def _paths_told(spec: MotorSpec, label: dt.date, inputs: list[Array], minutes: f
         after = "every night" if number == 1 else f"after {number} nights"
         words = f"{'other ' if untold else ''}paths {after}"
     return f"{words}; not told apart at these conditions: {untold}" if untold else words
-
-
-def _ordered(inputs: list[Array]) -> tuple[Array, Array, Array]:
-    pressure, speed, temperature = inputs
-    return pressure, temperature, speed
 
 
 def half_widths(motor: Motor, conditions: OperatingConditions, minutes: float) -> dict[str, float]:

@@ -19,6 +19,7 @@ from pipeline.setup.guess_channels import (
     channel_of,
     is_bare_pressure,
     likely_units,
+    missing_channels,
     preference,
 )
 from pipeline.setup.guess_files import VARYING, suffix_of
@@ -30,12 +31,11 @@ from pipeline.setup.guess_layout import (
 )
 from pipeline.setup.motor_groups import Group, groups_of
 from pipeline.setup.suggest import LogGuess, look
+from pipeline.setup.vocabulary import PORT_PRESSURES
 from pipeline.units import CHANNELS, QUANTITIES, UNITS
 
 _SUFFIXES = (".csv", ".txt", ".tsv", ".parquet", ".mcap")
-_NEEDED = ("oil_temperature", "speed", "leakage_flow")
 _SHOWN = 12
-_PORTS = ("high_port_pressure", "low_port_pressure")
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,16 +231,9 @@ def _grouped(
 
 def _complete(motor: ProposedMotor, guess: LogGuess, asked: _Asked) -> Iterator[ProposedMotor]:
     """The motor, and questions about channels that it has to have."""
-    has = set(motor.sources)
-    pressures = {"pressure_difference"} if "pressure_difference" in has else set(_PORTS) & has
-    missing = [name for name in _NEEDED if name not in has]
-    if not pressures:
-        missing.insert(0, "pressure_difference")
-    elif len(pressures) == 1 and "pressure_difference" not in pressures:
-        missing += sorted(set(_PORTS) - pressures)
     sources = dict(motor.sources)
     by_name = {one[0]: one for one in guess.layout.candidates}
-    for channel in missing:
+    for channel in missing_channels(motor.sources):
         key = f"{motor.motor_id}.{channel}"
         if key in asked.open:
             continue
@@ -295,7 +288,7 @@ def _rivals(group: Group, candidates: Mapping[str, Candidate]) -> dict[str, list
         merit = -1 if is_bare else preference(channel, signal)
         found.setdefault(channel, []).append((merit, _source(channel, candidates[name])))
     best = {channel: max(merit for merit, _ in own) for channel, own in found.items()}
-    if set(_PORTS) <= set(found):  # the difference is theirs
+    if set(PORT_PRESSURES) <= set(found):  # the difference is theirs
         found.pop("pressure_difference", None)
     return {
         channel if best[channel] >= 0 else "bare": [

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 from glob import escape
 from pathlib import Path
 
-from pipeline.config.motors import MISSING_TOKENS
+from pipeline.config.logs import MISSING_TOKENS
 from pipeline.errors import LogError
 from pipeline.ingest.contract import readable
 from pipeline.setup.guess_cells import Marks, as_number, marks_of, strange_tokens
-from pipeline.setup.guess_channels import likely_units
+from pipeline.setup.guess_channels import likely_units, missing_channels
 from pipeline.setup.guess_csv import CsvHead, csv_head, csv_last_rows, csv_rows
 from pipeline.setup.guess_files import suffix_of
 from pipeline.setup.guess_layout import (
@@ -35,7 +35,6 @@ _SCANNED_BYTES = 2**23
 _MOST_UNUSED = 40
 _MOST_LIKELY = 3
 _SAMPLES_SHOWN = 3
-_NEEDED = ("oil_temperature", "speed", "leakage_flow")
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,14 +246,7 @@ def _channel_lines(sources: Sequence[GuessedSource], marks: Marks) -> Iterator[s
         if one.value_column:
             yield f"value_column = {quoted(one.value_column)}"
         yield _unit_line(one, marks)
-    found = {one.channel for one in sources}
-    missing = set(_NEEDED) - found
-    if "low_port_pressure" in found:
-        missing |= {"high_port_pressure"} - found
-    elif "high_port_pressure" in found:
-        missing.add("low_port_pressure")
-    elif "pressure_difference" not in found:
-        missing.add("pressure_difference")
+    missing = missing_channels({one.channel for one in sources})
     if missing:
         yield ""
         names = ", ".join(name for name in CHANNELS if name in missing)

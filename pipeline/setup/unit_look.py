@@ -11,7 +11,8 @@ import numpy as np
 
 from leakage import LeakageError, OperatingConditions, total_flow_l_per_min
 from pipeline.config import MotorSpec
-from pipeline.config.motors import Logs, MotorFile
+from pipeline.config.logs import Logs
+from pipeline.config.motors import MotorFile
 from pipeline.ingest import RawChannel
 from pipeline.setup.guess_channels import LOW_SIDE, USUAL, unit_of
 from pipeline.setup.guess_csv import csv_head

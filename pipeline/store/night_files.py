@@ -9,19 +9,20 @@ from __future__ import annotations
 import datetime as dt
 import errno
 import hashlib
+import json
 import logging
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import accumulate, chain
+from itertools import accumulate, chain, repeat
 from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
 
 from pipeline.errors import StoreError
-from pipeline.schema import Table, frame
+from pipeline.schema import Table, arrow_table
 from pipeline.store.atomic_files import Prepared, move, prepare, read, scratch
 from pipeline.store.tables import (
     PUT_ASIDE,
@@ -34,9 +35,14 @@ from pipeline.store.tables import (
 
 log = logging.getLogger(__name__)
 
+# Metadata of a staged file: its nights, with their numbers of rows.
+HEIGHTS = b"nights"
+# Column for the night under which a row is staged; its own may be absent.
+STAGED_NIGHT = "staged night"
+
 
 class StagedRows:
-    """Staged rows of one motor and table, a record batch for each night.
+    """Staged rows of one motor and table, night after night.
 
     The file is open only while it is read: a fleet has more of them than a process may open.
     """
@@ -44,45 +50,67 @@ class StagedRows:
     def __init__(self, path: Path) -> None:
         self._path = path
         with self._opened() as file:
-            nights = file.schema.metadata[b"nights"].decode()
-        self.nights = [dt.date.fromisoformat(text) for text in nights.split()]
+            heights = json.loads(file.schema.metadata[HEIGHTS])
+        self.heights = {dt.date.fromisoformat(text): height for text, height in heights.items()}
+
+    @property
+    def nights(self) -> list[dt.date]:
+        """Nights that were staged, in order; some have no rows."""
+        return list(self.heights)
 
     @contextmanager
     def _opened(self) -> Iterator[pa.ipc.RecordBatchFileReader]:
         with pa.memory_map(str(self._path)) as content, pa.ipc.open_file(content) as file:
             yield file
 
-    def batches(self, nights: Collection[dt.date]) -> dict[dt.date, pa.RecordBatch]:
-        """Rows of those of some nights that were staged."""
-        places = {night: place for place, night in enumerate(self.nights) if night in nights}
-        if not places:
-            return {}
+    def between(self, first: dt.date, last: dt.date) -> tuple[dict[dt.date, int], pa.Table]:
+        """Heights of some nights, and their rows."""
+        chosen = {night: n for night, n in self.heights.items() if first <= night <= last}
+        begin = sum(height for night, height in self.heights.items() if night < first)
         with self._opened() as file:
-            return {night: file.get_batch(place) for night, place in places.items()}
+            return chosen, file.read_all().slice(begin, sum(chosen.values()))
 
 
 @dataclass(frozen=True, slots=True)
 class NewRows:
-    """Rows that a run has made of a night, and the motors that they are of; some have none."""
+    """A run's rows of a night, sorted, and the motors that they are of; some have none."""
 
     motor_ids: tuple[str, ...]
     rows: pl.DataFrame
 
 
 def new_rows(
-    staged: Mapping[str, StagedRows], nights: Collection[dt.date]
+    table: Table, staged: Mapping[str, StagedRows], first: dt.date, last: dt.date, run_id: str
 ) -> dict[dt.date, NewRows]:
     """Staged rows of some nights, by night; those that no motor has done are left out."""
-    found: defaultdict[dt.date, dict[str, pa.RecordBatch]] = defaultdict(dict)
-    for motor_id, own in staged.items():
-        for night, batch in own.batches(nights).items():
-            found[night][motor_id] = batch
-    made = {}
-    for night, batches in found.items():
-        rows = pl.from_arrow(pa.Table.from_batches(batches.values()))
-        assert isinstance(rows, pl.DataFrame)
-        made[night] = NewRows(tuple(batches), rows)
-    return made
+    parts = {motor_id: own.between(first, last) for motor_id, own in staged.items()}
+    motors: defaultdict[dt.date, list[str]] = defaultdict(list)
+    heights: Counter[dt.date] = Counter()
+    for motor_id, (own, _) in parts.items():
+        heights.update(own)
+        for night in own:
+            motors[night].append(motor_id)
+    if not motors:
+        return {}
+    # All nights in one frame: each step costs more a frame than a row.
+    every = pl.from_arrow(pa.concat_tables(rows for _, rows in parts.values()))
+    assert isinstance(every, pl.DataFrame)
+    nights = chain.from_iterable(
+        repeat(night, height) for own, _ in parts.values() for night, height in own.items()
+    )
+    rows = (
+        every.lazy()
+        .with_columns(pl.lit(run_id).alias("run_id"), pl.Series(STAGED_NIGHT, nights, pl.Date))
+        .sort(STAGED_NIGHT, *table.key)
+        .select(table.schema.keys())
+        .collect()
+    )
+    ordered = sorted(motors)
+    begins = accumulate((heights[night] for night in ordered), initial=0)
+    return {
+        night: NewRows(tuple(motors[night]), rows.slice(begin, heights[night]))
+        for night, begin in zip(ordered, begins, strict=False)
+    }
 
 
 def stage(
@@ -96,16 +124,12 @@ def stage(
         If they cannot be written.
     """
     of_nights = {night: list(rows) for night, rows in sorted(nights.items())}
-    every = frame(table, chain.from_iterable(of_nights.values()), without="run_id").to_arrow()
-    label = " ".join(map(str, of_nights))
-    schema = every.schema.with_metadata({b"nights": label.encode()})
-    # A night without rows needs a batch, too.
-    (whole,) = every.combine_chunks().to_batches() or [pa.RecordBatch.from_pylist([], every.schema)]
-    begins = accumulate(map(len, of_nights.values()), initial=0)
+    every = arrow_table(table, chain.from_iterable(of_nights.values()), without="run_id")
+    heights = {str(night): len(rows) for night, rows in of_nights.items()}
+    every = every.replace_schema_metadata({HEIGHTS: json.dumps(heights)})
     try:
-        with scratch(path) as stream, pa.ipc.new_file(stream, schema) as staged:
-            for begin, rows in zip(begins, of_nights.values(), strict=False):
-                staged.write_batch(whole.slice(begin, len(rows)))
+        with scratch(path) as stream, pa.ipc.new_file(stream, every.schema) as staged:
+            staged.write_table(every)
     except OSError as error:
         raise StoreError("store_write", f"rows cannot be staged: {error}") from error
 
@@ -156,7 +180,6 @@ def prepare_night(
     table: Table,
     night: dt.date,
     new: NewRows,
-    run_id: str,
     finish: Callable[[pl.DataFrame], pl.DataFrame] = lambda rows: rows,
     accepted: Collection[str | None] = (),
 ) -> NightFile:
@@ -171,11 +194,11 @@ def prepare_night(
     before, rows_before = _present(path, table, accepted)
     gone = before is None and bool(accepted) and None not in accepted
     lost_rows = gone or (before is not None and rows_before is None)
-    rows = new.rows.with_columns(run_id=pl.lit(run_id)).select(table.schema.keys())
+    rows = new.rows
     if rows_before is not None:
         kept = rows_before.filter(~pl.col("motor_id").is_in(new.motor_ids))
-        rows = pl.concat([kept, rows])
-    rows = finish(rows.sort(table.key))
+        rows = pl.concat([kept, rows]).sort(table.key)
+    rows = finish(rows)
     if before is None and not rows.height:
         return NightFile(path, None, None, lost_rows)
     content = encode_table(path.name, rows)

@@ -119,7 +119,10 @@ class Publisher:
         size = max(1, NIGHTS_AT_ONCE // max(1, *map(len, staged.values())))
         ordered = sorted(nights)
         for some in (ordered[at : at + size] for at in range(0, len(ordered), size)):
-            new = {table: partial(new_rows, motors, some) for table, motors in staged.items()}
+            new = {
+                table: partial(new_rows, table, motors, some[0], some[-1], self.run_id)
+                for table, motors in staged.items()
+            }
             self._publish(new, forget, finish or {})
 
     def staged(self, table: Table, motor_ids: Sequence[str]) -> dict[str, StagedRows]:
@@ -149,11 +152,13 @@ class Publisher:
         """
         key = list(table.key)
         places: defaultdict[dt.date, list[pl.DataFrame]] = defaultdict(list)
-        nights = {night for rows in staged.values() for night in rows.nights}
-        for night, new in new_rows(staged, nights).items():
+        nights = sorted({night for rows in staged.values() for night in rows.nights})
+        if not nights:
+            return
+        for night, new in new_rows(table, staged, nights[0], nights[-1], self.run_id).items():
             if new.rows.height:
                 places[night].append(new.rows.select(key))
-        for night in sorted(nights):
+        for night in nights:
             earlier = [keys for other, some in places.items() if other < night for keys in some]
             if not earlier:
                 continue
@@ -164,7 +169,8 @@ class Publisher:
             kept = present.join(pl.concat(earlier), on=key, how="anti", maintain_order="left")
             if kept.height < present.height:
                 left = present.join(kept, on=key, how="anti")["motor_id"].unique()
-                rows = kept.filter(pl.col("motor_id").is_in(left.implode())).drop("run_id")
+                rows = kept.filter(pl.col("motor_id").is_in(left.implode()))
+                rows = rows.with_columns(run_id=pl.lit(self.run_id)).sort(table.key)
                 without = {night: NewRows(tuple(left), rows)}
                 self._publish({table: partial(dict, without)}, forget, {})
 
@@ -176,16 +182,18 @@ class Publisher:
     ) -> None:
         """Prepare all files of some nights, announce them, and put them into their places."""
         files: list[NightFile] = []
+        manifests: dict[Key, Manifest] = {}
         with ExitStack() as undone:
             for table, rows_of in new.items():
                 for night, rows in rows_of().items():
                     last = partial(_finished, finish.get(table.name), rows.motor_ids)
                     path = night_file(self.output, table, night)
                     name = path.relative_to(self.output / "tables").as_posix()
-                    manifest = read_manifest(self.output, *manifest_key(name)) or Manifest()
-                    file = prepare_night(
-                        self.output, table, night, rows, self.run_id, last, manifest.accepted(name)
-                    )
+                    key = manifest_key(name)
+                    if key not in manifests:
+                        manifests[key] = read_manifest(self.output, *key) or Manifest()
+                    accepted = manifests[key].accepted(name)
+                    file = prepare_night(self.output, table, night, rows, last, accepted)
                     undone.callback(file.drop)
                     files.append(file)
                     if file.lost_rows:

@@ -19,14 +19,9 @@ LAST_BYTES = 200
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A program that gets each delivery on its standard input, and takes it with exit code 0.
+    """A program that gets each delivery on its standard input, and takes it with exit code 0."""
 
-    Attributes
-    ----------
-    arguments
-        The program and its arguments; no shell, and nothing of a log is among them.
-    """
-
+    # The program and its arguments; no shell, and nothing of a log is among them.
     arguments: tuple[str, ...]
     deadline_s: float = DEADLINE_S
     name: str = "command"

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from pipeline.messages import counted
 from pipeline.telling.delivery import Delivery, Receiver, UndeliveredError
 from pipeline.telling.outbox import (
     TOLD_ALARMS,
@@ -32,23 +33,7 @@ def deliver(
     pause: Callable[[float], None] = time.sleep,
     told: Told = TOLD_ALARMS,
 ) -> tuple[str, ...]:
-    """Deliver what waits in the outbox, which is written after each delivery.
-
-    Parameters
-    ----------
-    output, fleet
-        Output folder and name of the fleet.
-    receivers
-        The receivers.
-    pause
-        Waits for some seconds.
-    told
-        Rows that the outbox is of.
-
-    Returns
-    -------
-    tuple of str
-        Faults, as text.
+    """Deliver what waits in the outbox, which is written after each delivery; faults, as text.
 
     Raises
     ------
@@ -66,7 +51,9 @@ def deliver(
         left = outbox.queues[receiver.name]
         if left.waiting:
             n = sum(len(one.changes) for one in left.waiting)
-            faults.append(f"{receiver.label}: {left.fault}; {n} changes wait for the next run")
+            faults.append(
+                f"{receiver.label}: {left.fault}; for the next run: {counted(n, 'change')}"
+            )
     return tuple(faults)
 
 

@@ -19,18 +19,10 @@ DEADLINE_S = 30.0
 
 @dataclass(frozen=True, slots=True)
 class Delivery:
-    """Content of one delivery to a receiver.
+    """Content of one delivery to a receiver."""
 
-    Attributes
-    ----------
-    id
-        The same at each try.
-    content
-        JSON.
-    """
-
-    id: str
-    content: bytes
+    id: str  # the same at each try
+    content: bytes  # JSON
 
 
 class UndeliveredError(Exception):

@@ -12,8 +12,8 @@ from email.message import EmailMessage
 from email.utils import formatdate
 from typing import Any
 
-from pipeline.config.receivers import require_mail_server
-from pipeline.config.settings import Email
+from pipeline.config.receivers import mail_server
+from pipeline.config.watching import Email
 from pipeline.errors import one_line
 from pipeline.telling.delivery import DEADLINE_S, Delivery, fault_words, filled, talk
 from pipeline.telling.outbox import SUMMARY
@@ -30,15 +30,9 @@ Row = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Mail:
-    """A mail server that takes a message for all addresses of `[alarms.email]`.
+    """A mail server that takes a message for all addresses of `[alarms.email]`."""
 
-    Attributes
-    ----------
-    settings
-        That section of the config.
-    """
-
-    settings: Email
+    settings: Email  # `[alarms.email]` of the config
     deadline_s: float = DEADLINE_S
     name: str = EMAIL
 
@@ -76,7 +70,9 @@ class Mail:
         return server
 
     def _place(self) -> tuple[str, int]:
-        host, port = require_mail_server(self.settings.server)
+        place = mail_server(self.settings.server)
+        assert place is not None, "the config has refused it"
+        host, port = place
         return host, port or PORTS[self.settings.security]
 
 

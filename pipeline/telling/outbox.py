@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import StoreError
+from pipeline.messages import counted
 from pipeline.schema import ALARM_CONTENT, ALARMS, LOOKS, Table
 from pipeline.store.sealed import DamagedError, put_sealed, read_sealed, unseal
 from pipeline.store.tables import month_stamps, read_table, table_folder
@@ -37,24 +38,12 @@ Change = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """Rows of a table that receivers are told.
-
-    Attributes
-    ----------
-    table
-        The table.
-    said
-        Columns with a row's content; others are its key or follow from it.
-    folder
-        Folder of its outbox, below the output.
-    states
-        States into or out of which a row is told; empty: all.
-    """
+    """Rows of a table that receivers are told."""
 
     table: Table
-    said: tuple[str, ...]
-    folder: str = ""
-    states: frozenset[str] = frozenset()
+    said: tuple[str, ...]  # columns with a row's content; others are its key or follow from it
+    folder: str = ""  # folder of its outbox, below the output
+    states: frozenset[str] = frozenset()  # states into or out of which a row is told; empty: all
 
     def tells(self, row: Mapping[str, Any]) -> bool:
         """True for a row that is told."""
@@ -79,42 +68,23 @@ class Waiting:
 
 @dataclass(frozen=True, slots=True)
 class Queue:
-    """Queue of a receiver.
+    """Queue of a receiver."""
 
-    Attributes
-    ----------
-    told_since
-        Time at which the config first named it (UTC); rows published before are not sent.
-    waiting
-        Deliveries that it has not taken.
-    fault
-        The last fault; empty if all was taken.
-    summarised
-        Date of the last summary, ISO; empty before the first.
-    """
-
+    # Time at which the config first named it (UTC); rows published before are not sent.
     told_since: dt.datetime
-    waiting: tuple[Waiting, ...] = ()
-    fault: str = ""
-    summarised: str = ""
+    waiting: tuple[Waiting, ...] = ()  # deliveries that it has not taken
+    fault: str = ""  # the last fault; empty if all was taken
+    summarised: str = ""  # date of the last summary, ISO; empty before the first
 
 
 @dataclass(frozen=True, slots=True)
 class Outbox:
-    """All queues, and the rows of `alarms` that were taken up.
+    """All queues, and the rows of `alarms` that were taken up."""
 
-    Attributes
-    ----------
-    queues
-        By the receiver's name.
-    known
-        By a hash of a row's key, a hash of its content and how often that has changed.
-    stamps
-        `month_stamps` of the time at which rows were taken up.
-    """
-
-    queues: Mapping[str, Queue] = field(default_factory=dict)
+    queues: Mapping[str, Queue] = field(default_factory=dict)  # by the receiver's name
+    # By a hash of a row's key, a hash of its content and how often that has changed.
     known: Mapping[str, str] = field(default_factory=dict)
+    # `month_stamps` of the time at which rows were taken up.
     stamps: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -133,8 +103,8 @@ class Backlog:
         """The undelivered rows in words."""
         why = f"; last try: {self.fault}" if self.fault else ""
         return (
-            f"not delivered to {self.receiver}: {self.undelivered} changes of state, since "
-            f"{self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
+            f"not delivered to {self.receiver}: {counted(self.undelivered, 'change')} of state, "
+            f"since {self.since:%Y-%m-%d %H:%M} UTC{why}; the next run tries again"
         )
 
 
@@ -217,7 +187,8 @@ def open_outbox(output: Path, names: Sequence[str], fleet: str, told: Told = TOL
     outbox = taken_up(before or Outbox(), output, fleet, told)
     for name in sorted(outbox.queues.keys() - set(names)):
         if n := sum(len(one.changes) for one in outbox.queues[name].waiting):
-            log.warning("alarms: there is no %s any more; %d changes were not delivered", name, n)
+            words = "alarms: there is no %s any more; not delivered: %s"
+            log.warning(words, name, counted(n, "change"))
     for name in sorted(set(names) - outbox.queues.keys()):
         if outbox.known:
             log.warning(

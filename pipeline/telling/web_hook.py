@@ -37,14 +37,9 @@ FOLLOWED = (HTTPStatus.TEMPORARY_REDIRECT, HTTPStatus.PERMANENT_REDIRECT)
 
 @dataclass(frozen=True, slots=True)
 class WebHook:
-    """An address that deliveries are posted to; any answer of 200 to 299 says that it took one.
+    """An address that deliveries are posted to; any answer of 200 to 299 says that it took one."""
 
-    Attributes
-    ----------
-    url, headers, secret
-        As `[alarms]` states them, with environment variables as ``${NAME}``.
-    """
-
+    # url, headers, secret: as `[alarms]` states them, with environment variables as ``${NAME}``.
     url: str = field(repr=False)
     headers: Mapping[str, str] = field(default_factory=dict, repr=False)
     secret: str = ""

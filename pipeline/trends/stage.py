@@ -29,37 +29,30 @@ from pipeline.store.tables import (
     nights_back,
     read_rows,
 )
-from pipeline.trends.alarm_rows import RECOMPUTED, alarm_rows
-from pipeline.trends.baseline_blocks import BlockFiles
-from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
-from pipeline.trends.beginnings import earlier_views
-from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
-from pipeline.trends.decisions import Decision
-from pipeline.trends.duty import at_duty, with_duty, without_duty
-from pipeline.trends.eras import Era, eras_of, indicators_of
-from pipeline.trends.explanations import Explanations, OilCircuit, View, Why
-from pipeline.trends.filtered_nights import with_filter
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, Indicator
-from pipeline.trends.model import model_course, with_misfit
-from pipeline.trends.night_records import Records
-from pipeline.trends.peers import (
-    Contribution,
-    Peers,
-    contribution,
-    log_change,
-    peers_of_circuit,
-)
-from pipeline.trends.reading import MotorNights, read_nights
-from pipeline.trends.record import Record
-from pipeline.trends.rule_changes import marked, rules_now
-from pipeline.trends.segments import segments
-from pipeline.trends.standing import Standing
-from pipeline.trends.sudden import sudden_changes
+from pipeline.trends.baselines.blocks import BlockFiles
+from pipeline.trends.baselines.duty import at_duty, with_duty, without_duty
+from pipeline.trends.baselines.eras import Era, eras_of
+from pipeline.trends.baselines.leakages import indicators_of
+from pipeline.trends.circuits import Circuit, circuits_of, decisions_of, earlier_views
+from pipeline.trends.figures.filtered_nights import with_filter
+from pipeline.trends.figures.indicators import DEVIATION, Indicator
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.reading import MotorNights, read_nights
+from pipeline.trends.nights.records import Records
+from pipeline.trends.nights.segments import segments
+from pipeline.trends.nights.trend_record import Record
+from pipeline.trends.rows.alarm_rows import RECOMPUTED, alarm_rows, marked, rules_now
+from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.explanations import Explanations, OilCircuit, View, Why
+from pipeline.trends.states.model import model_course, with_misfit
+from pipeline.trends.states.peers import Contribution, Peers, contribution, peers_of_circuit
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.states.sudden import sudden_changes
+from pipeline.trends.states.watch import watch
+from pipeline.trends.states.zeros import sensor_zeros
 from pipeline.trends.tasks import Row, TrendOutcome, TrendTask, task_circuit
-from pipeline.trends.trend_rows import trend_rows
-from pipeline.trends.watch import watch
-from pipeline.trends.zeros import sensor_zeros
 from pipeline.workers.process import Loss, loss_of, sign_of_life
 
 log = logging.getLogger(__name__)
@@ -137,16 +130,14 @@ def _run_circuit(
             if part is not None:
                 parts[motor_id] = part
                 done.filtered[motor_id] = part.history.records
-    neighbours = {} if alone else neighbours_of(parts)
+    peers, neighbours = neighbours_of(parts)
     for motor_id, span in spans.items():
         part = parts.get(motor_id)
         if part is None:
             continue
-        others, published = neighbours.get(motor_id), nights[motor_id].published
-        before = circuit.records[motor_id]
-        made = done.guarded(
-            motor_id, partial(_stage_motor, task, part, others, span, published, before)
-        )
+        stand = partial(standing_of, part, peers.get(motor_id), neighbours)
+        published, before = nights[motor_id].published, circuit.records[motor_id]
+        made = done.guarded(motor_id, partial(_stage_motor, task, stand, span, published, before))
         if made is not None:
             done.nights[motor_id], new = made
             done.alarms += new
@@ -211,7 +202,7 @@ class Part:
             name: at_duty(history, eras, one) for name, one in indicators_of(history, eras).items()
         }
         own = segments(history, decisions, DEVIATION)
-        flow = contribution(history, log_change(history, indicators[DEVIATION], own))
+        flow = contribution(history, indicators[DEVIATION], own)
         views = (View(None, Explanations(history, eras)),)
         return cls(history, decisions, eras, indicators, flow, views)
 
@@ -223,42 +214,25 @@ class Part:
         return replace(self, flow=flow, views=(view, *self.views))
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbours:
-    """The other motors of a motor's oil circuit.
+def neighbours_of(parts: Mapping[str, Part]) -> tuple[dict[str, Peers], OilCircuit | None]:
+    """Drain flows of the others by motor of an oil circuit, and what all say of a common factor.
 
-    Attributes
-    ----------
-    peers
-        What their drain flows did.
-    circuit
-        What they say of a common factor.
+    Nothing for a motor on its own.
     """
-
-    peers: Peers
-    circuit: OilCircuit
-
-
-def neighbours_of(parts: Mapping[str, Part]) -> dict[str, Neighbours]:
-    """By motor of an oil circuit, the others; empty for a motor on its own."""
     histories = {motor_id: part.history for motor_id, part in parts.items()}
-    said = {motor_id: part.flow for motor_id, part in parts.items()}
-    circuit = OilCircuit({motor_id: part.views for motor_id, part in parts.items()})
-    return {
-        motor_id: Neighbours(one, circuit)
-        for motor_id, one in peers_of_circuit(histories, said).items()
-    }
+    peers = peers_of_circuit(histories, {motor_id: part.flow for motor_id, part in parts.items()})
+    views = {motor_id: part.views for motor_id, part in parts.items()}
+    return peers, OilCircuit(views) if peers else None
 
 
-def standing_of(part: Part, neighbours: Neighbours | None) -> Standing:
+def standing_of(part: Part, peers: Peers | None, circuit: OilCircuit | None) -> Standing:
     """Standing of a motor, night by night."""
-    circuit = None if neighbours is None else neighbours.circuit
     why = Why(part.views[-1].explanations, circuit)
     return Standing(
         part.history,
         part.eras,
         watch(part.history, part.decisions, part.indicators),
-        None if neighbours is None else neighbours.peers,
+        peers,
         why,
         sudden_changes(part.history, part.decisions, part.indicators, why),
         sensor_zeros(part.history, part.decisions),
@@ -268,17 +242,16 @@ def standing_of(part: Part, neighbours: Neighbours | None) -> Standing:
 
 def _stage_motor(
     task: TrendTask,
-    part: Part,
-    neighbours: Neighbours | None,
+    stand: Callable[[], Standing],
     span: tuple[dt.date, dt.date],
     published: Sequence[Row],
     before: Record | None,
 ) -> tuple[int, list[Row]]:
     """Stage the rows of some nights of a motor; how many nights, and the new rows of `alarms`."""
-    history, motor_id = part.history, part.history.spec.motor_id
+    standing = stand()
+    history, motor_id = standing.history, standing.history.spec.motor_id
     gone = _withdrawn(task.output, history, span[0])
     places = [place for place, night in enumerate(history.nights) if span[0] <= night <= span[1]]
-    standing = standing_of(part, neighbours)
     rules = rules_now(history.spec)
     alarms = marked(alarm_rows(standing, places, published), published, before, rules)
     made = {

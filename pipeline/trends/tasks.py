@@ -11,9 +11,9 @@ from typing import Any
 from pipeline.config import MotorSpec
 from pipeline.logs.ledger import as_published
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
-from pipeline.trends.decisions import Decision
-from pipeline.trends.record import Record
-from pipeline.trends.tonight import Tonight
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import Record
 from pipeline.workers.process import Loss
 
 Row = dict[str, Any]
@@ -103,13 +103,6 @@ def task_circuit(
 ) -> Circuit:
     published = [as_published(output, one) for one in specs]
     return Circuit.of(output, published, decisions_of(published, decisions))
-
-
-def run_trends(task: TrendTask) -> TrendOutcome:
-    """As `stage.run_trends`, with which a process loads the science."""
-    from pipeline.trends import stage
-
-    return stage.run_trends(task)
 
 
 def lost_trends(task: TrendTask, loss: Loss) -> TrendOutcome:

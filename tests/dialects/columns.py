@@ -53,34 +53,17 @@ def counts(scale: float) -> Callable[[Values], pa.Array]:
 
 @dataclass(frozen=True)
 class Parquet(Dialect):
-    """Columns.
+    """Columns."""
 
-    Attributes
-    ----------
-    numbers
-        Type of the readings.
-    scale
-        What a written number is times to be the reading.
-    finite
-        They are all finite, as the type can hold no others.
-    time_unit, zone
-        Of a time stamp; None: it has no zone and is on the logger's wall clock.
-    within
-        Names of columns around those of the readings.
-    dictionary
-        Names of channels are in a dictionary.
-    options
-        Of `pyarrow.parquet.write_table`.
-    """
-
-    numbers: Callable[[Values], pa.Array] = plain
-    scale: float = 1.0
-    finite: bool = False
+    numbers: Callable[[Values], pa.Array] = plain  # type of the readings
+    scale: float = 1.0  # what a written number is times to be the reading
+    finite: bool = False  # they are all finite, as the type can hold no others
+    # time_unit, zone: of a time stamp; None: it has no zone and is on the logger's wall clock.
     time_unit: str = "us"
     zone: str | None = "UTC"
-    within: tuple[str, ...] = ()
-    dictionary: bool = False
-    options: Mapping[str, Any] = field(default_factory=dict)
+    within: tuple[str, ...] = ()  # names of columns around those of the readings
+    dictionary: bool = False  # names of channels are in a dictionary
+    options: Mapping[str, Any] = field(default_factory=dict)  # of `pyarrow.parquet.write_table`
 
     format: ClassVar[str] = "parquet"
 

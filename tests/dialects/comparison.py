@@ -29,45 +29,23 @@ ABSOLUTE = frozenset({"certificate_gap", "dual_residual"})
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Differences between two runs.
+    """Differences between two runs."""
 
-    Attributes
-    ----------
-    largest
-        Largest relative difference by table.
-    where
-        Column and row of that difference.
-    others
-        Number by table of differing cells that hold no floating-point number.
-    rows
-        Number by table of rows that only one of the two runs has.
-    n_read, n_failed
-        Numbers of log files that the other run read, and that it could not read.
-    """
-
-    largest: Mapping[str, float]
-    where: Mapping[str, str]
+    largest: Mapping[str, float]  # largest relative difference by table
+    where: Mapping[str, str]  # column and row of that difference
+    # Number by table of differing cells that hold no floating-point number.
     others: Mapping[str, int]
-    rows: Mapping[str, int]
+    rows: Mapping[str, int]  # number by table of rows that only one of the two runs has
+    # n_read, n_failed: numbers of log files that the other run read, and that it could not read.
     n_read: int
     n_failed: int
 
 
 def compare(original: Path, other: Path, motors: tuple[str, ...] = ()) -> Comparison:
-    """Compare the tables of two outputs.
+    """Compare the tables of two outputs, of some motors or of all.
 
-    Parameters
-    ----------
-    original, other
-        Output folders of two runs.
-    motors
-        Those to look at; empty: all.
-
-    Returns
-    -------
-    Comparison
-        Differences are relative to the larger of two figures; of a systematic effect to the largest
-        on the same indicator.
+    Differences are relative to the larger of two figures; of a systematic effect to the largest on
+    the same indicator.
     """
     largest, where, others, rows = {}, {}, {}, {}
     for table in TABLES:

@@ -28,36 +28,21 @@ Row = Sequence[str]
 
 @dataclass(frozen=True)
 class Csv(Dialect):
-    """Delimited text.
+    """Delimited text."""
 
-    Attributes
-    ----------
-    line_end, bom, quoted, packed
-        Of the text; `packed` is the suffix of the packer.
-    written_zone
-        ISO 8601: the zone whose offset each stamp carries; empty: it carries none.
-    tokens
-        What stands for no reading, in turn.
-    header_every
-        Rows after which the header comes again, with its rows of units; 0: never.
-    turning
-        The columns stand in another order below each header that comes again.
-    reverse
-        The columns stand the other way round.
-    company
-        There are columns of others, too.
-    """
-
+    # line_end, bom, quoted, packed: of the text; `packed` is the suffix of the packer.
     line_end: str = "\n"
     bom: bytes = b""
     quoted: bool = False
     packed: str = ""
+    # ISO 8601: the zone whose offset each stamp carries; empty: it carries none.
     written_zone: str = ""
-    tokens: tuple[str, ...] = ("",)
+    tokens: tuple[str, ...] = ("",)  # what stands for no reading, in turn
+    # Rows after which the header comes again, with its rows of units; 0: never.
     header_every: int = 0
-    turning: bool = False
-    reverse: bool = False
-    company: bool = False
+    turning: bool = False  # the columns stand in another order below each header that comes again
+    reverse: bool = False  # the columns stand the other way round
+    company: bool = False  # there are columns of others, too
 
     format: ClassVar[str] = "csv"
 

@@ -12,7 +12,7 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 
-from pipeline.config.motors import Channel, ChannelName
+from pipeline.config.channels import Channel, ChannelName
 from pipeline.units import QUANTITIES, canonical_unit, from_canonical
 from tests.dialects.recorded import Recorded, Times
 from tests.pipeline.ingest.sources import Source
@@ -29,30 +29,17 @@ pressure hardly moves, so that what is estimated is the small difference of larg
 
 @dataclass(frozen=True)
 class Dialect(ABC):
-    """A way to write logs.
+    """A way to write logs."""
 
-    Attributes
-    ----------
-    name
-        In words.
-    logs
-        Keys of the config's `logs` section that state it.
-    units
-        By quantity ("pressure"), where they are not the canonical ones.
-    precision
-        What fits may differ by, relative.
-    names
-        By channel, what it is called in the log, where that is not its canonical name.
-    step_us
-        Of the stamps; what lies between cannot be written.
-    """
-
-    name: str
+    name: str  # in words
+    # Keys of the config's `logs` section that state it.
     logs: Mapping[str, Any] = field(default_factory=dict)
+    # By quantity ("pressure"), where they are not the canonical ones.
     units: Mapping[str, str] = field(default_factory=dict)
-    precision: float = DOUBLE
+    precision: float = DOUBLE  # what fits may differ by, relative
+    # By channel, what it is called in the log, where that is not its canonical name.
     names: Mapping[str, str] = field(default_factory=dict)
-    step_us: int = 1
+    step_us: int = 1  # of the stamps; what lies between cannot be written
 
     format: ClassVar[str]
 

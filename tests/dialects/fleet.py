@@ -21,13 +21,7 @@ Nights = Mapping[str, Mapping[dt.date, Recorded]]
 
 
 def first_nights(demo: Path) -> Nights:
-    """Records of all nights of a demo, simulated again without any reader.
-
-    Parameters
-    ----------
-    demo
-        Folder that `pipeline.demo.write_demo` made.
-    """
+    """Records of all nights of a demo's folder, simulated again without any reader."""
     truth = json.loads((demo / "demo" / "truth.json").read_text("utf-8"))
     plan = Plan(
         truth["nights"],
@@ -48,24 +42,9 @@ def first_nights(demo: Path) -> Nights:
 
 
 def write_fleet(demo: Path, folder: Path, dialect: Dialect, nights: Nights) -> Path:
-    """Configs and logs of a fleet that writes in a dialect.
+    """Configs of a demo and logs of some nights, written to a folder in a dialect; its fleet file.
 
-    Parameters
-    ----------
-    demo
-        The demo, of whose configs all is kept but how the logs are written.
-    folder
-        Where to; it is made.
-    dialect
-        Of all motors.
-    nights
-        What they log. Motors are left out that are not among them, or whose log the dialect cannot
-        hold.
-
-    Returns
-    -------
-    Path
-        The fleet's file.
+    Motors are left out that are not among the nights, or whose log the dialect cannot hold.
     """
     shutil.copytree(demo / "configs", folder / "configs")
     for file in (folder / "configs" / "motors").iterdir():

@@ -144,21 +144,11 @@ class Ros2:
 
 @dataclass(frozen=True)
 class Mcap(Dialect):
-    """Messages.
+    """Messages."""
 
-    Attributes
-    ----------
-    encoding
-        Of the messages.
-    stamped
-        Where the stamp is: "log_time", "publish_time", or "message".
-    options
-        Of `mcap.writer.Writer`.
-    """
-
-    encoding: Encoding = field(default_factory=Json)
-    stamped: str = "log_time"
-    options: Mapping[str, Any] = field(default_factory=dict)
+    encoding: Encoding = field(default_factory=Json)  # of the messages
+    stamped: str = "log_time"  # where the stamp is: "log_time", "publish_time", or "message"
+    options: Mapping[str, Any] = field(default_factory=dict)  # of `mcap.writer.Writer`
 
     format: ClassVar[str] = "mcap"
 

@@ -11,7 +11,7 @@ import numpy as np
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, IndexType
 
-from pipeline.config.motors import THOUSANDS
+from pipeline.config.logs import THOUSANDS
 from pipeline.units import CHANNELS
 from tests.dialects.columns import Parquet, counts, decimals, plain, singles
 from tests.dialects.csv_text import PACKERS, Csv

@@ -6,8 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from pipeline.config.channels import Channel
 from pipeline.config.field_paths import FieldPath, field_path, path_text
-from pipeline.config.motors import Channel, Logs
+from pipeline.config.logs import Logs
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.config.motors import Channel, Channels, Logs
+from pipeline.config.channels import Channel, Channels
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import RawLog, read_log, time_span
 

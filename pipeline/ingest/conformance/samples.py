@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.config.motors import Channel, Channels
+from pipeline.config.channels import Channel, Channels
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance.formats import (
     CHANNELS,

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.assembly import Readings, readings_of

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 
 _HEAD = 2**20

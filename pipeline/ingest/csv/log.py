@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest.contract import LogFile, Place, RawLog
 from pipeline.ingest.csv import cells as csv_cells

@@ -79,11 +79,11 @@ def _take(
         wanted = MESSAGES_READ - len(topic.log_ns)
         rows = np.flatnonzero(np.isin(messages.channel_id, ids))[: max(wanted, 0)]
         if rows.size:
-            numbers = np.zeros(messages.channel_id.size, np.int16)
-            taken = payloads_of(messages, rows, numbers, messages.log_time)
+            numbers, log_time = np.zeros(messages.start.size, np.int16), messages.times("log_time")
+            taken = payloads_of(messages, rows, numbers, log_time)
             payloads.setdefault(name, []).append(taken)
-            topic.log_ns += messages.log_time[rows].tolist()
-            topic.publish_ns += messages.publish_time[rows].tolist()
+            topic.log_ns += log_time[rows].tolist()
+            topic.publish_ns += messages.times("publish_time")[rows].tolist()
 
 
 def _decode(path: Path, topic: Topic, schema: Schema, payloads: Payloads) -> None:

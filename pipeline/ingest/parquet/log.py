@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.config.time_formats import EPOCH_UNITS, EXCEL_DAYS
 from pipeline.errors import LogError
 from pipeline.ingest.arrow_types import is_number, is_text

@@ -63,11 +63,7 @@ const motorLeakage = (() => {
     if (value === 0) return "0";
     const size = Math.abs(value);
     if (size < 1e-4 || size >= 1e7)
-      return value
-        .toExponential(digits - 1)
-        .replace("-", "−")
-        .replace("e−", "e−")
-        .replace("e+", "e");
+      return value.toExponential(digits - 1).replaceAll("-", "−").replace("e+", "e");
     if (Number.isInteger(value) || size >= 10 ** digits)
       return String(Math.round(value)).replace("-", "−");
     return value.toPrecision(digits).replace("-", "−");
@@ -79,6 +75,29 @@ const motorLeakage = (() => {
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
     made.append(...children.map((child) => (child instanceof Node ? child : String(child))));
     return made;
+  }
+
+  /* Words of a cell, with a remark in small letters below them. */
+  const withRemark = (words, remark) =>
+    element("span", {}, words, ...(remark ? [element("small", {}, remark)] : []));
+
+  const probability = (p) => {
+    if (p === undefined) return ABSENT;
+    return p < 1e-4 ? "< 0.0001" : format(p, 2);
+  };
+
+  /* A menu above a figure; `options`: pairs of a value and its words; none: no menu. */
+  function menu(figure, label, options, chosen, onChange) {
+    const select = element(
+      "select",
+      {},
+      ...options.map(([value, words]) => element("option", { value }, words)),
+    );
+    select.value = chosen;
+    select.addEventListener("change", () => onChange(select.value));
+    const controls = document.querySelector(`#${figure} .controls`);
+    controls.replaceChildren(element("label", {}, `${label} `, select));
+    controls.hidden = !options.length;
   }
 
   /* columns: names, with unit; rows: lists of cells, numbers on the right. */
@@ -194,6 +213,9 @@ const motorLeakage = (() => {
     modeBarButtons: [["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]],
     toImageButtonOptions: { scale: 2 },
   };
+
+  /* End of the names of the axes of a chart that is the first, second … of several in a figure. */
+  const axisNumber = (place) => (place ? String(place + 1) : "");
 
   const isNarrow = () => window.innerWidth < 600;
   const AXIS = {
@@ -315,7 +337,11 @@ const motorLeakage = (() => {
     text,
     format,
     element,
+    withRemark,
+    probability,
+    menu,
     table,
+    axisNumber,
     show,
     drawAll,
     word,

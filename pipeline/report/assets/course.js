@@ -2,7 +2,7 @@
 "use strict";
 
 (() => {
-  const { COLOURS, page, style, decode, format, isPoor } = motorLeakage;
+  const { COLOURS, page, style, decode, format, axisNumber, isPoor } = motorLeakage;
   const { nights, overNights, marks, line, known } = motorLeakage.overNights;
 
   const nightly = Object.fromEntries(
@@ -79,12 +79,12 @@
     ].filter(([key]) => known(nightly[key]));
     if (!rows.length) return { absent: "No night of this motor has a fit." };
     const layout = {
-      xaxis: { anchor: `y${rows.length === 1 ? "" : rows.length}` },
+      xaxis: { anchor: `y${axisNumber(rows.length - 1)}` },
       showlegend: false,
     };
     rows.forEach(([, title], place) => {
       const fromTop = 1 - place / rows.length;
-      layout[`yaxis${place ? place + 1 : ""}`] = {
+      layout[`yaxis${axisNumber(place)}`] = {
         title: { text: title, font: { size: 11 } },
         domain: [fromTop - 1 / rows.length + 0.04, fromTop],
         nticks: 4,
@@ -97,7 +97,7 @@
           nightly[key],
           { ...style(0), dash: "solid" },
           {
-            yaxis: `y${place ? place + 1 : ""}`,
+            yaxis: `y${axisNumber(place)}`,
             hovertemplate: `%{x|%Y-%m-%d}: %{y:.4g} ${title.split(", ")[1]}<extra></extra>`,
             marker: { size: 3, color: COLOURS.blue },
           },

@@ -6,6 +6,9 @@
   const form = document.getElementById("filters");
   const body = table.tBodies[0];
   const rows = [...body.rows];
+  const headers = [...table.tHead.rows[0].cells];
+  const boxes = [...form.querySelectorAll("[name=state]")];
+  const chosenStates = () => boxes.filter((box) => box.checked).map((box) => box.value);
 
   /* A motor that needs attention has a sentence above the table, which is searched, too. */
   const sentences = new Map(
@@ -17,14 +20,12 @@
   function filter() {
     const wanted = form.find.value.trim().toLowerCase().split(/\s+/).filter(Boolean);
     const type = form.type.value;
-    const states = new Set(
-      [...form.querySelectorAll("[name=state]:checked")].map((box) => box.value),
-    );
+    const states = chosenStates();
     let shown = 0;
     for (const row of rows) {
       const text = texts.get(row);
       row.hidden =
-        !states.has(row.dataset.state) ||
+        !states.includes(row.dataset.state) ||
         (type !== "" && row.dataset.type !== type) ||
         !wanted.every((word) => text.includes(word));
       shown += row.hidden ? 0 : 1;
@@ -38,13 +39,11 @@
   }
 
   /* The filters and the order stand in the address, so that a view can be sent. */
-  const boxes = [...form.querySelectorAll("[name=state]")];
-  const headers = [...table.tHead.rows[0].cells];
   function remember() {
     const said = new URLSearchParams();
     if (form.find.value) said.set("find", form.find.value);
     if (form.type.value) said.set("type", form.type.value);
-    const states = boxes.filter((box) => box.checked).map((box) => box.value);
+    const states = chosenStates();
     if (states.length < boxes.length) said.set("state", states.join(" "));
     const sorted = headers.find((header) => header.ariaSort);
     if (sorted !== headers[1] || sorted.ariaSort !== "ascending")

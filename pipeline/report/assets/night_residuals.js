@@ -2,8 +2,8 @@
 "use strict";
 
 (() => {
-  const { COLOURS, decode, format, element, show } = motorLeakage;
-  const { LOOKS, INPUTS, unfitted } = motorLeakage.ofNight;
+  const { COLOURS, decode, format, menu, axisNumber, show } = motorLeakage;
+  const { LOOKS, INPUTS, noFigure } = motorLeakage.ofNight;
 
   let smoothed = false;
 
@@ -17,39 +17,25 @@
 
   function residuals(night) {
     const both = new Set(night.residuals.map((one) => one.smoothed));
-    const controls = document.querySelector("#residuals .controls");
-    controls.replaceChildren();
-    controls.hidden = both.size < 2;
-    if (!both.has(smoothed)) smoothed = both.has(false) ? false : true;
-    if (both.size > 1) {
-      const menu = element(
-        "select",
-        {},
-        element("option", { value: "" }, "before smoothing"),
-        element("option", { value: "yes" }, "smoothed, as fitted"),
-      );
-      menu.value = smoothed ? "yes" : "";
-      menu.addEventListener("change", () => {
-        smoothed = menu.value === "yes";
-        show("residuals", () => residuals(night));
-      });
-      controls.append(element("label", {}, "Errors ", menu));
-    }
+    if (!both.has(smoothed)) smoothed = !both.has(false);
+    const kinds = [
+      ["", "before smoothing"],
+      ["yes", "smoothed, as fitted"],
+    ];
+    menu("residuals", "Errors", both.size > 1 ? kinds : [], smoothed ? "yes" : "", (value) => {
+      smoothed = value === "yes";
+      show("residuals", () => residuals(night));
+    });
     const chosen = night.residuals.filter((one) => one.smoothed === smoothed);
     if (!chosen.length)
-      return {
-        absent:
-          night.fit.status === "ok"
-            ? "No residual tests are in the tables for this night."
-            : unfitted(night),
-      };
+      return noFigure(night, "No residual tests are in the tables for this night.");
     const traces = [];
     const layout = { annotations: [] };
     const rows = [];
     const longest = chosen[0].lag.at(-1);
     const period = longest ? chosen[0].longest_s / longest : null;
     PANELS.forEach(([title, belongs], place) => {
-      const number = place ? place + 1 : "";
+      const number = axisNumber(place);
       const left = place / PANELS.length;
       layout[`xaxis${number}`] = {
         domain: [left + (place ? 0.025 : 0), left + 0.245],

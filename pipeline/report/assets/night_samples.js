@@ -2,8 +2,10 @@
 "use strict";
 
 (() => {
-  const { COLOURS, decode, format, isPoor } = motorLeakage;
+  const { COLOURS, decode, format, axisNumber, isPoor } = motorLeakage;
   const { PARTS, LOOKS, INPUTS, unfitted, stamp } = motorLeakage.ofNight;
+
+  const SERIES = ["pressure", "temperature", "speed", "measured", "predicted"];
 
   /* Samples of a part, with a null wherever its neighbours are not neighbours in the log. */
   function samplesOf(night, letter) {
@@ -15,30 +17,17 @@
       .map((time, at) => time - after[at])
       .sort((a, b) => a - b);
     const longest = 3 * (steps[Math.floor(0.95 * steps.length)] ?? 0);
-    const columns = {
-      pressure: decode(samples.pressure),
-      temperature: decode(samples.temperature),
-      speed: decode(samples.speed),
-      measured: decode(samples.measured),
-      predicted: decode(samples.predicted),
-    };
-    const part = {
-      time: [],
-      pressure: [],
-      temperature: [],
-      speed: [],
-      measured: [],
-      predicted: [],
-    };
+    const columns = Object.fromEntries(SERIES.map((name) => [name, decode(samples[name])]));
+    const part = { time: [], ...Object.fromEntries(SERIES.map((name) => [name, []])) };
     let before = null;
     after.forEach((time, at) => {
       if (samples.part[at] !== letter) return;
       if (before !== null && (at - before > 1 || time - after[before] > longest)) {
         part.time.push(samples.start + after[before] + 1);
-        for (const name of Object.keys(columns)) part[name].push(null);
+        for (const name of SERIES) part[name].push(null);
       }
       part.time.push(samples.start + time);
-      for (const name of Object.keys(columns)) part[name].push(columns[name][at]);
+      for (const name of SERIES) part[name].push(columns[name][at]);
       before = at;
     });
     return before === null ? null : part;
@@ -63,11 +52,9 @@
       showlegend: false,
       hoversubplots: "axis",
       hovermode: "x",
-      margin: { l: 58, r: 14, t: 30, b: 40 },
     };
     const traces = channels.map(([key, title, itsUnit], place) => {
-      const axis = place ? `y${place + 1}` : "y";
-      layout[`yaxis${place ? place + 1 : ""}`] = {
+      layout[`yaxis${axisNumber(place)}`] = {
         title: {
           text: `${title.replace("pressure difference", "pressure diff.").replace("oil temperature", "oil temp.")}<br>${itsUnit}`,
           font: { size: 11 },
@@ -81,7 +68,7 @@
         name: title,
         x: part.time,
         y: part[key],
-        yaxis: axis,
+        yaxis: `y${axisNumber(place)}`,
         line: { width: 1, color: LOOKS[name].color },
         hovertemplate: `%{y:.4g} ${itsUnit}<extra>${title}</extra>`,
         connectgaps: false,

@@ -9,14 +9,20 @@ motorLeakage.ofNight = (() => {
     training: { color: COLOURS.blue, symbol: "circle" },
     validation: { color: "#a86f00", symbol: "square-open" },
   };
+  /* Name in the payload, in words, unit, and how its columns of `fits` end. */
   const INPUTS = [
-    ["pressure", "pressure difference", "bar"],
-    ["temperature", "oil temperature", "°C"],
-    ["speed", "speed", "rpm"],
+    ["pressure", "pressure difference", "bar", "pressure_bar"],
+    ["temperature", "oil temperature", "°C", "temperature_c"],
+    ["speed", "speed", "rpm", "speed_rpm"],
   ];
 
   const unfitted = (night) =>
     `The night was not fitted (${word("statuses", night.fit.status)}); why stands at its top.`;
+
+  /* In place of a figure: why there is none, of a night that was fitted and of one that was not. */
+  const noFigure = (night, ofFitted) => ({
+    absent: ofFitted && night.fit.status === "ok" ? ofFitted : unfitted(night),
+  });
 
   const SYMBOLS = {
     K: "K",
@@ -37,5 +43,5 @@ motorLeakage.ofNight = (() => {
 
   const stamp = (ms) => new Date(ms).toISOString().slice(0, 19).replace("T", " ");
 
-  return { PARTS, LOOKS, INPUTS, unfitted, parameterName, stamp };
+  return { PARTS, LOOKS, INPUTS, unfitted, noFigure, parameterName, stamp };
 })();

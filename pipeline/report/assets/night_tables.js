@@ -3,10 +3,11 @@
 
 motorLeakage.nightTables = (() => {
   const { ABSENT, plain, format, element, table, word, unit, isPoor } = motorLeakage;
-  const { unfitted, parameterName, stamp } = motorLeakage.ofNight;
+  const { withRemark, probability } = motorLeakage;
+  const { INPUTS, unfitted, parameterName, stamp } = motorLeakage.ofNight;
 
   function outcome({ fit, night, faults }) {
-    const time = (ms) => new Date(ms).toISOString().slice(0, 16).replace("T", " ");
+    const minute = (ms) => stamp(ms).slice(0, 16);
     const said = faults.length ? ` Could not be read: ${faults.join("; ")}` : "";
     if (fit.status !== "ok") {
       return `Night of ${night}: ${word("statuses", fit.status)}${fit.error_code ? ` (${fit.error_code})` : ""}: ${fit.reason ?? "no reason is stated"}.${said}`;
@@ -15,8 +16,10 @@ motorLeakage.nightTables = (() => {
       fit.kept_share === undefined
         ? ""
         : `; ${format(100 * fit.kept_share, 3)} % of the running motor's samples kept`;
-    return `Night of ${night}: fitted, ${time(fit.window_start)} to ${time(fit.window_end)} UTC, ${word("flushing", fit.flushing_mode)}, oil ${fit.oil ?? ABSENT}${kept}.${said}`;
+    return `Night of ${night}: fitted, ${minute(fit.window_start)} to ${minute(fit.window_end)} UTC, ${word("flushing", fit.flushing_mode)}, oil ${fit.oil ?? ABSENT}${kept}.${said}`;
   }
+
+  const absent = (words) => element("p", { class: "absent" }, words);
 
   const range = (low, high, digits) =>
     low === undefined || high === undefined
@@ -24,7 +27,7 @@ motorLeakage.nightTables = (() => {
       : `${format(low, digits)} to ${format(high, digits)}`;
 
   function parameters(night) {
-    if (!night.parameters.length) return [element("p", { class: "absent" }, unfitted(night))];
+    if (!night.parameters.length) return [absent(unfitted(night))];
     const shown = night.parameters.filter((one) => !one.placeholder);
     const order = ["K_", "scale_", "C_", "share_", "h_", "e_", "film_"];
     const rank = (name) => order.findIndex((prefix) => name.startsWith(prefix));
@@ -36,15 +39,13 @@ motorLeakage.nightTables = (() => {
         one.value === undefined
           ? range(one.feasible_min, one.feasible_max, 3)
           : format(scaled(one.value), 3);
-      const words = element("span", {}, word("verdicts", one.verdict));
-      if (one.reason) words.append(element("small", {}, one.reason));
       return [
         parameterName(one.parameter),
         cell(value),
         cell(range(scaled(one.lower), scaled(one.upper), 3)),
         cell(inAll(one.total_half_width)),
         share ? "%" : unit(one.unit),
-        words,
+        withRemark(word("verdicts", one.verdict), one.reason),
       ];
     });
     rows.unshift(
@@ -60,7 +61,7 @@ motorLeakage.nightTables = (() => {
     const hidden = night.parameters.length - shown.length;
     const note =
       "Gap heights, eccentricities and film thickness ratios are not shown: they are made from the geometry in the motor type's file, which is a placeholder. Gap changes in % need none.";
-    return hidden ? [made, element("p", { class: "absent" }, note)] : [made];
+    return hidden ? [made, absent(note)] : [made];
   }
 
   const cell = (value, ...marks) =>
@@ -77,36 +78,28 @@ motorLeakage.nightTables = (() => {
   function leakageRow(fit, kind, name) {
     const stem = kind === "reference" ? "reference_leakage" : "own_conditions_leakage";
     const verdict = kind === "reference" ? "reference" : "own_conditions";
-    const at = [
-      ["pressure_bar", "bar"],
-      ["temperature_c", "°C"],
-      ["speed_rpm", "rpm"],
-    ]
-      .map(([column, itsUnit]) => `${format(fit[`${kind}_${column}`], 3)} ${itsUnit}`)
-      .join(", ");
-    const words = element("span", {}, word("verdicts", fit[`${verdict}_verdict`]));
-    if (fit[`${verdict}_reason`]) words.append(element("small", {}, fit[`${verdict}_reason`]));
+    const at = INPUTS.map(
+      ([, , itsUnit, column]) => `${format(fit[`${kind}_${column}`], 3)} ${itsUnit}`,
+    ).join(", ");
     return [
       element("b", {}, name, element("small", {}, at)),
       element("b", { class: "figure" }, format(fit[`${stem}_l_per_min`])),
       cell(range(fit[`${stem}_lower`], fit[`${stem}_upper`], 4)),
       cell(inAll(fit[`${stem}_total_half_width`])),
       "l/min",
-      words,
+      withRemark(word("verdicts", fit[`${verdict}_verdict`]), fit[`${verdict}_reason`]),
     ];
   }
 
   /* What the night says of the model itself. */
   function modelRow(fit) {
-    const words = element("span", {}, word("verdicts", fit.model_verdict ?? "too_little_data"));
-    if (fit.model_reason) words.append(element("small", {}, fit.model_reason));
     return [
       element("b", {}, "misfit of the model", element("small", {}, "share of the leakage")),
       cell(format(fit.model_misfit_percent, 2)),
       cell(null),
       cell(null),
       "%",
-      words,
+      withRemark(word("verdicts", fit.model_verdict ?? "too_little_data"), fit.model_reason),
     ];
   }
 
@@ -142,7 +135,7 @@ motorLeakage.nightTables = (() => {
 
   function quality(night) {
     const { fit, modes } = night;
-    if (fit.status !== "ok") return [element("p", { class: "absent" }, unfitted(night))];
+    if (fit.status !== "ok") return [absent(unfitted(night))];
     const rows = FIGURE_ROWS.filter(([, key]) => fit[key] !== undefined).map(
       ([name, key, itsUnit]) => [
         name,
@@ -159,16 +152,12 @@ motorLeakage.nightTables = (() => {
     const parts = [table(["Figure", "Value", "Unit"], rows)];
     if (FIGURE_ROWS.some(([, key]) => key.endsWith("_fit_percent") && isPoor(fit[key])))
       parts.push(
-        element(
-          "p",
-          { class: "absent" },
-          "Poor: the mean of these samples describes them better than the model does.",
-        ),
+        absent("Poor: the mean of these samples describes them better than the model does."),
       );
     const slow = /^ok: (.)(.*)/.exec(fit.interval_status ?? "");
     if (slow) parts.push(element("p", {}, `${slow[1].toUpperCase()}${slow[2]}.`));
     else if (fit.interval_status && fit.interval_status !== "ok")
-      parts.push(element("p", { class: "absent" }, `No intervals: ${fit.interval_status}`));
+      parts.push(absent(`No intervals: ${fit.interval_status}`));
     if (modes.length > 1) {
       parts.push(
         element("h3", {}, "Modes of flushing"),
@@ -186,8 +175,7 @@ motorLeakage.nightTables = (() => {
   }
 
   function files(night) {
-    if (!night.files.length)
-      return element("p", { class: "absent" }, "No log of this night was read.");
+    if (!night.files.length) return absent("No log of this night was read.");
     /* A file that could not be read has no times, nor a number of rows. */
     const time = (ms) => (ms === undefined ? null : stamp(ms));
     return table(
@@ -227,7 +215,7 @@ motorLeakage.nightTables = (() => {
       one.n_lags
         ? `${one.n_outside} of ${one.n_lags} (${format(one.n_expected_outside, 2)} by chance)`
         : ABSENT,
-      one.p_value === undefined ? ABSENT : one.p_value < 1e-4 ? "< 0.0001" : format(one.p_value, 2),
+      probability(one.p_value),
       one.largest_value === undefined
         ? ABSENT
         : `${format(one.largest_value, 2)} at ${format(one.largest_lag_s, 3)} s`,

@@ -2,21 +2,19 @@
 "use strict";
 
 (() => {
-  const { COLOURS, decode, plain, text, format, element, show, word, unit, isNarrow } =
+  const { COLOURS, decode, plain, text, format, menu, axisNumber, show, word, unit, isNarrow } =
     motorLeakage;
-  const { INPUTS, unfitted, parameterName } = motorLeakage.ofNight;
+  const { INPUTS, noFigure, parameterName } = motorLeakage.ofNight;
 
   const longestLabel = () => (isNarrow() ? 26 : 60);
 
   function waterfall(night) {
     const { starts, fit } = night;
     if (!starts)
-      return {
-        absent:
-          night.fit.status === "ok"
-            ? "No search was run: nothing is free, or none was due (estimation.search_every_nights)."
-            : unfitted(night),
-      };
+      return noFigure(
+        night,
+        "No search was run: nothing is free, or none was due (estimation.search_every_nights).",
+      );
     const reached = starts.cost.map((cost, at) => at).filter((at) => starts.cost[at] !== null);
     const failed = starts.cost.length - reached.length;
     if (!reached.length) return { absent: `All ${failed} starts failed: ${starts.reason[0]}.` };
@@ -113,30 +111,19 @@
 
   function budget(night) {
     const known = Object.keys(night.budget).filter((name) => worth(night, name));
-    const controls = document.querySelector("#budget .controls");
-    controls.replaceChildren();
-    controls.hidden = known.length === 0;
-    if (!known.length)
-      return {
-        absent:
-          night.fit.status === "ok"
-            ? "No figure of this night is known well enough for a budget, or no tolerances are stated in the config."
-            : unfitted(night),
-      };
-    if (!known.includes(indicator))
-      indicator = [...Object.keys(INDICATORS), ...known].find((name) => known.includes(name));
     const label = (name) => INDICATORS[name] ?? parameterName(name);
-    const menu = element(
-      "select",
-      {},
-      ...known.map((name) => element("option", { value: name }, label(name))),
-    );
-    menu.value = indicator;
-    menu.addEventListener("change", () => {
-      indicator = menu.value;
+    if (known.length && !known.includes(indicator))
+      indicator = [...Object.keys(INDICATORS), ...known].find((name) => known.includes(name));
+    const options = known.map((name) => [name, label(name)]);
+    menu("budget", "Effect on", options, indicator, (value) => {
+      indicator = value;
       show("budget", () => budget(night));
     });
-    controls.append(element("label", {}, "Effect on ", menu));
+    if (!known.length)
+      return noFigure(
+        night,
+        "No figure of this night is known well enough for a budget, or no tolerances are stated in the config.",
+      );
     const value = Math.abs(worth(night, indicator));
     const rows = night.budget[indicator].filter(([, , , effect]) => effect !== null);
     const share = (effect) => (100 * effect) / value;
@@ -206,12 +193,12 @@
 
   function coverage(night) {
     const found = night.coverage;
-    if (!found) return { absent: unfitted(night) };
+    if (!found) return noFigure(night);
     const traces = [];
     const layout = { barmode: "overlay", shapes: [], bargap: 0.08 };
     const rows = [];
-    INPUTS.forEach(([key, title, itsUnit], place) => {
-      const number = place ? place + 1 : "";
+    INPUTS.forEach(([key, title, itsUnit, column], place) => {
+      const number = axisNumber(place);
       const { edges, minimum, maximum } = found[key];
       const width = edges[1] - edges[0];
       const middles = edges.slice(0, -1).map((edge) => edge + width / 2);
@@ -263,14 +250,7 @@
             rows.push([title, part, `${edges[at]} to ${edges[at + 1]}`, itsUnit, percent]),
         );
       }
-      const at =
-        night.fit[
-          {
-            pressure: "reference_pressure_bar",
-            temperature: "reference_temperature_c",
-            speed: "reference_speed_rpm",
-          }[key]
-        ];
+      const at = night.fit[`reference_${column}`];
       if (at !== undefined) {
         const range = layout[`xaxis${number}`].range;
         layout[`xaxis${number}`].range = [
@@ -299,7 +279,7 @@
 
   function conditions(night) {
     const found = night.coverage;
-    if (!found) return { absent: unfitted(night) };
+    if (!found) return noFigure(night);
     const [pressure, temperature, speed] = INPUTS.map(([key]) => decode(found[key].blocks));
     const names = { t: "training", v: "validation", g: "guard" };
     const parts = [..."tvg"].filter((letter) => found.block_parts.includes(letter));

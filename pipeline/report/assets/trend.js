@@ -4,6 +4,7 @@
 (() => {
   const { COLOURS, ABSENT, page, decode, plain, text, format, element, table, word, unit } =
     motorLeakage;
+  const { withRemark, probability, menu } = motorLeakage;
   const { DAY_MS, overNights, marks, band, known } = motorLeakage.overNights;
 
   const { baselines, change_points: changePoints } = page.trend;
@@ -135,20 +136,16 @@
     };
   }
 
-  function menu() {
-    const options = indicators.map((one, place) =>
-      element("option", { value: place }, `${label(one)}: ${plain(one.latest.state)}`),
-    );
-    const select = element("select", {}, ...options);
+  function indicatorMenu() {
+    const options = indicators.map((one, place) => [
+      place,
+      `${label(one)}: ${plain(one.latest.state)}`,
+    ]);
     const first = indicators.findIndex((one) => known(decode(one.value)));
-    select.value = String(Math.max(first, 0));
-    const controls = document.querySelector("#trend-course .controls");
-    controls.append(element("label", {}, "Indicator ", select));
-    controls.hidden = false;
-    const chosen = () =>
-      overNights("trend-course", () => indicatorChart(indicators[Number(select.value)]));
-    select.addEventListener("change", chosen);
-    chosen();
+    const choose = (place) =>
+      overNights("trend-course", () => indicatorChart(indicators[Number(place)]));
+    menu("trend-course", "Indicator", options, Math.max(first, 0), choose);
+    choose(Math.max(first, 0));
   }
 
   const figure = (content) => element("span", { class: "figure" }, content);
@@ -185,23 +182,15 @@
       const { latest } = one;
       const factor = isShare(one) ? 100 : 1;
       const said = [latest.state_reason, latest.gated_reason].filter(Boolean).join("; ");
-      const state = element("span", {}, plain(latest.state));
-      if (said) state.append(element("small", {}, said));
       const away = latest.deviation_percent;
       return [
         one.name,
         unitOf(one),
-        state,
+        withRemark(plain(latest.state), said),
         figure(away === undefined ? ABSENT : `${away > 0 ? "+" : ""}${format(away, 3)} %`),
         figure(withInterval(latest, "slope_per_year", factor)),
         figure(withInterval(latest, "slope_per_1000_h", factor)),
-        figure(
-          latest.q_value === undefined
-            ? ABSENT
-            : latest.q_value < 1e-4
-              ? "< 0.0001"
-              : format(latest.q_value, 2),
-        ),
+        figure(probability(latest.q_value)),
         path(one),
         toLimit(one),
       ];
@@ -223,5 +212,5 @@
   document
     .getElementById("trend-table")
     .append(element("h4", {}, "Indicators in the newest night"), indicatorTable());
-  menu();
+  indicatorMenu();
 })();

@@ -12,7 +12,6 @@ from leakage.course.alarms import (
     level_severity,
     limit_severity,
     nights_since_good,
-    state_changes,
 )
 from leakage.errors import ParameterError
 
@@ -73,20 +72,6 @@ def test_nights_since_the_last_good_one() -> None:
     assert found[1:].tolist() == [0, 1, 6, 0]
     assert found[0] > 10**6
     assert len(nights_since_good(np.empty(0, dtype=np.int64), np.empty(0, dtype=bool))) == 0
-
-
-def test_changes_of_state_are_listed_in_order() -> None:
-    states = ["insufficient", "ok", "ok", "warning", "alarm", "stale", "ok"]
-    found = state_changes(np.arange(10, 17), states)
-    assert [(one.night, one.before, one.after) for one in found] == [
-        (11, "insufficient", "ok"),
-        (13, "ok", "warning"),
-        (14, "warning", "alarm"),
-        (15, "alarm", "stale"),
-        (16, "stale", "ok"),
-    ]
-    assert [one.place for one in found] == [1, 3, 4, 5, 6]
-    assert state_changes(np.empty(0, dtype=np.int64), []) == ()
 
 
 @pytest.mark.parametrize(

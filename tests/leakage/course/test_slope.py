@@ -10,7 +10,7 @@ from scipy.stats import false_discovery_control, theilslopes
 from scipy.stats import t as student_t
 
 from leakage.course.slope import benjamini_hochberg, fit_slope, theil_sen
-from leakage.errors import ParameterError, ShapeError
+from leakage.errors import ShapeError
 from tests.leakage.made_nights import autoregression
 
 
@@ -39,19 +39,6 @@ def test_it_equals_generalised_least_squares_with_the_whole_covariance(missing: 
     assert [found.lower, found.upper] == pytest.approx([line[1] - half, line[1] + half])
     t = abs(line[1]) / np.sqrt(covariance[1, 1])
     assert found.p_value == pytest.approx(2 * student_t.sf(t, len(nights) - 3))
-
-
-def test_nights_of_unlike_scatter_are_weighed() -> None:
-    """Without memory it is weighted least squares."""
-    generator = np.random.default_rng(2)
-    nights = np.arange(100)
-    sd = np.where(nights % 3 == 0, 5.0, 0.5)
-    values = 1.0 + 0.1 * nights + sd * (-1.0) ** generator.permutation(100)
-    found = fit_slope(nights, values, sd=sd)
-    assert found.phi == 0.0
-    slope, _ = np.polyfit(nights, values, 1, w=1 / sd)
-    assert found.slope == pytest.approx(slope)
-    assert fit_slope(nights, values).slope != pytest.approx(slope, rel=1e-3)
 
 
 @pytest.mark.parametrize("n", [2, 20, 150, 200])
@@ -155,9 +142,6 @@ def test_arrays_that_do_not_belong_together_are_refused() -> None:
     with pytest.raises(ShapeError) as repeated:
         fit_slope(np.zeros(30, dtype=np.int64), np.ones(30))
     assert repeated.value.code == "night_order"
-    with pytest.raises(ParameterError) as certain:
-        fit_slope(np.arange(30), np.arange(30.0), sd=np.zeros(30))
-    assert certain.value.code == "night_scatter"
 
 
 def test_q_values_are_scipys_and_leave_out_what_has_no_p() -> None:

@@ -23,7 +23,7 @@ from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.verification import verify_tables
 from pipeline.schema import LATEST, TABLES, TREND_TABLES, Table
 from pipeline.store.tables import read_table
-from pipeline.trends.record import read_record
+from pipeline.trends.nights.trend_record import read_record
 from tests.pipeline.simulated import NIGHT, Operation, motor_toml, operate, write_configs, write_log
 from tests.pipeline.workshop import MINI, QUICK
 

@@ -23,8 +23,8 @@ from pipeline.store.night_files import (
 from pipeline.store.tables import (
     night_file,
 )
-from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
-from pipeline.trends.kept_nights import whole_table
+from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.trends.nights.kept_nights import whole_table
 from tests.pipeline.faults.disk import Disk, Killed, on
 from tests.pipeline.faults.fleet import LATER, TinyFleet, check_tables, remembered_fits
 from tests.pipeline.simulated import NIGHT
@@ -145,15 +145,15 @@ def test_no_flipped_bit_gets_into_a_new_file(output: Path, size: int) -> None:
     manifest = read_manifest(output, f"{NIGHT:%Y-%m}", NIGHT.isoformat())
     assert manifest is not None
     accepted = manifest.accepted(path.relative_to(output / "tables").as_posix())
-    new = NewRows(("M3",), frame(QUALITY, [], without="run_id"))
-    sound = prepare_night(output, QUALITY, NIGHT, new, "run", lambda rows: rows, accepted)
+    new = NewRows(("M3",), frame(QUALITY, []))
+    sound = prepare_night(output, QUALITY, NIGHT, new, lambda rows: rows, accepted)
     assert not sound.lost_rows
     bits = np.arange(8 * len(whole))
     if size:
         bits = np.random.default_rng(4).choice(bits, size, replace=False)
     for bit in bits:
         flip(path, whole, int(bit))
-        file = prepare_night(output, QUALITY, NIGHT, new, "run", lambda rows: rows, accepted)
+        file = prepare_night(output, QUALITY, NIGHT, new, lambda rows: rows, accepted)
         file.drop()
         assert file.lost_rows, bit
 

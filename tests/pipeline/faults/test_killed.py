@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 
 import pipeline.run.fleet
+import pipeline.run.motors
 import pipeline.run.publishing
 from pipeline.run.motor_task import run_motor
+from pipeline.run.publishing import run_trends
 from pipeline.run.tasks import MotorOutcome, MotorTask
-from pipeline.trends.tasks import TrendOutcome, TrendTask, run_trends
+from pipeline.trends.tasks import TrendOutcome, TrendTask
 from tests.pipeline.faults.fleet import (
     MOTORS,
     TinyFleet,
@@ -170,7 +172,7 @@ def check_worker(
     output, motor = fleet.copy(tmp_path / "out"), MOTORS[1]
     marker = None if always else tmp_path / "died"
     if stage in OF_MOTORS:
-        patched.setattr(pipeline.run.fleet, "run_motor", killing_motor(stage, motor, marker))
+        patched.setattr(pipeline.run.motors, "run_motor", killing_motor(stage, motor, marker))
     else:
         patched.setattr(pipeline.run.publishing, "run_trends", killing_trends(stage, motor, marker))
         # A task a motor: one alone would be done in this very process.

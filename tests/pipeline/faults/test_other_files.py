@@ -19,7 +19,7 @@ from pipeline.report.build import ReportRequest, build_report
 from pipeline.run.fleet import run_fleet
 from pipeline.run.tasks import MotorOutcome
 from pipeline.schema import FITS, PARAMETERS
-from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 from tests.pipeline.faults.disk import KINDS, QUICK_KINDS, Disk, Killed, Kind, on
 from tests.pipeline.faults.fleet import TinyFleet, check_tables
 from tests.pipeline.simulated import NIGHT

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from pipeline.config.motors import Channel, Channels, Logs
+from pipeline.config.channels import Channel, Channels
+from pipeline.config.logs import Logs
 
 
 class Source(NamedTuple):

@@ -16,7 +16,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.config import load_fleet
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import CHANNELS, T0_US, Format, Row

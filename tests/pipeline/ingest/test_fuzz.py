@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.ingest import RawLog, read_log
 
 from .fuzzing.campaign import FULL, SHORT, Counts, Extent, fuzzed, mutations_of

@@ -26,7 +26,8 @@ import zstandard
 from google.protobuf import descriptor_pb2
 from mcap.writer import CompressionType
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.errors import LONGEST_MESSAGE, LogError
 from pipeline.ingest import read_log, time_span
 from pipeline.ingest.conformance import T0_US

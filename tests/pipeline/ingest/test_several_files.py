@@ -8,7 +8,7 @@ from pathlib import Path
 import polars as pl
 import pytest
 
-from pipeline.config.motors import Channels
+from pipeline.config.channels import Channels
 from pipeline.ingest import read_log
 from tests.pipeline.ingest.sources import column, logs_of
 

@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.config.motors import Channels
+from pipeline.config.channels import Channels
 from pipeline.ingest import RawLog, read_log
 from pipeline.ingest.conformance import T0_US
 

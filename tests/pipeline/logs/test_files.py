@@ -14,22 +14,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.config import Channel, MotorSpec, Nights, load_fleet
-from pipeline.config.motors import Logs
+from pipeline.config.logs import Logs
 from pipeline.config.nights import DAY, Night, night, night_of
 from pipeline.demo import shipped_configs
 from pipeline.ingest import RawChannel, RawLog, read_log
 from pipeline.logs import files as logs
 from pipeline.logs.files import (
     LONGEST_LOG_DAYS,
-    PlausibleNights,
     covered,
     find_logs,
     inspect_log,
     labels_of,
-    place_failed,
     slice_night,
 )
 from pipeline.logs.ledger import FileRecord, content_hash
+from pipeline.logs.told_nights import PlausibleNights, place_failed
 
 UNITS = {
     "pressure_difference": "bar",

@@ -8,7 +8,7 @@ import pytest
 
 from pipeline.look import look as module
 from pipeline.look.baseline import LookBaseline
-from pipeline.trends.record import Record
+from pipeline.trends.nights.trend_record import Record
 from tests.pipeline.look.fleet import TODAY, Growing, configured, made_baseline
 from tests.pipeline.workshop import DAY
 

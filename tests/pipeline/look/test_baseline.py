@@ -16,8 +16,8 @@ from pipeline.config.hashes import model_hash
 from pipeline.config.oil_samples import OilSample
 from pipeline.look.baseline import LookBaseline, _outdated
 from pipeline.look.blocks import Blocks, blocks_within
-from pipeline.trends.decisions import Decision
-from pipeline.trends.record import Record
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.trend_record import Record
 from tests.pipeline.simulated import NIGHT, load_motor, motor_toml, night_of, operate, raw
 from tests.pipeline.workshop import DAY
 

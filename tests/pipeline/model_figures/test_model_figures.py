@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from xml.etree import ElementTree
 
-import matplotlib as mpl
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from leakage import Constant, FilmPressure, Motor, Parameter
-from pipeline.cli import main
-from pipeline.config import load_fleet
-from pipeline.config.motor_types import MotorTypeFile, OilFile
+from leakage import Constant, FilmPressure, Parameter
+from pipeline.config.motor_types import OilFile
 from pipeline.config.settings import Settings
-from pipeline.demo import shipped_configs
-from pipeline.errors import StoreError, UsageError
 from pipeline.model_figures import (
     ModelSubject,
-    choose,
     model_figures,
     subject_of,
-    write_model_figures,
 )
-from pipeline.model_figures.canvas import ImageFormat, drawing, pen, save
+from pipeline.model_figures.canvas import pen
+from tests.pipeline.model_figures.conftest import (
+    DISTRIBUTOR,
+    FIGURES,
+    RING,
+    ROLLER,
+    at,
+    line,
+    panels,
+    peak,
+    thickness,
+    type_with,
+    words,
+)
 
 # Leakage of one interface, l/min, and of the whole CB560; computed apart from this project.
 WORKED = [
@@ -40,83 +38,6 @@ WORKED = [
 ]
 VISCOSITIES = {(40.0, 40.0): 63.854, (200.0, 50.0): 55.055, (300.0, 60.0): 44.651}  # mPa·s
 ROUGHNESS_UM = 0.2 * 2**0.5
-FIGURES = [
-    "piston_ring_leakage", "piston_ring_deformation", "balance_piston_leakage",
-    "balance_sleeve_leakage", "balance_sleeve_deformation", "cam_roller_speed_curve",
-    "viscosity", "shares", "films",
-]  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def cb560() -> ModelSubject:
-    """The shipped CB560, all of it placeholders."""
-    return choose(load_fleet(shipped_configs() / "fleet.toml"), "CB560")
-
-
-@pytest.fixture(scope="module")
-def oil() -> OilFile:
-    """The shipped VG 68, from a data sheet for once."""
-    shipped = load_fleet(shipped_configs() / "fleet.toml").oils["vg68"]
-    return shipped.model_copy(update={"source": "data sheet"})
-
-
-@pytest.fixture(autouse=True)
-def style() -> Iterator[None]:
-    with drawing():
-        yield
-
-
-def panels(subject: ModelSubject, name: str) -> list[Axes]:
-    return model_figures(subject)[name]().axes
-
-
-def line(axes: Axes, label: str) -> Line2D:
-    (found,) = (one for one in axes.lines if one.get_label() == label)
-    return found
-
-
-def at(drawn: Line2D, x: float) -> float:
-    """Value drawn at one of a line's own points."""
-    xs, ys = np.asarray(drawn.get_xdata()), np.asarray(drawn.get_ydata())
-    (place,) = np.flatnonzero(np.isclose(xs, x, rtol=1e-12))
-    return float(ys[place])
-
-
-def peak(drawn: Line2D) -> float:
-    return float(np.asarray(drawn.get_xdata())[np.argmax(drawn.get_ydata())])
-
-
-def thickness(axes: Axes, name: str, x: float) -> float:
-    """Height of a layer of a stack."""
-    (layer,) = (one for one in axes.collections if one.get_label() == name)
-    corners = np.concatenate([path.vertices for path in layer.get_paths()])
-    ys = corners[np.isclose(corners[:, 0], x), 1]
-    return float(np.ptp(ys))
-
-
-def words(figure: Figure) -> str:
-    """All that is written around the panels and above them."""
-    texts = [*figure.texts, *(one.title for one in figure.axes)]
-    titles = [one._left_title.get_text() for one in figure.axes]  # type: ignore[attr-defined]
-    return "\n".join([*(text.get_text() for text in texts), *titles]).replace("\n", " ")
-
-
-def type_with(*paths: dict[str, object]) -> MotorTypeFile:
-    return MotorTypeFile.model_validate({"motor_type": "X1", "path": list(paths)}, strict=False)
-
-
-RING = {
-    "name": "ring", "law": "annular_gap", "source": "drawing", "count": 10, "radius_mm": 35.0,
-    "length_mm": 4.0, "gap_um": {"value": 8.0},
-}  # fmt: skip
-ROLLER = {
-    "name": "roller", "law": "speed_curve", "source": "drawing", "count": 10,
-    "reference_pressure_bar": 200.0, "reference_viscosity_mpa_s": 35.0,
-}  # fmt: skip
-DISTRIBUTOR = {
-    "name": "distributor", "law": "laminar", "source": "drawing", "count": 2,
-    "coefficient_m3": {"value": 1e-15, "minimum": 0.0, "maximum": 1e-13},
-}  # fmt: skip
 
 
 # Numbers
@@ -168,21 +89,10 @@ def test_ring_leaks_most_where_it_should(
         assert f"maximum at {largest:.2f} bar" in axes._left_title.get_text()  # type: ignore[attr-defined]
 
 
-def test_sleeve_leaks_most_at_a_third_of_its_constant(cb560: ModelSubject) -> None:
-    curves = panels(cb560, "balance_sleeve_leakage")[2]
-    assert {peak(one) for one in curves.lines if one.get_linestyle() == "--"} == {300.0}
-
-
 def test_gap_without_deformation_has_no_maximum_to_mark(cb560: ModelSubject) -> None:
     figure = model_figures(cb560)["balance_piston_leakage"]()
     assert not any(one.get_gid() == "maximum" for axes in figure.axes for one in axes.lines)
     assert "maximum at" not in words(figure)
-
-
-def test_leakage_goes_with_the_cube_of_the_gap(cb560: ModelSubject) -> None:
-    curves = panels(cb560, "piston_ring_leakage")[2]
-    thin, thick = (at(line(curves, f"h = {gap} µm"), 100.0) for gap in (6, 10))
-    assert thick / thin == pytest.approx((10 / 6) ** 3)
 
 
 def test_map_has_one_scale_of_1_2_5_that_holds_all(cb560: ModelSubject) -> None:
@@ -367,172 +277,3 @@ def test_lines_are_told_apart_without_colour() -> None:
     for kind in ("colour", "dashes", "mark", "hatch"):
         assert len({getattr(one, kind) for one in pens}) == 7
     assert pen(7) == pens[0]
-
-
-# Files
-
-
-# A map with contours and a stack with hatches: what an SVG numbers at random.
-@pytest.mark.parametrize(
-    ("name", "image_format"),
-    [("shares", "png"), ("shares", "svg"), ("piston_ring_leakage", "svg")],
-)
-def test_same_bytes_whatever_a_user_prefers(
-    cb560: ModelSubject, tmp_path: Path, name: str, image_format: ImageFormat
-) -> None:
-    contents = []
-    for size in (9.0, 20.0):
-        with mpl.rc_context({"font.size": size, "lines.linewidth": size}), drawing():
-            save(model_figures(cb560)[name](), tmp_path / "figure", image_format)
-        contents.append((tmp_path / "figure").read_bytes())
-    assert contents[0] == contents[1]
-    assert contents[0].startswith(b"\x89PNG" if image_format == "png" else b"<?xml")
-    assert b"<dc:date>" not in contents[0]
-    assert b"Matplotlib v" not in contents[0]
-
-
-def test_names_from_files_are_text_and_nothing_else(oil: OilFile, tmp_path: Path) -> None:
-    hostile = "$\\frac{ <script>alert(1)</script> & 漢字\n" + "x" * 200
-    motor_type = type_with({**DISTRIBUTOR, "source": "placeholder"})
-    subject = subject_of(motor_type, oil.model_copy(update={"name": hostile}), Settings())
-    for path in write_model_figures(subject, tmp_path, "svg"):
-        root = ElementTree.parse(path).getroot()  # noqa: S314
-        assert root.tag.endswith("svg")
-        assert not any(one.tag.endswith("script") for one in root.iter())
-
-
-@pytest.mark.parametrize(
-    ("path", "figures"),
-    [
-        (DISTRIBUTOR, ["distributor_leakage", "viscosity", "shares"]),
-        (
-            {**ROLLER, "coefficients": (0.0,), "speed_range_rpm": (0.0, 50.0)},
-            ["roller_speed_curve", "viscosity", "shares"],
-        ),
-        (RING, ["ring_leakage", "viscosity", "shares", "films"]),
-    ],
-    ids=["laminar", "speed curve that is 0", "gap"],
-)
-def test_other_motors_have_the_figures_of_their_paths(
-    oil: OilFile, path: dict[str, object], figures: list[str]
-) -> None:
-    found = model_figures(subject_of(type_with(path), oil, Settings()))
-    assert list(found) == figures
-    for draw in found.values():
-        assert "X1" in words(draw())
-
-
-def test_motor_of_a_flushing_alone(cb560: ModelSubject, tmp_path: Path) -> None:
-    flushing = Constant("flushing", Parameter("C_f", "l_per_min", 2.0, 0.0, 20.0))
-    subject = replace(cb560, motor=Motor("X1", (flushing,), cb560.motor.oil))
-    (tmp_path / "mine.txt").write_text("stays")
-    (tmp_path / "X1_shares.png").write_text("is replaced")
-    written = write_model_figures(subject, tmp_path)
-    assert [path.name for path in written] == ["X1_viscosity.png", "X1_shares.png"]
-    assert {path.name for path in tmp_path.iterdir()} == {"mine.txt", *(p.name for p in written)}
-    assert written[1].read_bytes().startswith(b"\x89PNG")
-
-
-def test_where_no_file_can_be_written(cb560: ModelSubject, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("stays")
-    with pytest.raises(StoreError) as caught:
-        write_model_figures(cb560, tmp_path / "file")
-    assert caught.value.code == "store_write"
-    assert "CB560_piston_ring_leakage.png cannot be written" in str(caught.value)
-    assert (tmp_path / "file").read_text() == "stays"
-
-
-def test_oil_that_the_equation_does_not_hold_for(oil: OilFile, tmp_path: Path) -> None:
-    thin = oil.model_copy(update={"reference_viscosities_mm2_per_s": (0.5, 0.25)})
-    settings = Settings.model_validate({"reference": {"temperature_c": 149.0}})
-    with pytest.raises(UsageError) as caught:
-        write_model_figures(subject_of(type_with(DISTRIBUTOR), thin, settings), tmp_path)
-    assert caught.value.code == "model_range"
-    assert "X1_distributor_leakage.png" in str(caught.value)
-
-
-# Choice
-
-
-def test_oil_is_that_of_the_first_motor_of_the_type() -> None:
-    fleet = load_fleet(shipped_configs() / "fleet.toml")
-    first = min(
-        (spec for spec in fleet.motors if spec.motor_type.motor_type == "CB400"),
-        key=lambda spec: spec.motor_id,
-    )
-    assert choose(fleet, "CB400").oil_name == fleet.oils[first.file.oil].name
-    assert choose(fleet, "CB400", "vg32").oil_name == fleet.oils["vg32"].name
-
-
-@pytest.mark.parametrize(
-    ("motor_type", "oil_name", "code", "message"),
-    [
-        ("CB561", None, "unknown_type", "'CB561'; there are CB1120, CB400, CB560"),
-        ("../CB560", None, "unknown_type", "there are"),
-        ("CB560", "vg99", "unknown_oil", "no oil 'vg99'; name one with --oil: vg32, vg46, vg68"),
-    ],
-)
-def test_what_there_is_not(motor_type: str, oil_name: str | None, code: str, message: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        choose(load_fleet(shipped_configs() / "fleet.toml"), motor_type, oil_name)
-    assert caught.value.code == code
-    assert message in str(caught.value)
-
-
-def test_type_that_no_motor_has_needs_its_oil_named() -> None:
-    fleet = load_fleet(shipped_configs() / "fleet.toml")
-    others = tuple(one for one in fleet.motors if one.motor_type.motor_type != "CB560")
-    fleet = replace(fleet, motors=others)
-    with pytest.raises(UsageError) as caught:
-        choose(fleet, "CB560")
-    assert caught.value.code == "unknown_oil"
-    assert choose(fleet, "CB560", "vg46").motor.motor_type == "CB560"
-
-
-# Command
-
-
-def test_command_lists_what_it_wrote(tmp_path: Path) -> None:
-    program = (
-        "import sys; from pipeline.cli import main; before = 'matplotlib' in sys.modules\n"
-        "try: main()\n"
-        "finally: print(before, 'matplotlib.pyplot' in sys.modules, file=sys.stderr)"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, "model", "--type", "CB560"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    written = [tmp_path / name for name in done.stdout.splitlines()]
-    assert [path.name for path in written] == [f"CB560_{name}.png" for name in FIGURES]
-    assert sorted((tmp_path / "out" / "figures").iterdir()) == sorted(written)
-    # Neither waits for matplotlib where it is not needed, nor has its global state.
-    assert done.stderr.split() == ["False", "False"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["--type", "CB561"], 2, "motor-leakage: unknown_type: no motor type 'CB561'"),
-        (["--type", "CB560", "--output", "file"], 4, "motor-leakage: store_write: CB560_"),
-        (["--type", "CB560", "--config", "none.toml"], 2, "none.toml: cannot be read"),
-        (["--type", "CB560", "--format", "pdf"], 2, "pdf"),
-        ([], 2, "--type"),
-    ],
-)
-def test_command_with_bad_input(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capfd: pytest.CaptureFixture[str],
-    arguments: list[str],
-    code: int,
-    message: str,
-) -> None:
-    (tmp_path / "file").write_text("")
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["motor-leakage", "model", *arguments])
-    with pytest.raises(SystemExit) as caught:
-        main()
-    out, err = capfd.readouterr()
-    assert (caught.value.code, out) == (code, "")
-    assert message in err

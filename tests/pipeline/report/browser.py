@@ -6,9 +6,18 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
+import pytest
 from selenium import webdriver
+from selenium.webdriver import Chrome
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
+
+PATIENCE_S = 30
 
 OPTIONS = (
     "--headless",
@@ -23,13 +32,14 @@ OPTIONS = (
 )
 
 
-def installed() -> bool:
-    """True if there is a browser with its driver."""
-    return bool(shutil.which("chromium") and shutil.which("chromedriver"))
+needs_browser = pytest.mark.skipif(
+    not (shutil.which("chromium") and shutil.which("chromedriver")),
+    reason="Chromium is not installed: Debian's chromium and chromium-driver",
+)
 
 
 @contextmanager
-def opened() -> Iterator[webdriver.Chrome]:
+def opened() -> Iterator[Chrome]:
     """A browser with a profile of its own, which ends with the block."""
     options = webdriver.ChromeOptions()
     options.binary_location = str(shutil.which("chromium"))
@@ -48,3 +58,46 @@ def opened() -> Iterator[webdriver.Chrome]:
             yield browser
         finally:
             browser.quit()
+
+
+def visit(browser: Chrome, page: Path, fragment: str = "") -> None:
+    """Open a page anew; whatever the console said before is forgotten."""
+    browser.get("about:blank")
+    browser.get_log("browser")
+    browser.get(page.resolve().as_uri() + fragment)
+
+
+def complaints(browser: Chrome) -> list[str]:
+    """Messages of the console, and a mark if a text was run as code."""
+    said = [entry["message"] for entry in browser.get_log("browser")]
+    return [*said, *(["harmed"] if browser.execute_script("return window.harmed") else [])]
+
+
+def wait(browser: Chrome, script: str) -> Any:
+    """The value of a script, as soon as it has one."""
+    return WebDriverWait(browser, PATIENCE_S, 0.05).until(lambda one: one.execute_script(script))
+
+
+def drawn(browser: Chrome) -> dict[str, str]:
+    """Result of each figure, folded or not: a chart, or a reason why there is none."""
+    wait(browser, "return document.body.dataset.night")
+    browser.execute_script("document.getElementById('analyst').open = true")
+    browser.execute_script("motorLeakage.drawAll()")
+    return wait(
+        browser,
+        "const all = [...document.querySelectorAll('figure.chart')];"
+        "return all.every((one) => one.dataset.drawn)"
+        " && Object.fromEntries(all.map((one) => [one.id, one.dataset.drawn]))",
+    )
+
+
+def text(browser: Chrome, selector: str) -> str:
+    """Text of all elements that a selector finds, shown or not."""
+    found: list[WebElement] = browser.find_elements(By.CSS_SELECTOR, selector)
+    return " ".join(one.get_attribute("textContent") or "" for one in found)
+
+
+def shown(browser: Chrome) -> list[str]:
+    """Ids of the motors that the fleet page shows, from the top."""
+    rows = browser.find_elements(By.CSS_SELECTOR, "#fleet tbody tr")
+    return [row.find_element(By.TAG_NAME, "a").text for row in rows if row.is_displayed()]

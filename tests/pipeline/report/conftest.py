@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import polars as pl
 import pytest
@@ -13,6 +14,9 @@ from pipeline.report.build import ReportRequest, build_report
 from pipeline.schema import TABLES
 from pipeline.store.tables import read_table, write_table
 from tests.conftest import made_once
+
+if TYPE_CHECKING:
+    from selenium.webdriver import Chrome
 
 BY_NAME = {table.name: table for table in TABLES}
 Change = Callable[[pl.DataFrame], pl.DataFrame]
@@ -44,3 +48,28 @@ def change_table(output: Path, name: str, change: Change, night: str = "*") -> N
             write_table(path, rows.select(table.schema.keys()))
         else:
             path.unlink()
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Chrome]:
+    from tests.pipeline.report.browser import opened
+
+    with opened() as found:
+        yield found
+
+
+@pytest.fixture
+def browser(chromium: Chrome) -> Iterator[Chrome]:
+    """A headless Chromium, which has nothing to complain of in the end."""
+    from tests.pipeline.report.browser import complaints
+
+    yield chromium
+    assert complaints(chromium) == []
+
+
+@pytest.fixture(scope="session")
+def told(fitted_output: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The report of a fleet with a worn, a healthy, a one-pressure and young motors."""
+    from tests.pipeline.report.judged import judged_report
+
+    return judged_report(fitted_output, tmp_path_factory.mktemp("told"))

@@ -10,7 +10,7 @@ import pytest
 
 from pipeline.report.findings import Score, scores
 from pipeline.schema import TRENDS, frame
-from pipeline.trends.decisions import Decision
+from pipeline.trends.nights.decisions import Decision
 
 OPENED = dt.date(2026, 5, 12)
 SAID = dt.datetime(2026, 5, 13, 8, tzinfo=dt.UTC)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.report.first_screen import FirstScreen, first_screen
-from pipeline.trends.motor_states import MotorState
+from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.report.nights import fit, history, trend
 
 # model.md, section 3: the CB560 at 200 bar, 50 °C and 30 rpm; flow of one interface of 32, l/min.

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.report.fleet_page import FleetRow, fleet_rows
 from pipeline.report.pages import FleetFacts, fleet_html
-from pipeline.trends.motor_states import MotorState
+from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.report.nights import FIRST, fit, history, trend, unfitted
 
 NIGHTS = 40

@@ -12,11 +12,11 @@ import pytest
 from pipeline.report.status import last_findings
 from pipeline.report.words import STATES
 from pipeline.schema import FITS, TRENDS, frame
-from pipeline.trends.decisions import Decision
-from pipeline.trends.latest_states import motor_state
-from pipeline.trends.motor_states import ORDER, LookStanding, MotorState, urgency
-from pipeline.trends.trend_rows import trend_rows
-from pipeline.trends.words import FALL
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.rows.latest_states import motor_state
+from pipeline.trends.rows.motor_states import ORDER, LookStanding, MotorState, urgency
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.words import FALL
 from tests.pipeline.cli.test_cli import call as call  # a fixture
 from tests.pipeline.report.states import LAST, WORN, fits_of, rows_of, said, trend
 from tests.pipeline.trends.nights import Nights, motor, night_of, standing, step

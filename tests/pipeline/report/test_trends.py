@@ -18,8 +18,8 @@ from pipeline.schema import (
     TRENDS,
     frame,
 )
-from pipeline.trends.decisions import Decision
-from pipeline.trends.latest_states import motor_state
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.rows.latest_states import motor_state
 from tests.pipeline.report.nights import FIRST, ONE_DAY, fit
 from tests.pipeline.report.packed import unpacked
 

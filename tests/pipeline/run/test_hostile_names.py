@@ -26,7 +26,7 @@ from pipeline.run.fleet import RunRequest, run_fleet
 from pipeline.setup.check import check_fleet
 from pipeline.telling.command import Command
 from pipeline.telling.delivery import Delivery, UndeliveredError
-from pipeline.trends.motor_states import MotorState
+from pipeline.trends.rows.motor_states import MotorState
 from tests.pipeline.simulated import load_motor, motor_toml, write_configs
 
 FILE_NAMES = [

@@ -23,7 +23,7 @@ from pipeline.run.metrics import (
 )
 from pipeline.run.tasks import MotorOutcome
 from pipeline.telling.outbox import Backlog
-from pipeline.trends.motor_states import LookStanding, MotorState
+from pipeline.trends.rows.motor_states import LookStanding, MotorState
 from tests.pipeline.faults.disk import Disk, on
 
 WHEN = dt.datetime(2026, 3, 2, 6, tzinfo=dt.UTC)

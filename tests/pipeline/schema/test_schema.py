@@ -27,6 +27,7 @@ from pipeline.schema import (
     TIMESTAMP,
     Column,
     Table,
+    arrow_table,
     data_dictionary,
     frame,
 )
@@ -111,28 +112,15 @@ def test_names_of_tables_are_unique() -> None:
 
 
 @EACH_TABLE
-def test_names_of_columns_are_unique_and_plain(table: Table) -> None:
+def test_columns_have_a_name_and_a_meaning_and_the_key_is_of_them(table: Table) -> None:
     names = [column.name for column in table.columns]
     assert len(names) == len(set(names)) == len(table.schema)
     assert all(re.fullmatch(r"[a-z][a-z0-9_]*", name) for name in names)
-
-
-@EACH_TABLE
-def test_key_columns_exist(table: Table) -> None:
-    assert set(table.key) <= table.schema.keys()
-    assert len(set(table.key)) == len(table.key) > 0
-
-
-@EACH_TABLE
-def test_every_column_says_what_it_is(table: Table) -> None:
     assert table.row
     assert all(column.description for column in table.columns)
-
-
-@EACH_TABLE
-def test_every_row_carries_its_run(table: Table) -> None:
-    if table.name != "data_dictionary":
-        assert "run_id" in table.schema
+    assert set(table.key) <= set(names)
+    assert len(set(table.key)) == len(table.key) > 0
+    assert "run_id" in names or table.name == "data_dictionary"
 
 
 @pytest.mark.parametrize("table", NIGHT_TABLES, ids=[table.name for table in NIGHT_TABLES])
@@ -209,9 +197,9 @@ class TestFrame:
 
     def test_a_column_that_comes_later_is_not_taken(self) -> None:
         with pytest.raises(ValueError, match="run_id"):
-            frame(QUALITY, [self.ROW], without="run_id")
+            arrow_table(QUALITY, [self.ROW], without="run_id")
         row = {name: value for name, value in self.ROW.items() if name != "run_id"}
-        assert "run_id" not in frame(QUALITY, [row], without="run_id").columns
+        assert "run_id" not in arrow_table(QUALITY, [row], without="run_id").column_names
 
     @EACH_TABLE
     def test_no_rows(self, table: Table) -> None:
@@ -242,7 +230,7 @@ class TestFrame:
 
     def test_wrong_type_is_refused(self) -> None:
         for name, value in (("n_samples", "ten"), ("n_samples", np.nan), ("night", "2026-01-02")):
-            with pytest.raises((TypeError, pl.exceptions.PolarsError)):
+            with pytest.raises((TypeError, ValueError)):
                 frame(QUALITY, [self.ROW | {name: value}])
 
     def test_not_a_number_stays_apart_from_null(self) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.config import Channel, load_fleet
-from pipeline.config.motors import COUNTED
+from pipeline.config.channels import COUNTED
 from pipeline.ingest import RawChannel, read_log
 from pipeline.setup.sampling_look import Kind, Sampling, configured, look_of, remark, words
 from tests.pipeline.signals import (

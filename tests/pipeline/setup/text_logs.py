@@ -43,21 +43,7 @@ class Label:
 
 @dataclass(frozen=True)
 class TextLog:
-    """Form of a text log.
-
-    Attributes
-    ----------
-    time
-        A form of `datetime.strftime`, or "epoch_s" and the like, "epoch_s.f" with a fraction, or
-        "excel_days".
-    clock
-        Form of the time of day, where it has a column of its own; `time` is then the date's.
-    units
-        Place of the units: "name" ("p [bar]"), "word" ("p_bar"), "row" (a line below the header)
-        or "nowhere".
-    columns
-        Order of the columns, time included; "extra" is one that is no channel.
-    """
+    """Form of a text log."""
 
     labels: Mapping[str, Label]
     layout: str = "wide"
@@ -67,11 +53,17 @@ class TextLog:
     encoding: str = "utf-8"
     line_end: str = "\n"
     preamble: Sequence[str] = ()
+    # A form of `datetime.strftime`, or "epoch_s" and the like, "epoch_s.f" with a fraction, or
+    # "excel_days".
     time: str = "%Y-%m-%dT%H:%M:%S"
+    # Form of the time of day, where it has a column of its own; `time` is then the date's.
     clock: str = ""
     time_name: str = "time"
     clock_name: str = "Uhrzeit"
+    # Place of the units: "name" ("p [bar]"), "word" ("p_bar"), "row" (a line below the header) or
+    # "nowhere".
     units: str = "name"
+    # Order of the columns, time included; "extra" is one that is no channel.
     columns: Sequence[str] = ()
     missing: str = ""
     quoted: bool = False

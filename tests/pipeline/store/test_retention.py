@@ -12,12 +12,13 @@ import pytest
 
 from pipeline.config import Retention, load_fleet
 from pipeline.errors import UsageError
-from pipeline.run.fleet import RunRequest, plan_fleet
+from pipeline.run.plans import plan_fleet
+from pipeline.run.request import RunRequest
 from pipeline.run.verification import verify_tables
 from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES
 from pipeline.store.locks import locked
 from pipeline.store.retention import LOSSES, nights_kept, old_files, prune
-from pipeline.trends.record import read_record
+from pipeline.trends.nights.trend_record import read_record
 from tests.pipeline.workshop import DAY, QUICK, Workshop
 
 # The nights lie on both sides of a month's end.

@@ -27,7 +27,7 @@ from pipeline.run.fleet import RunRequest, RunResult, refresh, run_fleet
 from pipeline.store.object_store import ObjectStore
 from pipeline.store.working_copy import ROOT, Snapshot, pull, push, read_snapshot
 from pipeline.telling.outbox import OUTBOX_FILES, is_waiting
-from pipeline.trends.decisions import Decision, read_decisions, record_decision
+from pipeline.trends.nights.decisions import Decision, read_decisions, record_decision
 from tests.conftest import OwnFleet
 from tests.pipeline.run.test_fleet import CSV, PARQUET, output_of, status_of, table_files
 from tests.pipeline.s3_server import Request, Server, never, s3_server, upload

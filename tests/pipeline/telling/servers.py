@@ -22,16 +22,11 @@ class Post:
 
 @dataclass
 class Hook:
-    """A server that keeps what is posted to it.
-
-    Attributes
-    ----------
-    answers
-        By path, status and Location of the answer; 200 where there is none.
-    """
+    """A server that keeps what is posted to it."""
 
     port: int = 0
     posts: list[Post] = field(default_factory=list)
+    # By path, status and Location of the answer; 200 where there is none.
     answers: dict[str, tuple[int, str]] = field(default_factory=dict)
 
     def url(self, path: str = "/hook") -> str:

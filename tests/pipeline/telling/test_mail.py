@@ -23,7 +23,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
-from pipeline.config.settings import Email
+from pipeline.config.watching import Email
 from pipeline.telling.delivery import Delivery, UndeliveredError
 from pipeline.telling.mail import Mail
 
@@ -237,8 +237,8 @@ def test_a_server_that_says_nothing_is_left_at_the_deadline() -> None:
     ("changed", "words"),
     [
         ({"to": ("shift",)}, "shift@plant.example"),
-        ({"to": ("a@b.example\nBcc: c@d.example",)}, "expected to as"),
-        ({"sender": ""}, "expected sender as"),
+        ({"to": ("a@b.example\nBcc: c@d.example",)}, "an address such as"),
+        ({"sender": ""}, "an address such as"),
         ({"server": ""}, "host or host:port"),
         ({"server": "smtp://mail.example"}, "host or host:port"),
         ({"user": "a"}, "user and password together"),

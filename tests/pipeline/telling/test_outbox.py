@@ -3,111 +3,23 @@
 from __future__ import annotations
 
 import datetime as dt
-import json
-import logging
-import os
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from pipeline.errors import StoreError
-from pipeline.run.verification import verify_tables
-from pipeline.schema import ALARMS, frame
-from pipeline.store import sealed
-from pipeline.store.sealed import DamagedError, put_sealed
-from pipeline.store.tables import night_file, write_table
-from pipeline.telling import outbox as module
+from pipeline.schema import ALARMS
+from pipeline.store.tables import night_file
 from pipeline.telling.delivering import MOST_FAILURES, PAUSES_S, deliver
-from pipeline.telling.delivery import Delivery, UndeliveredError
+from pipeline.telling.delivery import Delivery
 from pipeline.telling.outbox import (
     MOST_CHANGES,
     OUTBOX_FILES,
-    Outbox,
-    Told,
-    add_summary,
     backlogs,
     open_outbox,
-    read_outbox,
-    read_outbox_file,
     take_up,
-    write_outbox,
 )
-
-FLEET = "Mill"
-FIRST = dt.date(2026, 2, 17)
-
-
-@dataclass
-class Fake:
-    """A receiver that takes or refuses as it is told."""
-
-    name: str = "command"
-    label: str = "alarms.command"
-    refuses: Callable[[Delivery], bool] = lambda _: False
-    hangs: bool = False
-    tried: list[Delivery] = field(default_factory=list)
-    taken: list[dict[str, Any]] = field(default_factory=list)
-
-    def take(self, delivery: Delivery) -> None:
-        self.tried.append(delivery)
-        if self.refuses(delivery):
-            raise UndeliveredError("out of ink", hung=self.hangs)
-        document = json.loads(delivery.content)
-        assert document["id"] == delivery.id
-        self.taken.append(document)
-
-    def changes(self) -> list[dict[str, Any]]:
-        return [one for document in self.taken for one in document["changes"]]
-
-
-def row(motor: str, night: dt.date = FIRST, state: str = "alarm", **more: Any) -> dict[str, Any]:
-    return {
-        "run_id": "r",
-        "motor_id": motor,
-        "night": night,
-        "time": dt.datetime(night.year, night.month, night.day, 6, tzinfo=dt.UTC),
-        "indicator": "K_piston_ring",
-        "from_state": "ok",
-        "to_state": state,
-        "reason": "piston ring gap +27 % [25, 29]",
-        "deviation_percent": 27.0,
-        "way": "level",
-        "path": None,
-        "rules": None,
-        "state_before_rules": None,
-        "is_silent": None,
-        **more,
-    }
-
-
-def publish(output: Path, *rows: dict[str, Any]) -> None:
-    """Put the rows of each night, in place of those that it has."""
-    for night in {one["night"] for one in rows}:
-        here = [one for one in rows if one["night"] == night]
-        path = night_file(output, ALARMS, night)
-        before = path.parent.stat().st_mtime_ns if path.parent.exists() else 0
-        write_table(path, frame(ALARMS, here).sort(ALARMS.key))
-        # Runs follow each other less closely than the clock of a file system ticks.
-        after = max(before + 1, path.parent.stat().st_mtime_ns)
-        os.utime(path.parent, ns=(after, after))
-
-
-def run(
-    output: Path, rows: Iterable[dict[str, Any]], *receivers: Fake, fleet: str = FLEET
-) -> tuple[str, ...]:
-    """The steps of a run that publishes some rows, without waits between tries."""
-    open_outbox(output, [one.name for one in receivers], fleet)
-    publish(output, *rows)
-    take_up(output, fleet)
-    return deliver(output, receivers, fleet, lambda _: None)
-
-
-def undelivered(output: Path, *receivers: Fake) -> list[int]:
-    return [one.undelivered for one in backlogs(output, receivers, FLEET)]
-
+from tests.pipeline.telling.made_alarms import FIRST, FLEET, Fake, publish, row, run, undelivered
 
 # Who is told of what
 
@@ -174,7 +86,7 @@ def test_one_that_is_named_no_more_begins_anew(
     deaf = Fake(refuses=lambda _: True)
     run(tmp_path, [row("M1")], deaf)
     run(tmp_path, [row("M1"), row("M2")])
-    assert "there is no command any more; 1 changes were not delivered" in caplog.text
+    assert "there is no command any more; not delivered: 1 change" in caplog.text
     again = Fake()
     run(tmp_path, [row("M1"), row("M2"), row("M3")], again)
     assert [one["motor_id"] for one in again.changes()] == ["M3"]
@@ -262,7 +174,7 @@ def test_ids_hang_on_fleet_receiver_and_rows_alone(tmp_path: Path) -> None:
 def test_what_was_not_taken_is_tried_again_by_the_next_run(tmp_path: Path) -> None:
     receiver = Fake(refuses=lambda _: True)
     (fault,) = run(tmp_path, [row("M1")], receiver)
-    assert fault == "alarms.command: out of ink; 1 changes wait for the next run"
+    assert fault == "alarms.command: out of ink; for the next run: 1 change"
     (backlog,) = backlogs(tmp_path, [receiver], FLEET)
     assert (backlog.undelivered, backlog.fault) == (1, "out of ink")
     assert backlog.since is not None
@@ -344,159 +256,3 @@ def test_what_was_taken_is_known_at_once(tmp_path: Path) -> None:
     receiver.refuses = lambda _: False
     deliver(tmp_path, [receiver], FLEET)
     assert [one["night"] for one in receiver.changes()] == ["2026-02-17", "2026-02-18"]
-
-
-# Its files
-
-
-def flip(path: Path) -> None:
-    content = bytearray(path.read_bytes())
-    content[len(content) // 2] ^= 1
-    path.write_bytes(content)
-
-
-@pytest.mark.parametrize("harm", [flip, Path.unlink], ids=["flipped", "gone"])
-@pytest.mark.parametrize("name", OUTBOX_FILES)
-def test_either_of_its_files_is_enough(
-    tmp_path: Path, name: str, harm: Callable[[Path], None]
-) -> None:
-    receiver = Fake(refuses=lambda _: True)
-    run(tmp_path, [row("M1")], receiver)
-    before = read_outbox(tmp_path)
-    harm(tmp_path / name)
-    codes = [(one.path, one.code) for one in verify_tables(tmp_path) if "outbox" in one.path]
-    assert codes == ([(name, "outbox_damaged")] if harm is flip else [])
-    assert undelivered(tmp_path, receiver) == [1]
-    receiver.refuses = lambda _: False
-    assert run(tmp_path, [], receiver) == ()
-    assert [one["change"] for one in receiver.changes()] == ["new"]
-    contents = {(tmp_path / one).read_bytes() for one in OUTBOX_FILES}
-    assert len(contents) == 1
-    after = read_outbox(tmp_path)
-    assert before is not None
-    assert after is not None
-    assert after.known == before.known
-
-
-def test_without_both_the_receivers_begin_anew_and_the_run_says_so(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    receiver = Fake(refuses=lambda _: True)
-    run(tmp_path, [row("M1"), row("M2")], receiver)
-    for name in OUTBOX_FILES:
-        flip(tmp_path / name)
-    assert len([one for one in verify_tables(tmp_path) if one.code == "outbox_damaged"]) == 2
-    receiver.refuses = lambda _: False
-    run(tmp_path, [], receiver)
-    assert receiver.taken == []
-    assert "outbox.json is damaged" in caplog.text
-    assert "the 2 rows of `alarms` so far are not sent" in caplog.text
-
-
-@pytest.mark.parametrize(
-    "harm",
-    [
-        {"queues": []},
-        {"queues": {"command": {}}},
-        {"queues": {"command": {"told_since": "x", "waiting": [], "fault": ""}}},
-        {"known": ["x"]},
-        {"known": [1]},
-    ],
-)
-def test_a_sealed_file_of_another_shape_is_damaged(tmp_path: Path, harm: dict[str, Any]) -> None:
-    path, sound = tmp_path / OUTBOX_FILES[0], {"queues": {}, "known": [], "stamps": {}}
-    put_sealed(path, sound)
-    assert read_outbox_file(path) == Outbox()
-    put_sealed(path, sound | harm)
-    with pytest.raises(DamagedError, match="is damaged"):
-        read_outbox_file(path)
-
-
-def test_one_that_cannot_be_read_is_not_taken_for_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    run(tmp_path, [row("M1")], Fake())
-
-    def unreadable(path: Path) -> bytes:
-        raise OSError(5, "Input/output error", str(path))
-
-    monkeypatch.setattr(sealed, "read", unreadable)
-    with pytest.raises(StoreError, match="cannot be read: Input/output error"):
-        read_outbox(tmp_path)
-
-
-def test_a_damaged_table_waits_and_keeps_nothing_else(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    receiver, later = Fake(), FIRST + dt.timedelta(1)
-    open_outbox(tmp_path, ["command"], FLEET)
-    publish(tmp_path, row("M1"), row("M2", later))
-    whole = night_file(tmp_path, ALARMS, FIRST).read_bytes()
-    night_file(tmp_path, ALARMS, FIRST).write_bytes(whole[:-4])
-    run(tmp_path, [], receiver)
-    assert [one["motor_id"] for one in receiver.changes()] == ["M2"]
-    assert "2026-02-17.parquet of alarms is damaged" in caplog.text
-    night_file(tmp_path, ALARMS, FIRST).write_bytes(whole)
-    run(tmp_path, [], receiver)
-    assert [one["motor_id"] for one in receiver.changes()] == ["M2", "M1"]
-
-
-def test_only_months_that_were_written_to_are_read(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    receiver = Fake()
-    run(tmp_path, [row("M1"), row("M2", dt.date(2026, 3, 1))], receiver)
-    read: list[str] = []
-    real = module._rows_of
-
-    def counted(output: Path, month: str, told: Told) -> tuple[list[dict[str, Any]], bool]:
-        read.append(month)
-        return real(output, month, told)
-
-    monkeypatch.setattr(module, "_rows_of", counted)
-    run(tmp_path, [], receiver)
-    assert read == []
-    run(tmp_path, [row("M3", dt.date(2026, 3, 2))], receiver)
-    assert set(read) == {"2026-03"}
-
-
-def test_what_is_not_finite_is_null(tmp_path: Path) -> None:
-    receiver = Fake()
-    run(tmp_path, [row("M1", deviation_percent=float("nan"))], receiver)
-    assert receiver.changes()[0]["deviation_percent"] is None
-
-
-def test_nothing_is_written_where_nothing_changed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    receiver = Fake()
-    run(tmp_path, [row("M1")], receiver)
-
-    def forbidden(*_: Any) -> None:
-        raise AssertionError
-
-    monkeypatch.setattr(sealed, "put", forbidden)
-    with caplog.at_level(logging.WARNING):
-        run(tmp_path, [], receiver)
-    assert caplog.text == ""
-    outbox = read_outbox(tmp_path)
-    assert outbox is not None
-    write_outbox(tmp_path, replace(outbox))
-
-
-def test_a_summary_waits_once_for_each_date_it_is_due_on(tmp_path: Path) -> None:
-    open_outbox(tmp_path, ["email"], "Mill 3")
-    made: list[int] = []
-
-    def rows() -> list[dict[str, Any]]:
-        made.append(1)
-        return [{"motor_id": "M", "state": "ok"}]
-
-    for due in (dt.date(2026, 11, 16), dt.date(2026, 11, 16), dt.date(2026, 11, 23)):
-        add_summary(tmp_path, "email", "Mill 3", due, rows)
-        add_summary(tmp_path, "stranger", "Mill 3", due, rows)
-    outbox = read_outbox(tmp_path)
-    assert outbox is not None
-    waiting = outbox.queues["email"].waiting
-    assert [one.kind for one in waiting] == ["summary", "summary"]
-    assert len({one.id for one in waiting}) == len(made) == 2

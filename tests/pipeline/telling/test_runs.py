@@ -42,10 +42,10 @@ def test_a_hook_that_fails_is_tried_again_by_a_run_with_nothing_new(
     place = f"alarms.webhook_url (http://127.0.0.1:{server.port})"
     server.answers["/hook"] = (500, "")
     assert run(config).failed == ()
-    assert f"{place}: HTTP 500 Internal Server Error; 1 changes wait" in caplog.text
+    assert f"{place}: HTTP 500 Internal Server Error; for the next run: 1 change" in caplog.text
     code, _, out = call("status", config)
     assert code == 0
-    assert f"not delivered to {place}: 1 changes of state, since 20" in out
+    assert f"not delivered to {place}: 1 change of state, since 20" in out
     assert "; last try: HTTP 500 Internal Server Error; the next run tries again" in out
     line = json.loads(call("status", config, "--json")[1].splitlines()[-1])
     (receiver,) = line["receivers"]

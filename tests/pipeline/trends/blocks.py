@@ -14,8 +14,8 @@ from leakage import OperatingConditions, regressors
 from leakage.estimation.block_statistics import factors
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import BLOCK_STATISTICS, frame
-from pipeline.trends.filtered_nights import add_blocks, without_fit
-from pipeline.trends.history import History
+from pipeline.trends.nights.from_tables import add_blocks
+from pipeline.trends.nights.history import History
 from tests.pipeline.trends.nights import Nights, night_of
 
 Array = NDArray[np.float64]
@@ -83,7 +83,7 @@ def blocks_of(nights: Nights) -> pl.DataFrame:
 def with_blocks(found: History, blocks: pl.DataFrame) -> History:
     """A history whose nights without a fit know their blocks."""
     records = found.records.copy()
-    wanted = records["night"][without_fit(records)].tolist()
+    wanted = records["night"][~records["fitted"]].tolist()
     add_blocks(found.spec, found.layout, records, blocks.filter(pl.col("night").is_in(wanted)))
     return replace(found, records=records)
 

@@ -28,11 +28,12 @@ from pipeline.demo import shipped_configs
 from pipeline.night.rows import upper_triangle
 from pipeline.schema import FITS, OPERATION, PARAMETERS, frame
 from pipeline.store.tables import night_file, write_table
-from pipeline.trends.decisions import Decision
-from pipeline.trends.history import History, every_night, rows_by_night
-from pipeline.trends.model import with_misfit
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.from_tables import rows_by_night
+from pipeline.trends.nights.history import History, every_night
 from pipeline.trends.stage import Part, neighbours_of, standing_of
-from pipeline.trends.standing import Standing
+from pipeline.trends.states.model import with_misfit
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.simulated import motor_toml, write_configs
 
 Array = NDArray[np.float64]
@@ -355,8 +356,8 @@ def standings(
         name: Part.of(with_misfit(change(one, said[name]), said[name], dt.date.min), said[name])
         for name, one in found.items()
     }
-    neighbours = neighbours_of(parts) if len(parts) > 1 else {}
-    return {name: standing_of(part, neighbours.get(name)) for name, part in parts.items()}
+    peers, circuit = neighbours_of(parts)
+    return {name: standing_of(part, peers.get(name), circuit) for name, part in parts.items()}
 
 
 def standing(nights: Nights, *decisions: Decision, tonight: int | None = None) -> Standing:

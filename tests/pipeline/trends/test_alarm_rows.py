@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.indicators import REFERENCE
-from pipeline.trends.standing import Standing
+from pipeline.trends.figures.indicators import REFERENCE
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.nights import Nights, motor, night_of, standing, step
 
 N, AT = 100, 70

@@ -13,19 +13,18 @@ from leakage.course.hypotheses import weigh
 from leakage.course.temperature_correction import TemperatureCorrection
 from leakage.estimation.block_statistics import with_free_known
 from pipeline.night.rows import upper_triangle
-from pipeline.trends.attribution import path_behind, path_named
-from pipeline.trends.eras import Era
-from pipeline.trends.explanation_words import cannot_be_told
-from pipeline.trends.explanations import Explanations
-from pipeline.trends.first_rows import reference_flows
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, OWN_REFERENCE, REFERENCE, coefficients
-from pipeline.trends.night_records import Layout, blank_records, whole_matrix
-from pipeline.trends.reasons import why_state
-from pipeline.trends.segments import Segment
-from pipeline.trends.standing import RAISED, Standing
-from pipeline.trends.temperature import Effect
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.baselines.eras import Era
+from pipeline.trends.figures.indicators import DEVIATION, OWN_REFERENCE, REFERENCE, coefficients
+from pipeline.trends.figures.temperature import Effect
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.records import Layout, blank_records, whole_matrix
+from pipeline.trends.nights.segments import Segment
+from pipeline.trends.rows.first_rows import reference_flows
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.explanations import Explanations
+from pipeline.trends.states.standing import RAISED, Standing
+from pipeline.trends.why.explanation_words import cannot_be_told
+from pipeline.trends.why.reasons import path_behind, path_named, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     PATHS,

@@ -6,11 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.trends import record
-from pipeline.trends.beginnings import beginnings, earlier_views
-from pipeline.trends.circuits import Circuit, decisions_of
-from pipeline.trends.decisions import Decision
-from pipeline.trends.record import Record, forget_records, read_record, trend_hash, write_record
+from pipeline.trends.circuits import Circuit, beginnings, decisions_of, earlier_views
+from pipeline.trends.nights import trend_record as record
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.trend_record import (
+    Record,
+    forget_records,
+    read_record,
+    trend_hash,
+    write_record,
+)
 from tests.pipeline.trends.nights import Nights, event, history, motor, named, night_of, reset
 
 SPEC = named(motor(), "M1", "tank", [event(20, "overhaul"), event(40, "motor_exchanged")])

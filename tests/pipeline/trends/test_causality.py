@@ -10,13 +10,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.baseline_rows import baseline_rows, change_point_rows
-from pipeline.trends.decisions import Decision
-from pipeline.trends.filtered_nights import with_filter
-from pipeline.trends.history import History
-from pipeline.trends.standing import Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.figures.filtered_nights import with_filter
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.rows.baseline_rows import baseline_rows, change_point_rows
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.blocks import POOR, blocks_of, with_blocks
 from tests.pipeline.trends.nights import (
     PATHS,

@@ -7,12 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.attribution import path_behind, path_named
-from pipeline.trends.indicators import DEVIATION
-from pipeline.trends.reasons import why_state
-from pipeline.trends.standing import RAISED, Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.figures.indicators import DEVIATION
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import RAISED, Standing
+from pipeline.trends.why.reasons import path_behind, path_named, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     Nights,

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from pipeline.errors import StoreError
-from pipeline.trends.decisions import Decision, journal_file, read_decisions, record_decision
+from pipeline.trends.nights.decisions import Decision, journal_file, read_decisions, record_decision
 
 SAID = Decision(
     "M1",

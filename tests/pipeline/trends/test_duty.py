@@ -17,17 +17,16 @@ from leakage.estimation.model_verdict import StructuredMisfit
 from pipeline.config import MotorSpec
 from pipeline.schema import BLOCK_STATISTICS
 from pipeline.store.tables import night_file, write_table
-from pipeline.trends import baseline_blocks
-from pipeline.trends.attribution import path_behind, path_named, why_not_named
-from pipeline.trends.baseline_blocks import BlockFiles
-from pipeline.trends.decisions import Decision
-from pipeline.trends.duty import with_duty
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION, REFERENCE
-from pipeline.trends.night_records import BALANCED, OUTSIDE, Layout
-from pipeline.trends.reasons import why_state
-from pipeline.trends.standing import Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.baselines import blocks as baseline_blocks
+from pipeline.trends.baselines.blocks import BlockFiles
+from pipeline.trends.baselines.duty import with_duty
+from pipeline.trends.figures.indicators import DEVIATION, REFERENCE
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.records import BALANCED, OUTSIDE, Layout
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.why.reasons import path_behind, path_named, why_not_named, why_state
 from tests.pipeline.trends.blocks import blocks_of
 from tests.pipeline.trends.nights import (
     OIL,

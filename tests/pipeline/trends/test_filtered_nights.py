@@ -11,14 +11,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pipeline.trends.decisions import Decision
-from pipeline.trends.eras import eras_of, indicators_of
-from pipeline.trends.filtered_nights import Filtered, with_filter
-from pipeline.trends.history import History
-from pipeline.trends.indicators import Indicator, coefficients, with_filtered
-from pipeline.trends.standing import Standing
-from pipeline.trends.temperature import Effect
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.baselines.eras import eras_of
+from pipeline.trends.baselines.leakages import indicators_of
+from pipeline.trends.figures.filtered_nights import Filtered, with_filter
+from pipeline.trends.figures.indicators import Indicator, coefficients, with_filtered
+from pipeline.trends.figures.temperature import Effect
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.blocks import POOR, blocks_of, samples_of, with_blocks
 from tests.pipeline.trends.nights import (
     PATHS,

@@ -7,9 +7,9 @@ import pytest
 from numpy.typing import NDArray
 
 from leakage.estimation.model_verdict import Misfit
-from pipeline.trends.first_rows import model_row
-from pipeline.trends.standing import Standing
-from pipeline.trends.words import day
+from pipeline.trends.rows.first_rows import model_row
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.states.words import day
 from tests.pipeline.trends.nights import Nights, motor, night_of, standing
 
 N, CHANGE = 60, 40

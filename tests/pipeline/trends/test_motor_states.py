@@ -11,9 +11,9 @@ import pytest
 from pipeline.schema import LATEST, frame
 from pipeline.store.publishing import Publisher
 from pipeline.store.tables import whole_file
-from pipeline.trends.decisions import Decision, record_decision
-from pipeline.trends.latest_states import latest_states, published_states
-from pipeline.trends.motor_states import MotorState, latest_rows
+from pipeline.trends.nights.decisions import Decision, record_decision
+from pipeline.trends.rows.latest_states import latest_states, published_states
+from pipeline.trends.rows.motor_states import MotorState, latest_rows
 from tests.pipeline.report.states import LAST, output
 from tests.pipeline.trends.nights import night_of
 

@@ -18,13 +18,14 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.schema import Table
-from pipeline.trends import alarm_rows, stage
-from pipeline.trends.decisions import Decision
-from pipeline.trends.history import History
-from pipeline.trends.indicators import DEVIATION
-from pipeline.trends.record import write_record
-from pipeline.trends.standing import Standing
-from pipeline.trends.tonight import Tonight
+from pipeline.trends import stage
+from pipeline.trends.figures.indicators import DEVIATION
+from pipeline.trends.nights.decisions import Decision
+from pipeline.trends.nights.history import History
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import write_record
+from pipeline.trends.rows import alarm_rows
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.nights import (
     OIL,
     PATHS,

@@ -9,12 +9,11 @@ import pytest
 
 from pipeline.config import Channel, MotorSpec
 from pipeline.config.oil_samples import OilSample
-from pipeline.trends.attribution import path_behind
-from pipeline.trends.indicators import REFERENCE
-from pipeline.trends.oil import oil_as_measured, viscosity_ratio
-from pipeline.trends.reasons import why_state
-from pipeline.trends.standing import Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.figures.indicators import REFERENCE
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.why.oil import oil_as_measured, viscosity_ratio
+from pipeline.trends.why.reasons import path_behind, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     Nights,

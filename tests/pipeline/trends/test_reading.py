@@ -23,11 +23,12 @@ from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, BLOCK_STATISTICS, FITS, TREND_TABLES, Table
 from pipeline.store.retention import old_files, prune
 from pipeline.store.tables import night_file, read_rows, write_table
-from pipeline.trends import kept_nights, reading, stage
-from pipeline.trends.decisions import record_decision
-from pipeline.trends.reading import read_nights
-from pipeline.trends.record import note_touched
-from pipeline.trends.tonight import Tonight
+from pipeline.trends import stage
+from pipeline.trends.nights import kept_nights, reading
+from pipeline.trends.nights.decisions import record_decision
+from pipeline.trends.nights.reading import read_nights
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import note_touched
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.blocks import POOR, blocks_of
 from tests.pipeline.trends.nights import Nights, night_of, publish, ramp, reset

@@ -7,12 +7,11 @@ import re
 import numpy as np
 import pytest
 
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.attribution import path_behind, path_named
-from pipeline.trends.indicators import DEVIATION, REFERENCE
-from pipeline.trends.reasons import way_of, why_no_baseline, why_state
-from pipeline.trends.standing import RAISED, Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.figures.indicators import DEVIATION, REFERENCE
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import RAISED, Standing
+from pipeline.trends.why.reasons import path_behind, path_named, way_of, why_no_baseline, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     Nights,
@@ -262,7 +261,7 @@ def test_levels_of_a_widely_scattering_indicator_are_those_that_count() -> None:
     """Below 4.5 standard deviations a level means nothing; the table must not show another one."""
     found = standing(Nights(motor(), N, noise=3.0))
     watched = found.watched["K_balance_piston"]
-    _, _monitoring, baseline = watched.at(N - 1)
+    baseline = watched.baseline(N - 1)
     assert baseline is not None
     told = row(found, "K_balance_piston", N - 1)
     level = float(str(told["warning_limit"])) / baseline.mean - 1.0

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.trends.record import Record
-from pipeline.trends.rule_changes import MARKS, change_of_rules, marked, rules_now
+from pipeline.trends.nights.trend_record import Record
+from pipeline.trends.rows.alarm_rows import MARKS, change_of_rules, marked, rules_now
 from tests.pipeline.trends.nights import motor
 
 Row = dict[str, Any]

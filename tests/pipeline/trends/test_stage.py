@@ -23,8 +23,9 @@ from pipeline.store.tables import (
     read_rows,
 )
 from pipeline.trends.circuits import Circuit, circuits_of, decisions_of
-from pipeline.trends.decisions import Decision, record_decision
-from pipeline.trends.record import (
+from pipeline.trends.nights.decisions import Decision, record_decision
+from pipeline.trends.nights.tonight import Tonight
+from pipeline.trends.nights.trend_record import (
     TRENDS_VERSION,
     Record,
     note_touched,
@@ -32,10 +33,9 @@ from pipeline.trends.record import (
     trend_hash,
     write_record,
 )
-from pipeline.trends.rule_changes import rules_now
+from pipeline.trends.rows.alarm_rows import rules_now
 from pipeline.trends.stage import new_alarms, with_q_values
 from pipeline.trends.tasks import TrendTask, trend_tasks
-from pipeline.trends.tonight import Tonight
 from pipeline.workers.process import Loss
 from tests.pipeline.trends.nights import (
     Nights,

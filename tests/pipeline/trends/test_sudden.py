@@ -6,10 +6,9 @@ import re
 
 import pytest
 
-from pipeline.trends.attribution import path_behind
-from pipeline.trends.indicators import DEVIATION
-from pipeline.trends.reasons import way_of, why_state
-from pipeline.trends.standing import RAISED, Standing
+from pipeline.trends.figures.indicators import DEVIATION
+from pipeline.trends.states.standing import RAISED, Standing
+from pipeline.trends.why.reasons import path_behind, way_of, why_state
 from tests.pipeline.trends.nights import (
     OIL,
     PATHS,

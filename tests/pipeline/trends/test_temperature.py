@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.filtered_nights import with_filter
-from pipeline.trends.reasons import why_state
-from pipeline.trends.standing import Standing
-from pipeline.trends.temperature_watch import NOT_TOLD
+from pipeline.trends.figures.filtered_nights import with_filter
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.states.temperature_watch import NOT_TOLD
+from pipeline.trends.why.reasons import why_state
 from tests.pipeline.trends.nights import PATHS, Nights, histories, motor, standing, standings
 
 N, EFFECT = 150, -0.01

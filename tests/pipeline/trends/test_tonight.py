@@ -15,14 +15,14 @@ from polars.testing import assert_frame_equal
 
 import pipeline.run.publishing
 from pipeline.config import load_fleet
-from pipeline.logs import files as logs
+from pipeline.logs import told_nights
 from pipeline.report.explain import explain
 from pipeline.run.fleet import RunRequest, RunResult, run_fleet
 from pipeline.run.publishing import fleets_tonight
 from pipeline.run.verification import verify_tables
 from pipeline.schema import ALARMS, FITS, NIGHT_TABLES, OPERATION, TREND_TABLES, TRENDS, Table
 from pipeline.store.tables import nights_back, read_rows
-from pipeline.trends.tonight import Tonight, tonight_of
+from pipeline.trends.nights.tonight import Tonight, tonight_of
 from tests.pipeline.simulated import motor_toml, write_configs
 from tests.pipeline.trends.nights import DAY, Nights, night_of, publish
 from tests.pipeline.workshop import QUICK, Workshop, check_same_figures
@@ -363,7 +363,7 @@ def test_a_junk_file_long_ago_is_withdrawn_and_no_night_before_the_first(
     ago = NIGHT - 40 * DAY
     (workshop.logs / f"{ago}.parquet").write_bytes(JUNK)
     with monkeypatch.context() as patch:
-        patch.setattr(logs, "FARTHEST_NIGHT", 40_000 * DAY)
+        patch.setattr(told_nights, "FARTHEST_NIGHT", 40_000 * DAY)
         workshop.run()
     assert set(workshop.statuses()) == {ago, NIGHT}
     outcome = workshop.run()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from pipeline.trends.indicators import REFERENCE
-from pipeline.trends.standing import Standing
-from pipeline.trends.trend_rows import trend_rows
+from pipeline.trends.figures.indicators import REFERENCE
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
 from tests.pipeline.trends.nights import (
     HOURS,
     PATHS,

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.trends.alarm_rows import alarm_rows
-from pipeline.trends.attribution import path_behind
-from pipeline.trends.reasons import why_state
-from pipeline.trends.standing import Standing
-from pipeline.trends.trend_rows import trend_rows
-from pipeline.trends.zeros import FLOW_ZERO, PRESSURE_ZERO, tolerance
+from pipeline.trends.rows.alarm_rows import alarm_rows
+from pipeline.trends.rows.trend_rows import trend_rows
+from pipeline.trends.states.standing import Standing
+from pipeline.trends.states.zeros import FLOW_ZERO, PRESSURE_ZERO, tolerance
+from pipeline.trends.why.reasons import path_behind, why_state
 from tests.pipeline.trends.nights import Nights, event, motor, named, ramp, reset, standing, step
 
 N, AT = 100, 60

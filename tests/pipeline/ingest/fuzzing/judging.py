@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.errors import LogError
 from pipeline.ingest import RawChannel, RawLog, contract, read_log, time_span
 from pipeline.setup.suggest import suggest

@@ -15,7 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from pipeline.config.motors import Channels, Logs
+from pipeline.config.channels import Channels
+from pipeline.config.logs import Logs
 from pipeline.ingest import RawLog, read_log
 from tests.pipeline.ingest.fuzzing.judging import Outcome, Verdict, judged
 from tests.pipeline.ingest.fuzzing.mutations import Mutation

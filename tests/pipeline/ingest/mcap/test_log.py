@@ -69,8 +69,8 @@ def walked(path: Path) -> list[tuple[str, int, int, bytes]]:
         for piece in read_messages(path)
         for channel, log_time, publish_time, start, end in zip(
             piece.channel_id,
-            piece.log_time,
-            piece.publish_time,
+            piece.times("log_time"),
+            piece.times("publish_time"),
             piece.payload_start,
             piece.payload_end,
             strict=True,

@@ -1,0 +1,80 @@
+"""Settings of the fit: the model, its estimation, the conditions at which it is evaluated."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from pipeline.config.section import NonNegative, Positive, Section
+
+
+class Model(Section):
+    """Choices of the physics that are not a property of the motor."""
+
+    film_pressure: Literal["thesis", "slot"] = "thesis"
+    """`thesis`: Barus viscosity at the pressure difference times the share; `slot`: exact laminar
+    flow through a slot with Barus viscosity."""
+    film_pressure_share: NonNegative = Field(1.0, le=1)
+    """Share of the pressure difference in the film; `thesis` only."""
+    film_pressure_share_tolerance: NonNegative = Field(0.0, le=1)
+    """Stated tolerance of that share; 0: none stated."""
+    two_sided: bool | None = None
+    """Every path leaks to the case from both sides: the high one at pressure difference + charge −
+    case pressure, the low one at charge − case pressure; by default where the charge or low-port
+    pressure is logged, or `charge_pressure_bar` is stated."""
+    charge_pressure_bar: NonNegative = 0.0
+    """Pressure of the low port, without a channel of it; 0: none stated."""
+    case_pressure_bar: NonNegative = 0.0
+    """Pressure of the case; `two_sided` without a channel of it."""
+    charge_pressure_tolerance_bar: NonNegative = 0.0
+    """Stated tolerance of charge − case pressure; 0: none stated."""
+
+    roller_scale: Literal["by_information", "fixed"] = "by_information"
+    """Scale of a motor's one known curve, that of the cam rollers: estimated where most of the
+    first nights of a baseline tell it, since speed varies; `fixed`: as the motor type says, the
+    thesis."""
+
+    def is_two_sided(self, *, is_logged: bool = False) -> bool:
+        """Two-sided as stated, else where the low side's pressure is stated or logged."""
+        is_known = is_logged or self.charge_pressure_bar > 0.0
+        return is_known if self.two_sided is None else self.two_sided
+
+
+class Estimation(Section):
+    """Bounded least squares from several starting points; names as in MATLAB's lsqnonlin."""
+
+    starting_points: int = Field(10, ge=0, le=1000)
+    """Starting points a fit, the configured one first."""
+    search_every_nights: int = Field(30, ge=0)
+    """The starts are made on every n-th night of the calendar, as an audit of the certificate, and
+    where that finds the rank short; 1: on every night; 0: there alone, and by `fit`. Past nights
+    keep what they have; refits search with `--with-starts`."""
+    gradient_type: Literal["analytic", "2-point", "3-point"] = "analytic"
+    """Method for the Jacobian."""
+    step_tolerance: Positive = 1e-10
+    """Stops at a relative step below this."""
+    function_tolerance: Positive = 1e-10
+    """Stops at a relative change of the criterion below this."""
+    maximum_iterations: int = Field(200, ge=1)
+    """Iterations a start may take."""
+    loss: Literal["squared", "huber"] = "squared"
+    """`huber`: training samples with large errors count less, by weights found before their
+    statistics are made."""
+    bootstrap_resamples: int = Field(499, ge=0, le=100_000)
+    """Draws of the block bootstrap; 0: none."""
+    sensitivity_samples: int = Field(1500, ge=100)
+    """Training samples that carry the stated tolerances; thinned."""
+    seed: int = Field(1, ge=0)
+    """Seed of the run; a night's seed is derived from it."""
+
+
+class ReferenceConditions(Section):
+    """Conditions at which the reference leakage is evaluated."""
+
+    pressure_bar: Positive = 200.0
+    """Pressure difference."""
+    temperature_c: float = Field(50.0, gt=-60, lt=150)
+    """Oil temperature."""
+    speed_rpm: NonNegative = 30.0
+    """Motor speed."""

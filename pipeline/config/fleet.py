@@ -1,0 +1,208 @@
+"""A fleet and its motors with all that their files say, resolved."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING
+
+from leakage import FilmPressure, Motor
+from pipeline.config.execution import Execution, Retention
+from pipeline.config.motor_types import MotorTypeFile, OilFile
+from pipeline.config.motors import MotorFile
+from pipeline.config.oil_samples import OilSample, Walther, measured_curve
+from pipeline.config.settings import Settings
+
+if TYPE_CHECKING:
+    from leakage.estimation.model_verdict import LowSide
+
+# Object stores that logs and tables may lie in.
+URL_SCHEMES = ("s3", "az", "gs")
+# Channels that tell the pressure of the low side.
+LOW_SIDE = frozenset(("charge_pressure", "low_port_pressure"))
+# Folders of the output that a run writes or empties.
+LANDED_FOLDER = "landed"
+OWN_FOLDERS = ("tables", "manifest", "ledger", "history", "staging", "report", LANDED_FOLDER)
+
+
+@dataclass(frozen=True, slots=True)
+class MotorSpec:
+    """A motor with everything that its nights need, resolved: fleet file, overrides, type, oil.
+
+    Its logs lie below `log_root`, or below `log_url` where that is not empty; those of a database
+    are written below `log_root`, a folder of the output. `roller_is_free`: the scale of the
+    rollers' curve is estimated, as the motor's own nights decide. `circuit_samples` are those of
+    its oil circuit's file.
+    """
+
+    file: MotorFile
+    motor_type: MotorTypeFile
+    oils: Mapping[str, OilFile]
+    settings: Settings
+    log_root: Path
+    log_url: str = ""
+    roller_is_free: bool = False
+    circuit_samples: tuple[OilSample, ...] = ()
+
+    def at_output(self, output: Path) -> MotorSpec:
+        """The motor with the nights of its database, if it has one, below an output folder."""
+        if self.file.logs.database is None:
+            return self
+        return replace(self, log_root=output / LANDED_FOLDER / self.motor_id, log_url="")
+
+    @property
+    def stated(self) -> MotorSpec:
+        """The motor as its files state it, the scale of the rollers' curve fixed."""
+        return replace(self, roller_is_free=False) if self.roller_is_free else self
+
+    @property
+    def motor_id(self) -> str:
+        """The motor's id."""
+        return self.file.motor_id
+
+    def oil_on(self, night: dt.date) -> OilFile:
+        """The oil of a night."""
+        return self.oils[self.file.oil_on(night)]
+
+    @property
+    def low_side(self) -> LowSide:
+        """The low-pressure side in the model: part of it, known and left out, or unknown."""
+        model, is_logged = self.settings.model, not LOW_SIDE.isdisjoint(self.file.channels)
+        if model.two_sided:
+            return "modelled"
+        return "known" if is_logged or model.charge_pressure_bar > 0.0 else "unknown"
+
+    def samples_of(self, night: dt.date) -> tuple[OilSample, ...]:
+        """Analyses of the filling of a night, later ones too."""
+        filled = self.file.filled_on(night)
+        samples = self.file.oil_samples or self.circuit_samples
+        return tuple(one for one in samples if self.file.filled_on(one.date) == filled)
+
+    def measured_curve(self, night: dt.date) -> Walther | None:
+        """Walther constants of a night's oil by its analyses; None: by the data sheet."""
+        samples = self.samples_of(night)
+        if not samples:
+            return None
+        return measured_curve(samples, self.oil_on(night), self.file.filled_on(night), night)
+
+    def motor(self, night: dt.date, flushing_mode: str) -> Motor:
+        """The motor on a night and under one mode of flushing, with the data sheet's oil."""
+        model = self.settings.model
+        motor = Motor(
+            motor_type=self.motor_type.motor_type,
+            paths=(*self.motor_type.paths(), self.file.flushing.path(flushing_mode)),
+            oil=self.oil_on(night).oil(),
+            film_pressure=FilmPressure(model.film_pressure, model.film_pressure_share),
+        )
+        return motor.with_free_standard() if self.roller_is_free else motor
+
+
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """A fleet's whole config; `settings` are those that no motor overrides.
+
+    `object_store` is where the output is published; empty: nowhere else. `log_url` is as in
+    `MotorSpec`. `metrics_file` is None where none is to be written.
+    """
+
+    name: str
+    motors: tuple[MotorSpec, ...]
+    execution: Execution
+    log_root: Path
+    output: Path
+    motor_types: Mapping[str, MotorTypeFile]
+    oils: Mapping[str, OilFile]
+    settings: Settings
+    retention: Retention
+    object_store: str = ""
+    metrics_file: Path | None = None
+
+    @property
+    def log_url(self) -> str:
+        """URL of the logs; empty where they lie in a folder."""
+        return next((spec.log_url for spec in self.motors if spec.log_url), "")
+
+    @property
+    def has_log_folder(self) -> bool:
+        """True if any motor has logs in the folder of the logs."""
+        return any(not (spec.log_url or spec.file.logs.database) for spec in self.motors)
+
+    @property
+    def log_place(self) -> str:
+        """Where the logs lie, for messages."""
+        folder = self.log_root if self.has_log_folder else self.output / LANDED_FOLDER
+        return self.log_url or str(folder)
+
+    def at_output(self, output: Path) -> Fleet:
+        """The fleet with another output folder, which goes into no object store."""
+        motors = tuple(spec.at_output(output) for spec in self.motors)
+        return replace(self, output=output, motors=motors, object_store="")
+
+
+def overlap(fleet: Fleet) -> str | None:
+    """The folder that was expected, where output and logs lie so that one spoils the other.
+
+    A run would read its own tables as logs, or write into the logs, or remove them.
+    """
+    logs, output = fleet.log_root, fleet.output
+    if not fleet.has_log_folder:
+        return None
+    if output == logs:
+        return f"expected another folder than that of the logs, {logs}"
+    if output in logs.parents and logs.relative_to(output).parts[0] in OWN_FOLDERS:
+        return f"expected a folder without the logs, {logs}, among those that a run writes"
+    if logs in output.parents:
+        inside = output.relative_to(logs).parts
+        for spec in fleet.motors:
+            for pattern in spec.file.logs.files:
+                if _reaches(pattern, inside):
+                    return (
+                        f"expected a folder in which no log is looked for: {pattern} of "
+                        f"{spec.motor_id} reaches into it"
+                    )
+    return None
+
+
+def _reaches(pattern: str, folder: tuple[str, ...]) -> bool:
+    """A path or glob of files may match one below a folder, both below the log root."""
+    parts = PurePosixPath(pattern).parts[:-1]
+    for part, name in zip(parts, folder, strict=False):
+        if part == "**":
+            return True
+        if not fnmatchcase(name, part):
+            return False
+    return len(parts) >= len(folder)
+
+
+def absolute(folder: Path) -> Path:
+    """The absolute path of a folder, which need not be there.
+
+    Raises
+    ------
+    ValueError
+        No folder can be there: the name is too long, say, or holds a null character.
+    """
+    try:
+        folder = folder.resolve()
+        with suppress(FileNotFoundError, NotADirectoryError):
+            folder.stat()
+    except OSError as error:
+        raise ValueError(error.strerror) from error
+    except RuntimeError as error:  # of links in a circle
+        raise ValueError(str(error)) from error
+    return folder
+
+
+def is_url(text: str) -> bool:
+    """Tell the URL of an object store from a folder.
+
+    Examples
+    --------
+    >>> is_url("s3://bucket/logs"), is_url("../logs")
+    (True, False)
+    """
+    return text.partition("://")[0] in URL_SCHEMES and "://" in text

@@ -1,0 +1,132 @@
+"""Settings of trends, alarms and those who are told, and of looks within the day."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Iterator
+from typing import Literal
+
+from pydantic import Field
+
+from pipeline.config.faults import Misfit
+from pipeline.config.receivers import (
+    Secret,
+    WebAddress,
+    WebHeaders,
+    is_mail_address,
+    mail_server,
+)
+from pipeline.config.section import NonNegative, Positive, Section, Share
+
+DAYS = ("mon", "tue", "wed", "thu", "fri", "sat", "sun")
+
+
+class Trend(Section):
+    """The motor against its own past: baseline, slope, change and time to limit."""
+
+    baseline_nights: int = Field(60, ge=15)
+    """Good nights of a frozen baseline."""
+    provisional_nights: int = Field(15, ge=15)
+    """Good nights after which a provisional baseline is used."""
+    confidence: Share = Field(0.95, lt=1)
+    """Coverage of the slope's interval."""
+    horizon_years: Positive = 5.0
+    """A limit that is reached later than this is `beyond_horizon`."""
+    false_discovery_rate: Share = Field(0.1, lt=1)
+    """Slopes with a `q_value` below this are called trends."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        """A provisional baseline longer than the one after it."""
+        if self.provisional_nights > self.baseline_nights:
+            message = "expected no more than baseline_nights"
+            yield ("provisional_nights",), message, self.provisional_nights
+
+
+class Email(Section):
+    """Mail of changes of state over SMTP, and of all states once a week; off without `to`."""
+
+    to: tuple[str, ...] = ()
+    """Addresses that get the mail."""
+    sender: str = ""
+    """Address that it comes from; required with `to`."""
+    server: str = ""
+    """`host` or `host:port` of the mail server; required with `to`."""
+    security: Literal["starttls", "tls", "none"] = "starttls"
+    """Encryption, with the certificate checked; ports 587, 465 and 25 where `server` states
+    none."""
+    user: str = ""
+    """Name to log in with; empty: no log-in."""
+    password: Secret = ""
+    """`${NAME}`: environment variable with the password of `user`."""
+    weekly: Literal["", "mon", "tue", "wed", "thu", "fri", "sat", "sun"] = "mon"
+    """Day of the week whose first run also sends the states of all motors; empty: none."""
+
+    def summary_due(self, today: dt.date) -> dt.date | None:
+        """Date on which the latest weekly summary is due; None without any."""
+        if not self.to or not self.weekly:
+            return None
+        return today - dt.timedelta(days=(today.weekday() - DAYS.index(self.weekly)) % 7)
+
+    def misfits(self) -> Iterator[Misfit]:
+        """Addresses that no mail can go to; a password without its user, or unencrypted."""
+        for key, address in [("to", one) for one in self.to] + [("sender", self.sender)]:
+            if self.to and not is_mail_address(address):
+                yield (key,), "expected an address such as shift@plant.example", address
+        if self.to and mail_server(self.server) is None:
+            yield ("server",), "expected host or host:port", self.server
+        if bool(self.user) != bool(self.password):
+            yield (), "expected user and password together", None
+        if self.user and self.security == "none":
+            yield ("security",), "expected starttls or tls with a password", self.security
+
+
+class Alarms(Section):
+    """Rules for the states `warning` and `alarm` of an indicator, and for their end."""
+
+    warning_percent: Positive = 15.0
+    """Rise over the baseline that is a warning."""
+    alarm_percent: Positive = 30.0
+    """Rise over the baseline that is an alarm."""
+    on_nights: tuple[int, int] = (3, 5)
+    """On after m of n nights in a row beyond a level, [m, n]."""
+    deadband_percent: NonNegative = 5.0
+    """Points below a level that an indicator must fall before it is off."""
+    off_nights: int = Field(5, ge=1)
+    """Nights in a row below that, before it is off."""
+    stale_after_nights: int = Field(7, ge=1)
+    """Nights without a trusted figure after which a state is `stale`."""
+    false_alarms_per_year: Positive = 0.1
+    """False alarms per motor and year, over all its indicators together, for which the limits of
+    the change test are calibrated."""
+    command: tuple[str, ...] = ()
+    """Program and arguments, run without a shell for each delivery; it gets the new rows of
+    `alarms` as JSON on its standard input ([trends.md](trends.md#10-notifications))."""
+    webhook_url: WebAddress = ""
+    """The same is posted to this address, http or https; empty: none."""
+    webhook_headers: WebHeaders = Field({})
+    """Headers of the post; `${NAME}` in a value is the environment variable NAME."""
+    webhook_secret: Secret = ""
+    """`${NAME}`: environment variable with the secret in Base64, which signs posts as in Standard
+    Webhooks; empty: no signature."""
+    email: Email = Email()
+    """Mail over SMTP ([trends.md](trends.md#10-notifications))."""
+
+    def misfits(self) -> Iterator[Misfit]:
+        """Levels and counts of nights in the wrong order."""
+        needed, of = self.on_nights
+        if not 1 <= needed <= of:
+            yield ("on_nights",), "expected [m, n] with 1 <= m <= n", self.on_nights
+        if self.warning_percent >= self.alarm_percent:
+            yield ("warning_percent",), "expected less than alarm_percent", self.warning_percent
+        if self.deadband_percent >= self.warning_percent:
+            message = "expected less than warning_percent"
+            yield ("deadband_percent",), message, self.deadband_percent
+
+
+class Look(Section):
+    """Looks within the day; nothing here changes a figure of a night."""
+
+    warm_up_minutes: NonNegative = 20.0
+    """Minutes after a start that are not judged, if the motor had stood for as long."""
+    blind_after_minutes: Positive = 60.0
+    """Minutes without anything to judge after which a motor is `blind`."""

@@ -1,0 +1,102 @@
+"""The fleet file: faults of its settings, and of those who are told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline.config.shipped import (
+    check_fault,
+    faults,
+    load,
+)
+
+
+@pytest.mark.parametrize(
+    ("table", "line", "key", "words"),
+    [
+        ("nights", 'time_zone = "Europe/Atlantis"', "nights.time_zone", "IANA"),
+        ("nights", "end_hour = 6.5", "nights.end_hour", "valid integer"),
+        ("execution", "workers = 0", "execution.workers", "greater than or equal to 1"),
+        ("execution", 'backend = "spark"', "execution.backend", "'loky', 'sequential' or 'dask'"),
+        ("estimation", "seed = 1.5", "estimation.seed", "valid integer"),
+        ("estimation", 'starting_points = "10"', "estimation.starting_points", 'got "10"'),
+        ("cleaning", "hampel_window = 10", "cleaning.hampel_window", "expected an odd number"),
+        ("windows", "training_share = 1.0", "windows.training_share", "less than 1"),
+        ("smoothing", "window_s = 120.0", "smoothing.window_s", "less than windows.block_s = 120"),
+        ("smothing", "window_s = 1.0", "smothing", "spelling"),
+        ("folders", 'output = ["a"]', "folders.output", "valid string"),
+        ("alarms", "deadband_percent = 15.0", "alarms.deadband_percent", "less than warning_"),
+        ("alarms", "warning_percent = 30.0", "alarms.warning_percent", "less than alarm_percent"),
+        ("alarms", "on_nights = [6, 5]", "alarms.on_nights", "[m, n] with 1 <= m <= n"),
+        ("trend", "baseline_nights = 14", "trend.baseline_nights", "greater than or equal to 15"),
+        ("trend", "provisional_nights = 61", "trend.provisional_nights", "than baseline_nights"),
+    ],
+)
+def test_faults_of_the_fleet_file(
+    configs: Path, table: str, line: str, key: str, words: str
+) -> None:
+    (configs / "fleet.toml").write_text(f'name = "F"\n[{table}]\n{line}\n', encoding="utf-8")
+    check_fault(configs, "fleet.toml", key, words)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        *(
+            (f"webhook_url = {url}", "webhook_url: expected http:// or https:// and a host")
+            for url in (
+                '"file:///T0KEN"',
+                '"http://"',
+                '"http:/T0KEN"',
+                '"http://h/T0 KEN"',
+                '"http://h/T0KEN\\r\\n"',
+                '"http://[::1"',
+                '"http://h:T0KEN/"',
+                '"http://h:99999/"',
+                '"h.example/T0KEN"',
+            )
+        ),
+        ('webhook_url = "https://me:T0KEN@h/"', "webhook_url: expected no name or password"),
+        ('webhook_url = ["http://h/T0KEN"]', "webhook_url: expected a valid string"),
+        ("deadband_percent = 15.0\nwebhook_url = 'http://h/T0KEN'", "less than warning_percent"),
+        ('webhook_headers = { "X:" = "T0KEN" }', "webhook_headers: expected names of letters"),
+        ('webhook_headers = { Host = "T0KEN" }', "webhook_headers: expected no Host: the program"),
+        ('webhook_headers = { webhook-id = "T0KEN" }', "expected no webhook-id"),
+        *(
+            (f"webhook_headers = {{ X = {value} }}", "webhook_headers: expected printable ASCII")
+            for value in (
+                '"$T0KEN"',
+                '"${T0KEN"',
+                '"${}"',
+                '"${1}"',
+                '"T0KENñ"',
+                '"T0\\nKEN"',
+                '""',
+            )
+        ),
+        ("webhook_headers = { X = 1 }", "webhook_headers.X: expected a valid string"),
+        ('webhook_secret = "whsec_T0KEN"', "webhook_secret: expected ${NAME}, with the secret in"),
+        ('webhook_secret = "${A}${B}"', "webhook_secret: expected ${NAME}"),
+    ],
+)
+def test_a_web_hook_that_cannot_be_posted_to(configs: Path, line: str, words: str) -> None:
+    path = configs / "fleet.toml"
+    path.write_text(path.read_text("utf-8") + f"\n[alarms]\n{line}\n", "utf-8")
+    (fault,) = faults(configs)
+    assert words in str(fault)
+    assert "T0KEN" not in str(fault)
+
+
+def test_a_web_hook_with_all_that_it_may_have(configs: Path) -> None:
+    path = configs / "fleet.toml"
+    lines = """
+        [alarms]
+        webhook_url = "https://h.example:8443/a/b?c=d"
+        webhook_headers = { Authorization = "Bearer ${HOOK_TOKEN}", X-Plant = "3, hall ${HALL}" }
+        webhook_secret = "${HOOK_SECRET}"
+    """
+    path.write_text(path.read_text("utf-8") + lines, "utf-8")
+    alarms = load(configs).settings.alarms
+    assert alarms.webhook_headers["X-Plant"] == "3, hall ${HALL}"

@@ -1,0 +1,285 @@
+"""All files of a fleet: their faults at once, their folders, what is shipped."""
+
+from __future__ import annotations
+
+import datetime as dt
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from pipeline.config import ConfigError, Fault, load_fleet
+from pipeline.demo import shipped_configs
+from tests.pipeline.config.shipped import (
+    MOTOR,
+    OIL,
+    TYPE,
+    change,
+    faults,
+    load,
+    only_fault,
+)
+
+MOTOR_IDS = ["CB1120-01", "CB1120-02", "CB400-01", "CB400-02", "CB560-01", "CB560-02"]
+
+# What is shipped
+
+
+def test_shipped_configs_load(configs: Path) -> None:
+    fleet = load(configs)
+    assert [spec.motor_id for spec in fleet.motors] == MOTOR_IDS
+    assert fleet.name == "Demo fleet"
+    assert fleet.log_root == configs.parent / "demo" / "logs"
+    assert fleet.output == configs.parent / "out"
+    for spec in fleet.motors:
+        for mode in ("none", "fixed", "estimated"):
+            assert spec.motor(dt.date(2026, 1, 2), mode).columns[-3:] == (
+                "one",
+                "known",
+                "measured",
+            )
+
+
+@pytest.mark.parametrize(("motor_type", "count"), [("CB400", 24), ("CB560", 32), ("CB1120", 64)])
+def test_shipped_counts_are_those_of_the_model(motor_type: str, count: int) -> None:
+    # model.md, section 3: 8 interfaces a cam row, 3, 4 and 8 rows.
+    document = tomllib.loads((shipped_configs() / f"motor_types/{motor_type}.toml").read_text())
+    assert [path["count"] for path in document["path"]] == [count] * 4
+
+
+@pytest.mark.parametrize("folder", ["motor_types", "oils"])
+def test_every_placeholder_says_so(folder: str) -> None:
+    files = sorted((shipped_configs() / folder).glob("*.toml"))
+    assert len(files) == 3
+    for file in files:
+        text = file.read_text(encoding="utf-8")
+        assert "PLACEHOLDER" in text.splitlines()[0]
+        document = tomllib.loads(text)
+        parts = document["path"] if folder == "motor_types" else [document]
+        assert [part["source"] for part in parts] == ["placeholder"] * len(parts)
+
+
+def test_the_source_of_a_constant_must_be_named(configs: Path) -> None:
+    change(configs, TYPE, 'source = "placeholder"\n', "")
+    change(configs, OIL, 'source = "placeholder"\n', "")
+    assert set(faults(configs)) == {
+        Fault(TYPE, 'path "piston_ring" source', "is missing"),
+        Fault(OIL, "source", "is missing"),
+    }
+
+
+# All faults at once
+
+
+def test_all_faults_of_all_files_at_once(configs: Path) -> None:
+    change(configs, MOTOR, 'motor_type = "CB400"', 'motor_type = "CB500"')
+    change(configs, MOTOR, 'unit = "bar"', 'unit = "hPa"')
+    change(configs, MOTOR, "resolution = 0.1", 'resolution = "fine"')
+    change(configs, TYPE, "radius_mm = 35.0", "radius_mm = -35.0")
+    change(configs, OIL, "density_15_c_kg_per_m3", "density")
+    change(configs, "fleet.toml", "end_hour = 6", "end_hour = 24")
+    (configs / "oils/vg32.toml").write_text("name = \n", encoding="utf-8")
+    found = {(fault.file, fault.key): fault.message for fault in faults(configs)}
+    assert found.pop((MOTOR, "motor_type")) == 'got "CB500"; expected one of CB1120, CB400, CB560'
+    assert found.pop((MOTOR, "channels.pressure_difference.resolution")) == (
+        'got "fine"; expected a valid number'
+    )
+    assert found.pop((TYPE, 'path "piston_ring" radius_mm')) == "got -35.0; expected greater than 0"
+    assert found.pop((OIL, "density_15_c_kg_per_m3")) == "is missing"
+    assert "check its spelling" in found.pop((OIL, "density"))
+    assert found.pop(("fleet.toml", "nights.end_hour")) == (
+        "got 24; expected less than or equal to 23"
+    )
+    assert found.pop(("oils/vg32.toml", "")).startswith("is not TOML")
+    # The unit is judged with the other channels, once each channel by itself is sound.
+    assert found.keys() <= {(MOTOR, "channels.pressure_difference.unit")}
+
+
+def test_several_faults_of_one_motor_across_its_channels(configs: Path) -> None:
+    change(configs, MOTOR, 'unit = "bar"', 'unit = "hPa"')
+    change(configs, MOTOR, 'unit = "rpm"', 'unit = "Hz"')
+    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
+    found = {fault.key: fault.message for fault in faults(configs)}
+    assert found["channels.pressure_difference.unit"].startswith('got "hPa"; expected one of bar,')
+    assert found["channels.speed.unit"] == 'got "Hz"; expected one of rpm, 1/s, rad/s, deg/s'
+    assert found["oil"] == 'got "vg100"; expected one of vg32, vg46, vg68'
+    assert len(found) == 3
+
+
+def test_a_fleet_file_with_faults_hides_no_motor_s(configs: Path) -> None:
+    change(configs, "fleet.toml", 'name = "Demo fleet"', "name = 7")
+    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
+    assert {(fault.file, fault.key) for fault in faults(configs)} == {
+        ("fleet.toml", "name"),
+        (MOTOR, "oil"),
+    }
+
+
+def test_a_fault_of_a_type_is_reported_once_not_for_each_motor(configs: Path) -> None:
+    change(configs, TYPE, "count = 24", "count = 0")
+    assert only_fault(configs).file == TYPE
+
+
+def test_message_counts_and_names_them(configs: Path) -> None:
+    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg100"')
+    with pytest.raises(ConfigError) as caught:
+        load(configs)
+    assert caught.value.code == "config"
+    assert str(caught.value).splitlines() == [
+        "1 config fault",
+        f'  {MOTOR}: oil: got "vg100"; expected one of vg32, vg46, vg68',
+    ]
+
+
+def test_a_wrong_unit_is_told_beside_other_faults_of_its_file(configs: Path) -> None:
+    change(configs, MOTOR, 'unit = "rpm"', 'unit = "rmp"')
+    change(configs, MOTOR, "resolution = 0.1", 'resolution = "fine"')
+    found = {fault.key for fault in faults(configs)}
+    assert "channels.speed.unit" in found
+    assert any(key.endswith(".resolution") for key in found)
+
+
+# Files and folders
+
+
+def test_no_fleet_file(tmp_path: Path) -> None:
+    assert str(only_fault(tmp_path)) == "fleet.toml: cannot be read: No such file or directory"
+
+
+def test_a_folder_instead_of_the_fleet_file(configs: Path) -> None:
+    with pytest.raises(ConfigError, match=r"configs: cannot be read: Is a directory"):
+        load_fleet(configs)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"motor_id = CB400", "is not TOML"),
+        (b"motor_id = 'a'\nmotor_id = 'b'", "is not TOML"),
+        ("motor_id = 'ü'".encode("latin-1"), "is not UTF-8"),
+        ("motor_id = 'a'".encode("utf-16"), "is not UTF-8"),
+        (bytes(range(256)), "is not"),
+        (b"a = " + b"[" * 5000, "is not TOML"),
+    ],
+)
+def test_a_file_that_is_no_toml_leaves_the_others_judged(
+    configs: Path, content: bytes, words: str
+) -> None:
+    (configs / MOTOR).write_bytes(content)
+    change(configs, "motors/CB400-02.toml", 'oil = "vg68"', 'oil = "vg100"')
+    found = {fault.file: fault for fault in faults(configs)}
+    assert found.keys() == {MOTOR, "motors/CB400-02.toml"}
+    assert words in found[MOTOR].message
+
+
+def test_a_file_may_begin_with_a_byte_order_mark(configs: Path) -> None:
+    """As editors of Windows write it."""
+    for file in ("fleet.toml", MOTOR, TYPE, OIL):
+        path = configs / file
+        path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes().replace(b"\n", b"\r\n"))
+    assert len(load(configs).motors) == 6
+
+
+def test_an_empty_motor_file(configs: Path) -> None:
+    (configs / MOTOR).write_bytes(b"")
+    keys = {fault.key for fault in faults(configs)}
+    assert keys == {"motor_id", "motor_type", "oil", "logs", "channels"}
+
+
+def test_folders_that_are_not_there(configs: Path) -> None:
+    for name in ("motors", "motor_types", "oils"):
+        (configs / name).rename(configs / f"old_{name}")
+    found = faults(configs)
+    assert {fault.file for fault in found} == {"motors", "motor_types", "oils"}
+    assert all("expected a folder at" in fault.message for fault in found)
+
+
+def test_a_folder_without_motors(configs: Path) -> None:
+    for path in (configs / "motors").iterdir():
+        path.unlink()
+    assert only_fault(configs).message == "expected at least one motor's file"
+
+
+def test_folders_are_those_of_the_fleet_file(configs: Path) -> None:
+    (configs / "motors").rename(configs.parent / "my motors")
+    change(configs, "fleet.toml", 'output = "../out"', 'motors = "../my motors"\noutput = "../o"')
+    fleet = load(configs)
+    assert len(fleet.motors) == 6
+    assert fleet.output == configs.parent / "o"
+
+
+NO_FOLDERS = {
+    "a null character": "a\\u0000b",
+    "a long name": "x" * 300,
+    "links in a circle": "../circle/x",
+    "nothing": "",
+}
+
+
+@pytest.mark.parametrize("name", NO_FOLDERS.values(), ids=NO_FOLDERS.keys())
+@pytest.mark.parametrize("key", ["motors", "logs", "output"])
+def test_folders_that_cannot_be(configs: Path, key: str, name: str) -> None:
+    (configs.parent / "circle").symlink_to("circle")
+    text = (configs / "fleet.toml").read_text("utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith(f"{key} = ")]
+    at = next(number for number, line in enumerate(lines) if line.startswith("[folders]"))
+    lines.insert(at + 1, f'{key} = "{name}"')
+    (configs / "fleet.toml").write_text("\n".join(lines), "utf-8")
+    (fault,) = (one for one in faults(configs) if one.file == "fleet.toml")
+    assert fault.key == f"folders.{key}"
+    assert fault.message.startswith(f'got "{name}"; expected ')
+
+
+@pytest.mark.parametrize(
+    ("logs", "output", "words"),
+    [
+        ("../logs", "../logs", "expected another folder than that of the logs"),
+        ("../logs", "../x/../logs/.", "expected another folder than that of the logs"),
+        ("..", "../CB400-01/", "CB400-01/*.csv of CB400-01 reaches into it"),
+        ("../out/staging", "../out", "expected a folder without the logs"),
+        ("../out/tables/fits", "../out", "expected a folder without the logs"),
+    ],
+)
+def test_output_and_logs_that_spoil_each_other(
+    configs: Path, logs: str, output: str, words: str
+) -> None:
+    change(configs, "fleet.toml", '"../demo/logs"', f'"{logs}"')
+    change(configs, "fleet.toml", '"../out"', f'"{output}"')
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == ("fleet.toml", "folders.output")
+    assert fault.message.startswith(f'got "{output}"; expected ')
+    assert words in fault.message
+
+
+@pytest.mark.parametrize(
+    ("pattern", "output", "is_spoilt"),
+    [
+        ("**/*.csv", "../out", True),
+        ("o?t/**/*.csv", "../out", True),
+        ("*/*.csv", "../out", True),
+        ("*/*.csv", "../out/deep", False),
+        ("logs/**/*.csv", "../out", False),
+        ("*.csv", "../out", False),
+    ],
+)
+def test_an_output_below_the_logs_is_one_where_no_log_is_looked_for(
+    configs: Path, pattern: str, output: str, is_spoilt: bool
+) -> None:
+    change(configs, "fleet.toml", '"../demo/logs"', '".."')
+    change(configs, "fleet.toml", '"../out"', f'"{output}"')
+    change(configs, MOTOR, "CB400-01/*.csv", pattern)
+    if is_spoilt:
+        assert f"{pattern} of CB400-01 reaches into it" in only_fault(configs).message
+    else:
+        assert load(configs).output == (configs / output).resolve()
+
+
+def test_logs_beside_the_tables_spoil_nothing(configs: Path) -> None:
+    change(configs, "fleet.toml", '"../demo/logs"', '"../out/logs"')
+    assert load(configs).log_root == configs.parent / "out" / "logs"
+
+
+def test_what_is_no_toml_file_is_left_alone(configs: Path) -> None:
+    (configs / "motors" / "README.md").write_text("notes")
+    (configs / "motors" / "CB400-01.toml~").write_text("backup")
+    assert len(load(configs).motors) == 6

@@ -1,0 +1,332 @@
+"""Files of motors, their types and oils: single faults, and what holds when."""
+
+from __future__ import annotations
+
+import datetime as dt
+from pathlib import Path
+
+import pytest
+
+from tests.pipeline.config.shipped import (
+    MOTOR,
+    OIL,
+    TYPE,
+    add,
+    change,
+    check_fault,
+    faults,
+    load,
+    only_fault,
+)
+
+BAR = 'source = "x"\nunit = "bar"'
+
+CHANNEL, LAW = "channels.pressure_difference", 'law = "annular_gap"'
+DEFORMATION = "deformation_pressure_bar = 120.0"
+POINTS = "deformation_points = [[10.0, 8.0, 1.0], [20.0, 8.0, 1.5], [40.0, 8.0, 1.6]]"
+RING, PISTON, ROLLER = (
+    f'path "{name}"' for name in ("piston_ring", "balance_piston", "cam_roller")
+)
+VISCOSITIES = "reference_viscosities_mm2_per_s"
+FAULTS: dict[str, list[tuple[str, str, str, str]]] = {
+    MOTOR: [
+        # A channel
+        ("resolution = 0.1", "resolutoin = 0.1", f"{CHANNEL}.resolutoin", "spelling"),
+        *(
+            ("resolution = 0.1", f"resolution = {value}", f"{CHANNEL}.resolution", words)
+            for value, words in (
+                ("true", "got true; expected a valid number"),
+                ("nan", "got NaN; expected a finite number"),
+                ("inf", "expected a finite number"),
+                ("-0.1", "greater than or equal to 0"),
+            )
+        ),
+        (
+            "[-450.0, 450.0]",
+            "[450.0, -450.0]",
+            f"{CHANNEL}.valid_range",
+            "got [450.0, -450.0]; exp",
+        ),
+        ("[-450.0, 450.0]", "[450.0]", f"{CHANNEL}.valid_range.1", "is missing"),
+        ('"dp_bar"', '"x"\nscale = 0.0', f"{CHANNEL}.scale", "got 0.0; expected a factor"),
+        ('source = "dp_bar"', "source = 5", f"{CHANNEL}.source", "got 5; expected a valid string"),
+        ('source = "dp_bar"\n', "", f"{CHANNEL}.source", "is missing"),
+        ("[channels.speed]", "[channels.spede]", "channels.spede", "'oil_temperature', 'speed'"),
+        # The dialect
+        *(
+            ('time = "time"', f"{key} = {value}", f"logs.{key}", words)
+            for key, value, words in (
+                ("time_zone", '"Mars/Phobos"', "IANA"),
+                ("time_format", '"%d.%m."', 'got "%d.%m."'),
+                ("encoding", '"utf-99"', "text encoding"),
+                ("encoding", '"hex"', "text encoding"),
+                ("separator", '"."', "another mark than the decimal mark"),
+                ("separator", '"·"', "ASCII"),
+                ("separator", '";;"', "at most 1 character"),
+                ("thousands", '"x"', "expected one of '.', ',', "),
+                ("thousands", '","', "another mark than the decimal mark and the sep"),
+                ("stamp", '"a..b"', "is no path"),
+                ("decimal", '";"', "'.' or ','"),
+                ("skip_rows", "-1", "greater than or equal to 0"),
+                ("skip_rows", "1.0", "got 1.0; expected a valid integer"),
+                ("missing_tokens", '""', "valid array"),
+                ("columns", "5", "spelling"),
+            )
+        ),
+        # The motor
+        ('motor_id = "CB400-01"', 'motor_id = "CB400-07"', "motor_id", "as the file"),
+        (
+            'format = "csv"',
+            'format = "xlsx"',
+            "logs.format",
+            ": csv, mcap, parquet, sql",
+        ),
+        ('["CB400-01/*.csv"]', '"CB400-01/*.csv"', "logs.files", "valid array"),
+        ('["CB400-01/*.csv"]', "[]", "logs.files", "at least one"),
+        ("[logs]", "[[logs]]", "logs", "expected an object"),
+    ],
+    TYPE: [
+        ('motor_type = "CB400"', 'motor_type = "CB401"', "motor_type", "as the file"),
+        (LAW, 'law = "gap"', f"{RING} law", "one of 'annular_gap', 'speed_curve'"),
+        (f"{LAW}\n", "", f"{RING} law", "is missing"),
+        ("count = 24", "count = 24.0", f"{RING} count", "got 24.0; expected a valid integer"),
+        ("minimum = 1.0", "minimum = 9.0", f"{RING} gap_um", "minimum <= value <= maximum"),
+        ("minimum = 1.0", "minimum = 0.0", f"{RING} gap_um.minimum", "greater than 0"),
+        ("maximum = 1.0", "maximum = 1.1", f"{PISTON} eccentricity.maximum", "less than or equal"),
+        ("deformation_pressure_bar", "deformation_points", f"{RING} deformation_points", "array"),
+        ("speed_range_rpm", "points", f"{ROLLER} points.0", "got 0.0; expected a valid array"),
+        ("speed_range_rpm = [0.0, 125.0]", "", ROLLER, "speed_range_rpm, or points"),
+        *(
+            ('name = "balance_piston"', f'name = "{name}"', f'path "{name}" name', words)
+            for name, words in (
+                ("piston_ring", "not taken"),
+                ("flushing", "not taken"),
+                ("known", "not taken"),
+                ("Piston", "text that matches"),
+            )
+        ),
+        *(
+            (DEFORMATION, f"deformation_points = [{points}]", RING, words)
+            for points, words in (
+                ("[10.0, 8.0, 1.0], [20.0, 8.0, 2.0]", "3 points"),
+                ("[10.0, 8.0, 1.0], [20.0, 8.0, 2.5], [40.0, 8.0, 9.0]", "does not close with"),
+                ("[0.0, 8.0, 1.0], [20.0, 8.0, 2.5], [40.0, 8.0, 9.0]", "above 0"),
+            )
+        ),
+        (DEFORMATION, f"{DEFORMATION}\n{POINTS}", RING, "not both"),
+    ],
+    OIL: [
+        ("[46.0, 6.8]", "[6.8, 46.0]", "", "do not fall with temperature"),
+        ("[46.0, 6.8]", "[46.0, 0.0]", f"{VISCOSITIES}.1", "got 0.0; expected greater than 0"),
+        ("[46.0, 6.8]", "[46.0]", f"{VISCOSITIES}.1", "is missing"),
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("file", "before", "after", "key", "words"),
+    [(file, *one) for file, several in FAULTS.items() for one in several],
+)
+def test_a_fault_has_file_key_and_words(
+    configs: Path, file: str, before: str, after: str, key: str, words: str
+) -> None:
+    change(configs, file, before, after)
+    check_fault(configs, file, key, words)
+
+
+@pytest.mark.parametrize(
+    "motor_id",
+    ["../x", "a/b", "", ".", "..", ".hidden", "-x", "a b", "a\\\\b", "x" * 65, "ü", "a\\n"],
+)
+def test_ids_that_are_no_file_name(configs: Path, motor_id: str) -> None:
+    change(configs, MOTOR, 'motor_id = "CB400-01"', f'motor_id = "{motor_id}"')
+    assert {fault.key for fault in faults(configs)} == {"motor_id"}
+
+
+@pytest.mark.parametrize("file", [MOTOR, TYPE])
+def test_a_file_with_a_name_that_is_no_id(configs: Path, file: str) -> None:
+    path = configs / file
+    path.rename(path.with_name("-rf *.toml"))
+    assert any(fault.file.endswith("/-rf *.toml") for fault in faults(configs))
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [
+        *("/etc/passwd", "\\\\\\\\server\\\\x", "../x.csv", "a/../../b.csv", "a\\\\..\\\\b.csv"),
+        *("..", ".", "", "a/", "a/.", "a\\u0000.csv", "a\\n.csv"),
+        *("**", "a/**", "a/**b.csv", "a/b**/c.csv"),
+        *("é" * 128, "x" * 256 + "/*.csv", "folder/" * 147),
+    ],
+)
+def test_logs_that_leave_the_log_root_or_are_no_files(configs: Path, pattern: str) -> None:
+    change(configs, MOTOR, '["CB400-01/*.csv"]', f'["good/*.csv", "{pattern}"]')
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == (MOTOR, "logs.files.1")
+    assert "expected" in fault.message
+
+
+@pytest.mark.parametrize(
+    "pattern", ["a.csv", "*.csv", "**/*.csv", "a/[0-9]?.csv", "...csv", "a..b.csv"]
+)
+def test_logs_below_the_log_root(configs: Path, pattern: str) -> None:
+    change(configs, MOTOR, "CB400-01/*.csv", pattern)
+    assert load(configs).motors[2].file.logs.files == (pattern,)
+
+
+# Channels
+
+
+def test_channels_that_are_missing(configs: Path) -> None:
+    text = (configs / MOTOR).read_text(encoding="utf-8")
+    (configs / MOTOR).write_text(text[: text.index("[channels.oil_temperature]")], encoding="utf-8")
+    assert "expected also leakage_flow, oil_temperature, speed" in only_fault(configs).message
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("[channels.pressure_difference]", "[channels.high_port_pressure]"),
+        ("[channels.speed]", f"[channels.low_port_pressure]\n{BAR}\n[channels.speed]"),
+    ],
+)
+def test_pressure_comes_as_difference_or_as_two_ports(
+    configs: Path, before: str, after: str
+) -> None:
+    change(configs, MOTOR, before, after)
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == (MOTOR, "channels")
+    assert "high_port_pressure and low_port_pressure" in fault.message
+
+
+# Flushing
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        ('mode = "fixed"\nalso = ["fixed"]', "each mode once"),
+        ('mode = "maybe"', "'none', 'fixed' or 'estimated'"),
+        ("flow_l_per_min = 30.0", "minimum_l_per_min <= flow_l_per_min"),
+        ("flow_l_per_min = -1.0", "greater than or equal to 0"),
+        ('also = "none"', "valid array"),
+    ],
+)
+def test_flushing(configs: Path, table: str, words: str) -> None:
+    add(configs, MOTOR, f"\n[flushing]\n{table}\n")
+    assert words in only_fault(configs).message
+
+
+# Events and overrides
+
+
+def test_an_oil_change_is_dated(configs: Path) -> None:
+    add(configs, MOTOR, '\n[[events]]\ndate = 2026-03-01\nkind = "oil_change"\noil = "vg46"\n')
+    add(configs, MOTOR, '\n[[events]]\ndate = 2026-02-01\nkind = "oil_change"\noil = "vg32"\n')
+    add(configs, MOTOR, '\n[[events]]\ndate = 2026-04-01\nkind = "overhaul"\n')
+    spec = load(configs).motors[2]
+    oils = {
+        (2026, 1, 31): "vg68",
+        (2026, 2, 1): "vg32",
+        (2026, 2, 28): "vg32",
+        (2026, 3, 1): "vg46",
+        (2026, 5, 1): "vg46",
+    }
+    assert {date: spec.file.oil_on(dt.date(*date)) for date in oils} == oils
+    names = {spec.motor(dt.date(*date), "none").oil.name for date in oils}
+    assert len(names) == 3
+
+
+@pytest.mark.parametrize(
+    ("event", "key", "words"),
+    [
+        ('date = 2026-02-30\nkind = "overhaul"', "", "is not TOML"),
+        ('date = "soon"\nkind = "overhaul"', "events.0.date", 'got "soon"'),
+        ('date = 20260301\nkind = "overhaul"', "events.0.date", "got 20260301"),
+        ('date = 2026-03-01T06:00:00\nkind = "overhaul"', "events.0.date", "got"),
+        ('kind = "overhaul"', "events.0.date", "is missing"),
+        ('date = 2026-03-01\nkind = "oil_change"', "events.0.oil", "expected the oil's name"),
+        ('date = 2026-03-01\nkind = "repair"', "events.0.kind", 'got "repair"'),
+        ('date = 2026-03-01\nkind = "oil_change"\noil = "vg47"', "events.0.oil", 'got "vg47"'),
+    ],
+)
+def test_events(configs: Path, event: str, key: str, words: str) -> None:
+    add(configs, MOTOR, f"\n[[events]]\n{event}\n")
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == (MOTOR, key)
+    assert words in fault.message
+
+
+def test_an_override_holds_for_its_motor_alone(configs: Path) -> None:
+    change(configs, "fleet.toml", "[execution]", "[smoothing]\nwindow_s = 5.0\n[execution]")
+    add(
+        configs,
+        MOTOR,
+        '\n[override.smoothing]\napply_to = "leakage"\n[override.nights]\nend_hour = 5\n',
+    )
+    settings = {spec.motor_id: spec.settings for spec in load(configs).motors}
+    assert settings["CB400-01"].smoothing.window_s == 5.0
+    assert settings["CB400-01"].smoothing.apply_to == "leakage"
+    assert settings["CB400-01"].nights.end_hour == 5
+    assert settings["CB400-02"].smoothing.apply_to == "all"
+    assert settings["CB400-02"].nights.end_hour == 6
+
+
+@pytest.mark.parametrize(
+    ("override", "key"),
+    [
+        ("[override.smoothing]\nwindow = 5.0", "override.smoothing.window"),
+        ("[override.smoothing]\nwindow_s = -5.0", "override.smoothing.window_s"),
+        ("[override.smoothing]\nwindow_s = 500.0", "override.smoothing.window_s"),
+        ("[override]\nsmoothing = 5.0", "override.smoothing"),
+        ("[override.execution]\nworkers = 99", "override.execution"),
+        ('[override.folders]\noutput = "/tmp"', "override.folders"),
+        ('[override]\noutput = "/tmp"', "override.output"),
+        ("[override]\nname = 5", "override.name"),
+        ("[[override]]\nx = 5", "override"),
+    ],
+)
+def test_overrides_that_are_none(configs: Path, override: str, key: str) -> None:
+    add(configs, MOTOR, f"\n{override}\n")
+    fault = only_fault(configs)
+    assert (fault.file, fault.key) == (MOTOR, key)
+
+
+def test_reference_conditions_beyond_the_oil_are_a_fault_of_the_config(configs: Path) -> None:
+    thin = "[1.2, 0.3]"
+    change(configs, OIL, "[46.0, 6.8]", thin)
+    change(configs, "fleet.toml", "temperature_c = 50.0", "temperature_c = 149.0")
+    change(configs, MOTOR, 'oil = "vg68"', 'oil = "vg46"')
+    fault = only_fault(configs)
+    assert fault.file == MOTOR
+    assert "vg46" in fault.message
+
+
+PORTS = (
+    ("[channels.pressure_difference]", "[channels.high_port_pressure]"),
+    (
+        "[channels.speed]",
+        '[channels.low_port_pressure]\nsource = "low"\nunit = "bar"\n[channels.speed]',
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("ports", "model", "is_two_sided", "low_side"),
+    [
+        ((), "", False, "unknown"),
+        ((), "charge_pressure_bar = 15.0", True, "modelled"),
+        ((), "two_sided = true", True, "modelled"),
+        (PORTS, "", True, "modelled"),
+        (PORTS, "two_sided = false", False, "known"),
+    ],
+)
+def test_leakage_is_two_sided_where_the_low_side_is_known(
+    configs: Path, ports: tuple[tuple[str, str], ...], model: str, is_two_sided: bool, low_side: str
+) -> None:
+    for before, after in ports:
+        change(configs, MOTOR, before, after)
+    add(configs, MOTOR, f"\n[override.model]\n{model}\n")
+    spec = next(one for one in load(configs).motors if one.motor_id == MOTOR[7:-5])
+    assert spec.settings.model.two_sided is is_two_sided
+    assert spec.low_side == low_side

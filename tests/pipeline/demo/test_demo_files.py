@@ -1,0 +1,277 @@
+"""The demo on disk: its formats, and what it refuses to overwrite."""
+
+from __future__ import annotations
+
+import datetime as dt
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import NonSeekingReader, SeekingReader
+
+from pipeline.config import MotorSpec, load_fleet
+from pipeline.demo import write_demo
+from pipeline.demo.fleet import DemoNight
+from pipeline.demo.log_writers import as_logged, write_log
+from pipeline.demo.mcap_writer import fixed_width_numbers
+from pipeline.demo.recording import record_night
+from pipeline.errors import UsageError
+from pipeline.ingest import read_log
+from tests.pipeline.demo.conftest import MOTORS, PLAN, night_of
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in folder.rglob("*")
+        if path.is_file()
+    }
+
+
+# Formats
+
+
+@pytest.mark.parametrize("motor_id", MOTORS)
+def test_reader_gets_back_what_was_recorded(
+    specs: dict[str, MotorSpec], tmp_path: Path, motor_id: str
+) -> None:
+    night = night_of(specs, motor_id)
+    recording, motor = record_night(night), night.spec.file
+    path = tmp_path / f"log.{motor.logs.format}"
+    write_log(path, recording, motor)
+    log = read_log(path, motor.logs, motor.channels)
+    assert list(tmp_path.iterdir()) == [path]
+    since_measured_us = 1500 if motor.logs.time == "log_time" else 0
+    for name, values in recording.values.items():
+        there, read = ~np.isnan(values), log.channels[name]
+        np.testing.assert_allclose(
+            read.value[~read.missing], values[there], atol=6e-4
+        )  # MCAP has three decimals
+        stamps = recording.time_us + recording.own_delay_us.get(name, 0) + since_measured_us
+        np.testing.assert_array_equal(read.time_us[~read.missing], stamps[there])
+
+
+def test_csv_is_text_as_loggers_write_it(specs: dict[str, MotorSpec], tmp_path: Path) -> None:
+    night = night_of(specs, "CB560-02")
+    write_log(tmp_path / "log.csv", record_night(night), night.spec.file)
+    header, first, second, *_ = (tmp_path / "log.csv").read_text(encoding="utf-8").splitlines()
+    assert header == "time;p_high;p_low;t_oil;n;q_drain"
+    assert first.startswith("2026-01-01T21:30:00.000Z;")
+    assert second.startswith("2026-01-01T21:30:00.200Z;")
+    assert "," in first
+    assert second.split(";")[3] == ""
+
+
+def test_parquet_has_time_stamps_or_milliseconds_and_nulls(
+    specs: dict[str, MotorSpec], tmp_path: Path
+) -> None:
+    for motor_id, column, kind in (
+        ("CB400-02", "timestamp", "timestamp[us, tz=UTC]"),
+        ("CB1120-01", "t_ms", "int64"),
+    ):
+        night = night_of(specs, motor_id)
+        path = tmp_path / f"{motor_id}.parquet"
+        write_log(path, record_night(night), night.spec.file)
+        table = pq.read_table(path)
+        assert str(table.schema.field(column).type) == kind
+        assert table.column("oil_temperature").null_count == pytest.approx(
+            0.8 * table.num_rows, rel=0.02
+        )
+    kelvin = pl.read_parquet(tmp_path / "CB1120-01.parquet")["oil_temperature"].median()
+    assert isinstance(kelvin, float)
+    assert 311.0 < kelvin < 331.0
+
+
+def test_official_reader_agrees_with_the_mcap_file(
+    specs: dict[str, MotorSpec], tmp_path: Path
+) -> None:
+    night = DemoNight(MOTORS["CB560-01"], specs["CB560-01"], replace(PLAN, minutes=20.0), 1)
+    recording, motor = record_night(night), night.spec.file
+    path = tmp_path / "log.mcap"
+    write_log(path, recording, motor)
+    expected = {
+        channel.source: as_logged(name, values[~np.isnan(values)], channel)
+        for name, channel in motor.channels.items()
+        for values in [recording.values[name]]
+    }
+    with path.open("rb") as stream:
+        reader = SeekingReader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        messages = list(reader.iter_messages(log_time_order=False))
+        channels = {number: channel.topic for number, channel in summary.channels.items()}
+        counts = summary.statistics.channel_message_counts
+    assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 1
+    assert {channels[number]: count for number, count in counts.items()} == {
+        topic: values.size for topic, values in expected.items()
+    }
+    for topic, values in expected.items():
+        of_topic = [message for _, channel, message in messages if channel.topic == topic]
+        read = [json.loads(message.data)["value"] for message in of_topic]
+        np.testing.assert_allclose(read, values, atol=6e-4)
+        assert [message.sequence for message in of_topic] == list(range(values.size))
+    with path.open("rb") as stream:
+        streamed = list(NonSeekingReader(stream, validate_crcs=True).iter_messages())
+    assert len(streamed) == summary.statistics.message_count == len(messages)
+
+
+def test_seeking_in_the_mcap_file_finds_a_time(specs: dict[str, MotorSpec], tmp_path: Path) -> None:
+    night = DemoNight(MOTORS["CB560-01"], specs["CB560-01"], replace(PLAN, minutes=20.0), 1)
+    write_log(tmp_path / "log.mcap", record_night(night), night.spec.file)
+    start = dt.datetime(2026, 1, 1, 21, 40, tzinfo=dt.UTC)
+    first_ns = int(start.timestamp()) * 1_000_000_000
+    with (tmp_path / "log.mcap").open("rb") as stream:
+        reader = SeekingReader(stream, validate_crcs=True)
+        topic = "/mill/motor_1/oil_temperature"
+        found = [
+            message.log_time
+            for _, _, message in reader.iter_messages(
+                topics=[topic], starting_at=first_ns, ending_before=first_ns + 10_000_000_000
+            )
+        ]
+    assert 5 <= len(found) <= 11
+    assert all(first_ns <= log_time < first_ns + 10_000_000_000 for log_time in found)
+
+
+@given(st.lists(st.floats(-99_999.0, 99_999.0), min_size=1))
+def test_fixed_width_numbers_are_python_s(values: list[float]) -> None:
+    whole = np.rint(np.array(values) * 1000.0).astype(int).tolist()
+    expected = [
+        f"{'-' if number < 0 else ''}{abs(number) // 1000}.{abs(number) % 1000:03d}".rjust(10)
+        for number in whole
+    ]
+    written = [bytes(row).decode() for row in fixed_width_numbers(np.array(values))]
+    assert written == expected
+
+
+# The folder
+
+
+def small_demo(folder: Path, **arguments: Any) -> None:
+    write_demo(folder, **({"nights": 2, "minutes": 10.0, "workers": 1} | arguments))
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made") / "demo"
+    small_demo(folder)
+    return folder
+
+
+def test_demo_is_whole(demo: Path) -> None:
+    fleet = load_fleet(demo / "configs" / "fleet.toml")
+    assert [spec.motor_id for spec in fleet.motors] == sorted(MOTORS)
+    formats = [spec.file.logs.format for spec in fleet.motors]
+    assert sorted(formats) == ["csv", "csv", "mcap", "mcap", "parquet", "parquet"]
+    assert fleet.log_root == (demo / "demo" / "logs").resolve()
+    for spec in fleet.motors:
+        (pattern,) = spec.file.logs.files
+        assert len(list(fleet.log_root.glob(pattern))) == 2
+    assert list(json.loads((demo / "demo" / "truth.json").read_text())["motors"]) == list(MOTORS)
+    assert not list(demo.rglob("*.partial"))
+
+
+def test_two_workers_write_the_same_bytes(demo: Path, tmp_path: Path) -> None:
+    seen: list[tuple[int, int]] = []
+    small_demo(tmp_path, workers=2, progress=lambda *done: seen.append(done))
+    assert digests(tmp_path) == digests(demo)
+    assert seen[-1] == (12, 12)
+
+
+def test_another_seed_makes_other_logs(demo: Path, tmp_path: Path) -> None:
+    small_demo(tmp_path, nights=1, seed=2)
+    before = digests(demo)
+    for name, digest in digests(tmp_path / "demo" / "logs").items():
+        assert before[f"demo/logs/{name}"] != digest
+
+
+def test_a_night_does_not_depend_on_how_many_are_made(demo: Path, tmp_path: Path) -> None:
+    small_demo(tmp_path, nights=1)
+    assert digests(tmp_path / "demo" / "logs").items() <= digests(demo / "demo" / "logs").items()
+
+
+def test_a_demo_is_replaced_and_other_files_in_it_are_not(tmp_path: Path) -> None:
+    small_demo(tmp_path, nights=2)
+    (tmp_path / "demo" / "truth.json").unlink()  # as if interrupted
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "demo" / "logs" / "CB400-01" / "mine.csv").write_text("mine")
+    small_demo(tmp_path, nights=1)
+    assert (tmp_path / "demo" / "truth.json").is_file()
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    names = {path.name for path in (tmp_path / "demo" / "logs" / "CB400-01").iterdir()}
+    assert names == {"CB400-01_2026-01-02.csv", "mine.csv"}
+
+
+def test_a_folder_with_something_else_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "demo").mkdir()
+    (tmp_path / "demo" / "thesis.txt").write_text("mine")
+    with pytest.raises(UsageError, match="neither empty nor a demo") as caught:
+        small_demo(tmp_path)
+    assert caught.value.code == "demo_folder"
+    assert [path.name for path in (tmp_path / "demo").iterdir()] == ["thesis.txt"]
+
+
+def test_the_fleet_s_own_config_is_used_and_left_alone(tmp_path: Path) -> None:
+    small_demo(tmp_path, nights=1)
+    motors = tmp_path / "configs" / "motors"
+    changed = motors / "CB400-01.toml"
+    changed.write_text(changed.read_text().replace('"drain_flow_lpm"', '"case_drain"'))
+    before = digests(tmp_path / "configs")
+    small_demo(tmp_path, nights=1)
+    assert digests(tmp_path / "configs") == before
+    (log,) = (tmp_path / "demo" / "logs" / "CB400-01").iterdir()
+    assert "case_drain" in log.read_text().splitlines()[0]
+    (motors / "CB560-01.toml").unlink()
+    with pytest.raises(UsageError, match="needs motor CB560-01"):
+        small_demo(tmp_path, nights=1)
+    assert (tmp_path / "demo" / "truth.json").is_file()
+
+
+def test_a_file_in_the_folder_s_place_is_told(tmp_path: Path) -> None:
+    (tmp_path / "demo").write_text("mine")
+    with pytest.raises(UsageError, match="neither empty nor a demo"):
+        small_demo(tmp_path)
+    with pytest.raises(UsageError, match="cannot be written: Not a directory"):
+        small_demo(tmp_path / "demo")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"nights": 0},
+        {"minutes": 0.5},
+        {"minutes": float("nan")},
+        {"minutes": 1441.0},
+        {"rate_hz": 0.05},
+        {"rate_hz": float("inf")},
+        {"seed": -1},
+        {"workers": 0},
+        {"first_night": dt.date(1960, 1, 1)},
+        {"slow_errors_min": -1.0},
+    ],
+)
+def test_nonsense_is_refused_before_anything_is_written(
+    tmp_path: Path, arguments: dict[str, Any]
+) -> None:
+    with pytest.raises(UsageError) as caught:
+        small_demo(tmp_path / "demo", **arguments)
+    assert caught.value.code == "demo_arguments"
+    assert not (tmp_path / "demo").exists()
+
+
+def test_a_long_log_stays_within_its_night(specs: dict[str, MotorSpec]) -> None:
+    plan = replace(PLAN, minutes=1440.0, rate_hz=1.0)
+    recording = record_night(DemoNight(MOTORS["CB400-01"], specs["CB400-01"], plan, 1))
+    end = dt.datetime(2026, 1, 2, 6, tzinfo=dt.UTC)
+    span = np.array([recording.time_us.min(), recording.time_us.max()]) / 1e6
+    assert span[0] == (end - dt.timedelta(days=1)).timestamp()
+    assert span[1] < end.timestamp()

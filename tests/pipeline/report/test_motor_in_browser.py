@@ -1,0 +1,291 @@
+"""A motor's page in headless Chromium, opened from the file system."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import polars as pl
+import pytest
+from selenium.webdriver import Chrome
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+from selenium.webdriver.support.ui import Select, WebDriverWait
+
+from pipeline.report.build import KnownMotor, ReportRequest, build_report
+from pipeline.schema import FITS, NIGHT_TABLES, TREND_TABLES, frame
+from tests.pipeline.report.browser import (
+    PATIENCE_S,
+    complaints,
+    drawn,
+    needs_browser,
+    text,
+    visit,
+    wait,
+)
+from tests.pipeline.report.conftest import change_table
+from tests.pipeline.report.judged import NIGHTS, NOTE, REASON, RING
+
+pytestmark = needs_browser
+
+
+def test_every_figure_is_drawn_when_it_is_scrolled_to(browser: Chrome, told: Path) -> None:
+    visit(browser, told / "motors" / "CB560-01.html")
+    wait(browser, "return document.body.dataset.night")
+    browser.execute_script("document.getElementById('analyst').open = true")
+    figures = browser.find_elements(By.CSS_SELECTOR, "figure.chart")
+    assert len(figures) == 17
+    assert figures[-1].get_dom_attribute("data-drawn") is None
+    for figure in figures:
+        browser.execute_script("arguments[0].scrollIntoView()", figure)
+        WebDriverWait(browser, PATIENCE_S, 0.05).until(
+            lambda _, one=figure: one.get_dom_attribute("data-drawn")
+        )
+        name = figure.get_dom_attribute("id")
+        assert figure.get_dom_attribute("data-drawn") == "chart", name
+        drawing = ".plot .scatterlayer path, .bars path, .heatmaplayer image"
+        marks = figure.find_elements(By.CSS_SELECTOR, drawing)
+        assert marks, name
+
+
+def test_a_table_stands_under_each_chart_and_can_be_saved(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB560-01.html")
+    for name, state in drawn(browser).items():
+        details = browser.find_element(By.CSS_SELECTOR, f"#{name} details")
+        assert details.is_displayed() == (state == "chart" and name != "course-nights")
+    browser.execute_script(
+        "document.querySelectorAll('.chart details').forEach((one) => { one.open = true; })"
+    )
+    tables = wait(
+        browser,
+        "const all = [...document.querySelectorAll('.chart details:not([hidden])')];"
+        "return all.every((one) => one.querySelector('tbody tr')) && all.map((one) => ["
+        "  one.querySelectorAll('thead th').length,"
+        "  one.querySelector('tbody tr').cells.length,"
+        "  one.querySelector('button').textContent,"
+        "])",
+    )
+    assert len(tables) >= 12
+    for n_names, n_cells, button in tables:
+        assert n_names == n_cells > 1
+        assert button == "Save as CSV"
+
+
+def test_a_night_is_chosen_from_the_list_by_button_by_address_and_in_the_chart(
+    browser: Chrome, report: Path
+) -> None:
+    visit(browser, report / "motors" / "CB400-02.html")
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
+    Select(browser.find_element(By.ID, "choose")).select_by_value(NIGHTS[0])
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
+    assert f"Night of {NIGHTS[0]}: fitted" in browser.find_element(By.ID, "outcome").text
+    assert not browser.find_element(By.ID, "earlier").is_enabled()
+    browser.find_element(By.ID, "later").send_keys(Keys.ENTER)
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[1]}'")
+    browser.back()
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
+    visit(browser, report / "motors" / "CB400-02.html", f"#{NIGHTS[1]}")
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[1]
+    top = "return document.getElementById('night').getBoundingClientRect().top"
+    assert 0 <= browser.execute_script(top) < 100
+    drawn(browser)
+    browser.execute_script("window.scrollTo(0, 0)")
+    browser.execute_script(
+        "document.querySelector('#course-nights .plot')"
+        ".emit('plotly_click', {points: [{x: arguments[0]}]})",
+        NIGHTS[0],
+    )
+    wait(browser, f"return document.body.dataset.night === '{NIGHTS[0]}'")
+    # It comes into view, and is marked there and in all charts over the nights.
+    assert 0 <= browser.execute_script(top) < 100
+    assert browser.find_elements(By.CSS_SELECTOR, "#night.chosen")
+    marked = browser.execute_script(
+        "return [...document.querySelectorAll('[data-drawn=chart] .over-nights')].map((one) =>"
+        " one.layout.shapes.filter((shape) => shape.name === 'chosen night').map((s) => s.x0))"
+    )
+    assert len(marked) >= 4
+    assert all(one == [NIGHTS[0]] for one in marked)
+
+
+def test_an_address_that_is_no_night_leads_to_the_newest(browser: Chrome, report: Path) -> None:
+    visit(browser, report / "motors" / "CB400-02.html", "#../../../etc/passwd%E0")
+    assert wait(browser, "return document.body.dataset.night") == NIGHTS[2]
+
+
+SPANS = (
+    "return [...document.querySelectorAll('[data-drawn=chart] .over-nights')].map((one) =>"
+    " one._fullLayout.xaxis.range.map((end) => String(end).slice(0, 10)).join(' '))"
+)
+
+
+def test_keys_zoom_all_charts_over_the_nights_and_no_button_sends_one_away(
+    browser: Chrome, report: Path
+) -> None:
+    visit(browser, report / "motors" / "CB400-02.html")
+    drawn(browser)
+    plot = browser.find_element(By.CSS_SELECTOR, "#course-leakage .plot")
+
+    def span() -> list[float]:
+        script = "return arguments[0]._fullLayout.xaxis.range.map((end) => Date.parse(end))"
+        low, high = browser.execute_script(script, plot)
+        return [low, high]
+
+    whole = span()
+    assert len(browser.execute_script(SPANS)) >= 4
+    assert set(browser.execute_script(SPANS)) == {"2026-01-01 2026-01-05"}
+    plot.send_keys("+")
+    zoomed = span()
+    assert zoomed[1] - zoomed[0] == pytest.approx((whole[1] - whole[0]) / 2, rel=1e-3)
+    assert set(wait(browser, SPANS)) == {"2026-01-02 2026-01-04"}
+    plot.send_keys(Keys.ARROW_RIGHT)
+    assert span()[0] > zoomed[0]
+    plot.send_keys(Keys.HOME)
+    assert set(wait(browser, SPANS)) == {"2026-01-01 2026-01-05"}
+    buttons = browser.find_elements(By.CSS_SELECTOR, ".modebar-btn")
+    titles = {one.get_dom_attribute("data-title") for one in buttons}
+    wanted = {"Zoom", "Pan", "Zoom in", "Zoom out", "Reset axes", "Download plot as a PNG"}
+    assert titles == wanted
+    assert browser.find_elements(By.CSS_SELECTOR, "[href^=http], [src^=http]") == []
+
+
+def test_a_night_whose_file_was_not_copied_says_so(
+    browser: Chrome, output: Path, tmp_path: Path
+) -> None:
+    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",)))
+    (tmp_path / "r" / "data" / "CB560-01" / f"{NIGHTS[2]}.js").unlink()
+    visit(browser, tmp_path / "r" / "motors" / "CB560-01.html")
+    told = "return document.getElementById('outcome').textContent"
+    assert f"{NIGHTS[2]}.js is not there" in wait(browser, told)
+    assert f"{NIGHTS[2]}.js" in complaints(browser)[0]
+    build_report(ReportRequest(output, tmp_path / "r", motors=("CB560-01",), nights=1))
+    visit(browser, tmp_path / "r" / "motors" / "CB560-01.html", f"#{NIGHTS[0]}")
+    assert "was made with fewer nights" in wait(browser, told)
+
+
+def test_motors_without_a_good_night_or_any_have_pages_that_say_why(
+    browser: Chrome, output: Path
+) -> None:
+    reason = "CB560-01.mcap: the end is missing"
+    known = ("motor_id", "motor_type", "night", "flushing_mode", "is_primary")
+    failed = {"status": "failed", "reason": reason, "error_code": "log_truncated"}
+
+    def fail(rows: pl.DataFrame) -> pl.DataFrame:
+        kept = rows.filter(motor_id="CB560-01").select(known).to_dicts()
+        return frame(FITS, [row | failed for row in kept])
+
+    change_table(output, "fits", fail)
+    unread = {"status": "failed", "rows": None, "first_time": None, "last_time": None}
+    change_table(
+        output,
+        "input_files",
+        lambda rows: rows.with_columns(
+            *(pl.lit(value, rows.schema[name]).alias(name) for name, value in unread.items())
+        ),
+    )
+    for table in (*NIGHT_TABLES, *TREND_TABLES):
+        if table.name not in ("fits", "input_files", "quality"):
+            change_table(output, table.name, lambda rows: rows.clear())
+    folder = output / "report"
+    build_report(ReportRequest(output, folder, known={"new": KnownMotor("CB400")}))
+    visit(browser, folder / "motors" / "CB560-01.html")
+    figures = drawn(browser)
+    assert {name for name, state in figures.items() if state == "chart"} == {
+        "course-nights",
+        "refused",
+    }
+    assert reason in browser.find_element(By.ID, "why").text
+    assert reason in browser.find_element(By.ID, "outcome").text
+    assert "failed" in browser.find_element(By.ID, "files").text
+    assert complaints(browser) == []
+    visit(browser, folder / "motors" / "new.html")
+    assert "No night of this motor" in browser.find_element(By.ID, "why").text
+
+
+def test_a_poor_fit_is_marked_wherever_it_is_shown(browser: Chrome, output: Path) -> None:
+    mine = (pl.col("motor_id") == "CB560-01") & pl.col("is_primary")
+
+    def poor(rows: pl.DataFrame) -> pl.DataFrame:
+        fit = pl.when(mine).then(-1295.0).otherwise("validation_fit_percent")
+        return rows.with_columns(validation_fit_percent=fit)
+
+    change_table(output, "fits", poor, NIGHTS[2])
+    build_report(ReportRequest(output, output / "report"))
+    visit(browser, output / "report" / "index.html")
+    marked = browser.find_elements(By.CSS_SELECTOR, "#fleet .poor")
+    assert [one.find_element(By.XPATH, "./..").text for one in marked] == ["−1295 poor"]
+    browser.find_element(By.LINK_TEXT, "CB560-01").click()
+    drawn(browser)
+    assert text(browser, "#quality tr:nth-child(2)").endswith("−1295 poor%")
+    assert "mean of these samples describes them better" in text(browser, "#quality")
+    assert "fit −1295 % (poor)" in text(browser, "#fit-validation .legendtext")
+    assert "poor" not in text(browser, "#fit-training .legendtext")
+    assert browser.execute_script(
+        "return document.querySelector('#course-fit .plot').data.at(-1).text"
+    ) == ["on validation data −1295 %, poor"]
+    browser.execute_script("document.querySelector('#course-fit details').open = true")
+    last = wait(browser, "return document.querySelector('#course-fit tbody tr:last-child')")
+    assert "on validation data" in last.text
+
+
+@pytest.mark.parametrize(
+    ("motor", "sentence", "lines", "has_limits"),
+    [
+        ("CB560-01", "Piston ring gap +14 %", ["piston ring"], True),
+        ("CB400-01", "No change of external leakage", ["balance sleeve", "piston ring"], True),
+        ("CB1120-02", "own conditions +60 %", ["leakage at the motor's own conditions"], True),
+        ("CB560-02", "good nights for a baseline", [], False),
+    ],
+)
+def test_the_first_screen_has_sentence_chart_and_limits(
+    browser: Chrome, told: Path, motor: str, sentence: str, lines: list[str], has_limits: bool
+) -> None:
+    visit(browser, told / "motors" / f"{motor}.html")
+    figures = drawn(browser)
+    assert sentence in browser.find_element(By.ID, "sentence").text
+    assert browser.find_element(By.CSS_SELECTOR, "aside p").text.endswith(".")
+    assert figures["course-leakage"] == figures["course-nights"] == "chart"
+    assert figures["course-gaps"] == ("chart" if lines else "absent")
+    limits = ["level of warning", "level of alarm"] if has_limits else []
+    if lines:
+        names = browser.execute_script(
+            "return document.querySelector('#course-gaps .plot').data.map((one) => one.name)"
+        )
+        # The interval's outline has no name.
+        assert sorted(name for name in names if name) == sorted([*lines, *limits])
+    flow = "return document.querySelector('#course-leakage .plot').data.map((one) => one.name)"
+    assert "drain flow, measured" in browser.execute_script(flow)
+
+
+def test_trends_alarms_and_what_was_said_are_shown(browser: Chrome, told: Path) -> None:
+    visit(browser, told / "motors" / "CB560-01.html")
+    assert drawn(browser)["trend-course"] == "chart"
+    levels = browser.execute_script(
+        "return document.querySelector('#course-gaps .plot').data.slice(-2).map((one) => one.y[0])"
+    )
+    # 1.15^⅓ and 1.30^⅓
+    assert levels == pytest.approx([4.77, 9.14], abs=0.01)
+    menu = Select(browser.find_element(By.CSS_SELECTOR, "#trend-course select"))
+    assert menu.first_selected_option.text == "K of the piston ring, m³: alarm"
+    assert text(browser, "#trend-course .annotation-text") == "+50 % (step)"
+    lines = dict(
+        browser.execute_script(
+            "return document.querySelector('#trend-course .plot').data.map((one) => "
+            "[one.name, one.y.at(-1)])"
+        )
+    )
+    assert [name for name in lines if name] == [
+        "K of the piston ring",
+        "baseline",
+        "level of warning",
+        "level of alarm",
+        "CUSUM",
+        "its limit",
+    ]
+    assert lines["level of alarm"] == pytest.approx(1.3 * RING)
+    row = browser.find_element(By.CSS_SELECTOR, "#trend-table tbody tr").text
+    assert "4.00e−14 (3.00e−14 to 5.00e−14)" in row
+    assert "already crossed" in row
+    changed = browser.find_element(By.CSS_SELECTOR, "#alarm-table tbody tr").text
+    assert f"piston ring gap ok alarm {REASON}" in " ".join(changed.split())
+    assert NOTE in browser.find_element(By.ID, "decision-table").text
+    menu.select_by_index(1)
+    assert drawn(browser)["trend-course"] in ("chart", "absent")
