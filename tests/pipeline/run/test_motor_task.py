@@ -25,8 +25,9 @@ from pipeline.logs.files import find_logs, inspect_log, slice_night
 from pipeline.logs.ledger import Ledger, NightRecord
 from pipeline.logs.told_nights import PlausibleNights, place_failed
 from pipeline.night.fit_night import NightOutcome, fit_night
-from pipeline.run.fleet import RunRequest, plan_fleet
 from pipeline.run.motor_task import run_motor
+from pipeline.run.plans import plan_fleet
+from pipeline.run.request import RunRequest
 from tests.pipeline.simulated import (
     NIGHT,
     SECOND_US,
