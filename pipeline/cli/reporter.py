@@ -25,7 +25,7 @@ def print_plan(request: RunRequest, as_json: bool) -> None:
     """Print the nights that a run would do by motor, with the reasons."""
     from collections import Counter
 
-    from pipeline.run.fleet import plan_fleet, plan_trends
+    from pipeline.run.plans import plan_fleet, plan_trends
     from pipeline.store.manifest import manifest_keys
     from pipeline.store.verification import compare_published
 
@@ -183,7 +183,7 @@ def _by_stage(result: RunResult) -> dict[str, float]:
     """Seconds by stage: those of the motors' tasks added up, then those of the run."""
     from collections import Counter
 
-    from pipeline.run.fleet import MOTOR_STAGES
+    from pipeline.run.run_rows import MOTOR_STAGES
 
     spent = Counter[str]()
     for outcome in result.outcomes:

@@ -182,7 +182,7 @@ def _joined(parts: list[NDArray[Any]], dtype: DTypeLike) -> NDArray[Any]:
 
 
 def _kinds(readable: NDArray[np.bool_], kind: int) -> NDArray[np.int8]:
-    return np.where(readable, np.int8(kind), np.int8(_NONE))
+    return readable * np.int8(kind)  # and `_NONE` elsewhere, which is 0
 
 
 def from_epoch(

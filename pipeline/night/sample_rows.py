@@ -112,10 +112,12 @@ def prediction_rows(
     motor_id: str, night: dt.date, statistics: NightStatistics, modes: Sequence[BlockFit]
 ) -> list[Row]:
     """Rows of `predictions`: thinned kept samples, extremes among them, measured and predicted."""
-    samples, error = statistics.samples, modes[0].prediction_error
+    samples, z = statistics.samples, statistics.z
     pressure, speed = np.abs(samples.pressure_difference_bar), np.abs(samples.speed_rpm)
-    chosen = keep_extremes([statistics.z[:, -1], error, pressure, speed], PREDICTION_POINTS)
-    z = statistics.z[chosen]
+    # Not the error of the fit: its last bits would choose among samples that are alike.
+    error = z[:, -1] - z[:, :-1] @ np.append(modes[0].training.coefficients, 1.0)
+    chosen = keep_extremes([z[:, -1], error, pressure, speed], PREDICTION_POINTS)
+    z = z[chosen]
     columns: Columns = {
         "time": [utc(stamp) for stamp in samples.time_us[chosen].tolist()],
         "part": statistics.parts_of(chosen),

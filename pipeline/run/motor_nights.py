@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 from pipeline.config.hashes import SettingsHashes, hash_of, settings_of, why_anew
 from pipeline.config.nights import nights_between
 from pipeline.errors import StoreError
-from pipeline.logs.files import is_guess, labels_of
+from pipeline.logs.files import labels_of
 from pipeline.logs.ledger import (
     Ledger,
     NightRecord,
@@ -31,6 +31,7 @@ from pipeline.logs.ledger import (
     read_settings,
 )
 from pipeline.logs.motor_logs import LogShelf
+from pipeline.logs.told_nights import is_guess
 from pipeline.night.roller import is_roller_free
 from pipeline.run.tasks import MotorOutcome, MotorTask, Step, Work
 from pipeline.schema import FITS

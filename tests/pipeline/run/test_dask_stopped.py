@@ -25,6 +25,7 @@ WAITING = """
 import sys, time
 from pathlib import Path
 import pipeline.run.fleet
+import pipeline.run.motors
 from pipeline.cli import main
 
 folder = Path(sys.argv.pop())
@@ -40,7 +41,7 @@ def wait(task):
     return run_motor(task)
 
 
-pipeline.run.fleet.run_motor = wait
+pipeline.run.motors.run_motor = wait
 main()
 """
 

@@ -27,6 +27,7 @@ import pytest
 from polars.testing import assert_frame_equal
 
 import pipeline.run.fleet
+import pipeline.run.motors
 import pipeline.store.publishing
 from pipeline.config import load_fleet
 from pipeline.errors import LockedError, StoreError
@@ -488,7 +489,7 @@ def test_a_worker_that_dies_costs_its_motor_alone_and_nothing_if_it_dies_once(
             MISBEHAVIOUR["kill"]()
         return run_motor(task)
 
-    monkeypatch.setattr(pipeline.run.fleet, "run_motor", run_or_die)
+    monkeypatch.setattr(pipeline.run.motors, "run_motor", run_or_die)
     result = run(fleet, backend="loky")
     assert died.exists()
     assert status_of(result) == {CSV: "failed", PARQUET: "ok", MCAP: "ok"}
@@ -574,6 +575,7 @@ def test_nobody_else_may_enter_the_folder_of_staged_rows(tmp_path: Path) -> None
 WAITING = """
 import signal, sys
 import pipeline.run.fleet
+import pipeline.run.motors
 from pipeline.cli import main
 from pipeline.run.motor_task import run_motor
 
@@ -584,7 +586,7 @@ def run_or_wait(task):
         signal.pause()
     return run_motor(task)
 
-pipeline.run.fleet.run_motor = run_or_wait
+pipeline.run.motors.run_motor = run_or_wait
 main()
 """
 
