@@ -12,14 +12,15 @@ import time
 from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import reduce
 
 import numpy as np
 
 from leakage import EstimationError, LeakageError, Motor
 from leakage.estimation.sample_blocks import TRAINING
+from pipeline.arrays import chosen_rows
 from pipeline.config import MotorFile, MotorSpec, Settings
 from pipeline.config.nights import Night
-from pipeline.config.periods import ChosenPeriods
 from pipeline.ingest import RawChannel
 from pipeline.night.channel_rules import ChannelRules
 from pipeline.night.cleaning import CleanChannel, judged_channel, ordered_channel
@@ -277,12 +278,10 @@ def choose_parts(
         samples.period_us,
         night.start_us,
         settings.windows,
-        ChosenPeriods.of(file.periods, night),
+        file.periods.within(night),
     )
-    counted = tuple(
-        Quality("time_base", reason, len(mask), int(mask.sum())) for reason, mask in masks.items()
-    )
-    outside = np.logical_or.reduce(list(masks.values()))
+    counted = tuple(Quality.of("time_base", reason, mask) for reason, mask in masks.items())
+    outside = reduce(np.logical_or, masks.values())
     return (samples.only(~outside) if outside.any() else samples), counted
 
 
@@ -318,7 +317,7 @@ def _require_training(statistics: NightStatistics, spec: MotorSpec) -> None:
             INSUFFICIENT_DATA,
             f"{minutes:.1f} minutes of kept samples for training, {needed:g} are needed",
         )
-    training, samples = statistics.rows_of(TRAINING), statistics.samples
+    training, samples = chosen_rows(statistics.rows_of(TRAINING)), statistics.samples
     uniform = too_uniform(
         {
             "pressure": np.abs(samples.pressure_difference_bar[training]),

@@ -59,7 +59,6 @@ def motor_payload(
     fits = motor.fits
     places = _plotted(screen)
     return {
-        "motor": motor.motor_id,
         "file": page,
         "words": for_scripts(),
         "colours": COLOURS,

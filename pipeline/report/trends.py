@@ -28,7 +28,6 @@ FIRST_SCREEN = ("gap_change_", "leakage_")
 SHOWN_CHANGES = 200
 # Of the newest night of an indicator, beside its course.
 LATEST = (
-    "baseline_mean",
     "deviation_percent",
     "slope_per_year",
     "slope_per_year_lower",
@@ -37,7 +36,6 @@ LATEST = (
     "slope_per_1000_h_lower",
     "slope_per_1000_h_upper",
     "n_slope",
-    "provisional",
     "q_value",
     "state",
     "state_reason",

@@ -22,7 +22,7 @@ import polars as pl
 import pyarrow as pa
 
 from pipeline.errors import StoreError
-from pipeline.schema import Table, arrow_table
+from pipeline.schema import Table, staged_table
 from pipeline.store.atomic_files import Prepared, move, prepare, read, scratch
 from pipeline.store.encoding import encode_table
 from pipeline.store.tables import PUT_ASIDE, UNREADABLE, damaged, decode, night_file
@@ -139,7 +139,7 @@ def stage(
         If they cannot be written.
     """
     of_nights = {night: list(rows) for night, rows in sorted(nights.items())}
-    every = arrow_table(table, chain.from_iterable(of_nights.values()), without="run_id")
+    every = staged_table(table, chain.from_iterable(of_nights.values()))
     heights = {str(night): len(rows) for night, rows in of_nights.items()}
     every = every.replace_schema_metadata({HEIGHTS: json.dumps(heights)})
     try:
