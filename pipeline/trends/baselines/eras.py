@@ -55,6 +55,11 @@ class Era:
     temperature_from: int = 0
 
 
+def era_at(eras: Sequence[Era], place: int) -> Era:
+    """The era of a night."""
+    return next(one for one in eras if place < one.segment.end)
+
+
 def eras_of(history: History, decisions: Sequence[Decision]) -> tuple[Era, ...]:
     """The eras of a motor; each is known from its first good nights, as a provisional baseline."""
     return tuple(_era(history, segment) for segment in segments(history, decisions))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import polars as pl
@@ -77,13 +77,14 @@ NOTHING_SAID = (None,) * 5
 
 def rows_by_night(
     specs: Sequence[MotorSpec],
+    layouts: Mapping[str, Layout],
     fits: pl.DataFrame,
     parameters: pl.DataFrame,
     operation: pl.DataFrame,
 ) -> dict[str, History]:
     """Histories of some motors from rows of `fits`, `parameters` and `operation`, by motor.
 
-    They have no nights without a row.
+    They have no nights without a row. The layouts are by motor.
     """
     by_motor = [
         {str(key[0]): part for key, part in rows.partition_by("motor_id", as_dict=True).items()}
@@ -94,7 +95,7 @@ def rows_by_night(
         own = by_motor[0].get(spec.motor_id)
         if own is None:
             continue
-        layout = Layout.of(spec, own["night"][0])
+        layout = layouts[spec.motor_id]
         records, words = records_of(
             spec,
             layout,

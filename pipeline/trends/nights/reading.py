@@ -76,6 +76,7 @@ def read_nights(
     alarms = set[str]().union(*(one.alarms for one in found.values()))
     made = rows_by_night(
         specs,
+        {motor_id: one.layout for motor_id, one in found.items()},
         *(
             read_rows(output, table, list(found), columns, nights=_dates(nights))
             for table, columns in (

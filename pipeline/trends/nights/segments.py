@@ -70,6 +70,11 @@ def segments(
     return tuple(Segment(first, end, "; ".join(starts[first])) for first, end in pairwise(borders))
 
 
+def segment_at(parts: Sequence[Segment], place: int) -> Segment:
+    """The segment of a night."""
+    return next(one for one in parts if place < one.end)
+
+
 def first_good(history: History, segment: Segment) -> Places:
     """Places of a segment's first nights that say something, as many as a provisional baseline has.
 

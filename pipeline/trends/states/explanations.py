@@ -19,7 +19,7 @@ from leakage.course.growth import Blocks, Growth, growth
 from leakage.course.hypotheses import CommonFactor, Posterior, mean_factor, weigh
 from leakage.course.temperature_correction import TemperatureCorrection
 from leakage.estimation.block_statistics import with_path_known
-from pipeline.trends.baselines.eras import Era
+from pipeline.trends.baselines.eras import Era, era_at
 from pipeline.trends.figures.temperature import warming
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import Layout
@@ -50,7 +50,7 @@ class Explanations:
 
     def era(self, place: int) -> Era:
         """The era of a night."""
-        return next(one for one in self.eras if place < one.segment.end)
+        return era_at(self.eras, place)
 
     def nights_of_now(self, place: int, begin: int) -> Places:
         """Places of the latest nights with statistics from one on."""

@@ -24,7 +24,7 @@ from leakage.estimation.model_verdict import (
 from pipeline.trends.figures.indicators import MODEL_MISFIT
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.segments import Segment, segments
+from pipeline.trends.nights.segments import Segment, segment_at, segments
 from pipeline.trends.states.words import day
 from pipeline.trends.states.zeros import nights_rule
 
@@ -85,8 +85,7 @@ class ModelCourse:
 
     def at(self, place: int) -> StructuredMisfit | None:
         """Misfit of the last ten nights that tell it; None without one."""
-        part = next(one for one in self.segments if place < one.end)
-        return _misfit_at(self.history.records, part, place)
+        return _misfit_at(self.history.records, segment_at(self.segments, place), place)
 
     def words(self, place: int) -> str:
         """A model that is disproved, in words; with the night since when, if it once was not."""

@@ -16,7 +16,7 @@ from pipeline.config import MotorSpec
 from pipeline.trends.figures.indicators import REFERENCE, Indicator
 from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
-from pipeline.trends.nights.segments import Segment, segments
+from pipeline.trends.nights.segments import Segment, segment_at, segments
 
 Array = NDArray[np.float64]
 
@@ -47,7 +47,7 @@ class Watched:
 
     def segment(self, place: int) -> Segment:
         """Segment of a night."""
-        return next(one for one in self.segments if place < one.end)
+        return segment_at(self.segments, place)
 
     def baseline(self, place: int) -> Baseline | None:
         """Baseline that serves a night; None before there is one."""
