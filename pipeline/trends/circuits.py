@@ -165,25 +165,24 @@ def beginnings(
 
 
 def earlier_views(
-    history: History, decisions: Sequence[Decision], seen_from: Mapping[str, dt.date]
-) -> Iterator[tuple[dt.date, History, tuple[Decision, ...]]]:
+    history: History, seen_from: Mapping[str, dt.date]
+) -> Iterator[tuple[dt.date, History]]:
     """A motor as others saw it before a night, without what was entered later; latest night first.
 
     Nothing where all events and resets were entered in time.
     """
-    dates = _dates(history.spec, decisions)
+    dates = _dates(history.spec, history.decisions)
     late = {name: night for name, night in seen_from.items() if night > dates[name]}
     for until in sorted(set(late.values()), reverse=True):
-        yield until, *_without(history, decisions, {one for one in late if late[one] >= until})
+        yield until, _without(history, {one for one in late if late[one] >= until})
 
 
-def _without(
-    history: History, decisions: Sequence[Decision], names: Collection[str]
-) -> tuple[History, tuple[Decision, ...]]:
+def _without(history: History, names: Collection[str]) -> History:
     file = history.spec.file
     kept = tuple(one for one in file.events if _name(one) not in names)
     spec = replace(history.spec, file=file.model_copy(update={"events": kept}))
-    return replace(history, spec=spec), tuple(one for one in decisions if _name(one) not in names)
+    said = tuple(one for one in history.decisions if _name(one) not in names)
+    return replace(history, spec=spec, decisions=said)
 
 
 def _dates(spec: MotorSpec, decisions: Sequence[Decision]) -> dict[str, dt.date]:

@@ -18,7 +18,6 @@ from pipeline.trends.figures.temperature import (
     usual_temperatures,
     warming,
 )
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment, first_good, segments
 
@@ -60,9 +59,9 @@ def era_at(eras: Sequence[Era], place: int) -> Era:
     return next(one for one in eras if place < one.segment.end)
 
 
-def eras_of(history: History, decisions: Sequence[Decision]) -> tuple[Era, ...]:
+def eras_of(history: History) -> tuple[Era, ...]:
     """The eras of a motor; each is known from its first good nights, as a provisional baseline."""
-    return tuple(_era(history, segment) for segment in segments(history, decisions))
+    return tuple(_era(history, segment) for segment in segments(history))
 
 
 def _era(history: History, segment: Segment) -> Era:

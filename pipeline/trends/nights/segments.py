@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from pipeline.config.nights import night as night_labelled
 from pipeline.config.periods import ChosenPeriods
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 
 Places = NDArray[np.intp]
@@ -48,9 +47,7 @@ class Segment:
         return slice(self.first, self.end)
 
 
-def segments(
-    history: History, decisions: Sequence[Decision], indicator: str = ""
-) -> tuple[Segment, ...]:
+def segments(history: History, indicator: str = "") -> tuple[Segment, ...]:
     """The nights of an indicator by the baseline that they are compared with."""
     starts: dict[int, list[str]] = {}
     for place, reason in _changed_settings(history):
@@ -61,7 +58,7 @@ def segments(
         # What happened before the first night is nothing that its nights show.
         if event.date >= history.nights[0]:
             _begin(starts, history.first_from(event.date), words)
-    for one in decisions:
+    for one in history.decisions:
         if one.kind == "baseline_reset" and one.indicator in ("", indicator):
             note = f": {one.note}" if one.note else ""
             _begin(starts, history.first_from(one.night), f"reset from {one.night}{note}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime as dt
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -22,7 +21,6 @@ from leakage.estimation.model_verdict import (
     verdict_in_words,
 )
 from pipeline.trends.figures.indicators import MODEL_MISFIT
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment, segment_at, segments
 from pipeline.trends.states.words import day
@@ -31,12 +29,12 @@ from pipeline.trends.states.zeros import nights_rule
 Array = NDArray[np.float64]
 
 
-def with_misfit(history: History, decisions: Sequence[Decision], until: dt.date) -> History:
+def with_misfit(history: History, until: dt.date) -> History:
     """A history whose nights from one on have their misfit over ten, those before as they are."""
     records = history.records.copy()
     begin = int(np.searchsorted(records["night"], np.datetime64(until)))
     records["misfit_of_ten"][begin:] = np.nan
-    for part in segments(history, decisions):
+    for part in segments(history):
         for place in range(max(begin, part.first), part.end):
             found = _misfit_at(records, part, place)
             if found is not None and found.n_nights == NIGHTS_TOGETHER:
@@ -103,11 +101,11 @@ class ModelCourse:
         return day(self.history.nights[max(before, default=-1) + 1])
 
 
-def model_course(history: History, decisions: Sequence[Decision]) -> ModelCourse:
+def model_course(history: History) -> ModelCourse:
     """Misfit of a motor's model against that of its baseline."""
     share, noise = history.records["misfit_of_ten"].T
     first, state = np.full(len(history), np.nan), np.full(len(history), "insufficient", object)
-    parts = segments(history, decisions, MODEL_MISFIT)
+    parts = segments(history, MODEL_MISFIT)
     for part in parts:
         known = part.first + np.flatnonzero(np.isfinite(share[part.first : part.end]))
         if not len(known):

@@ -14,7 +14,6 @@ from leakage.course.cusum_limits import RATES
 from leakage.course.monitoring import Monitoring, MonitorSettings, monitor
 from pipeline.config import MotorSpec
 from pipeline.trends.figures.indicators import REFERENCE, Indicator
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.segments import Segment, segment_at, segments
 
@@ -54,15 +53,11 @@ class Watched:
         return self.found.baseline_at(place) if self.found.has_baseline[place] else None
 
 
-def watch(
-    history: History,
-    decisions: Sequence[Decision],
-    indicators: Mapping[str, Indicator],
-) -> dict[str, Watched]:
+def watch(history: History, indicators: Mapping[str, Indicator]) -> dict[str, Watched]:
     """Watch every indicator of a motor."""
     watched = {}
     for name, indicator in indicators.items():
-        parts = segments(history, decisions, name)
+        parts = segments(history, name)
         settings = monitor_settings(history.spec, indicator, len(indicators))
         series = indicator.watched
         watched[name] = Watched(

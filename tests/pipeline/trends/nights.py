@@ -350,12 +350,12 @@ def histories(
 def standings(
     found: Mapping[str, History],
     decisions: Sequence[Decision] = (),
-    change: Callable[[History, tuple[Decision, ...]], History] = lambda one, _: one,
+    change: Callable[[History], History] = lambda one: one,
 ) -> dict[str, Standing]:
     """Standings of the motors of one oil circuit, or of one motor alone."""
     said = {name: tuple(d for d in decisions if d.motor_id == name) for name in found}
     parts = {
-        name: Part.of(with_misfit(change(one, said[name]), said[name], dt.date.min), said[name])
+        name: Part.of(with_misfit(change(replace(one, decisions=said[name])), dt.date.min))
         for name, one in found.items()
     }
     peers, circuit = neighbours_of(parts)

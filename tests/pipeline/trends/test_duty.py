@@ -44,7 +44,7 @@ PLACE = 2
 # A night at twice the load that the histograms of the others reach.
 HIGH = np.array([0] * 16 + [10] * 4)
 
-Change = Callable[[History, tuple[Decision, ...]], History]
+Change = Callable[[History], History]
 
 
 def outside(found: History, _: tuple[Decision, ...] = ()) -> History:
@@ -57,7 +57,7 @@ def outside(found: History, _: tuple[Decision, ...] = ()) -> History:
 def balanced(rise: float, error: float, flow: float, share: float = 0.8) -> Change:
     """Nights whose sleeves have grown so much against the baseline at their duty."""
 
-    def change(found: History, _: tuple[Decision, ...]) -> History:
+    def change(found: History) -> History:
         records = found.records.copy()
         records["duty"][AT:] = BALANCED
         then = np.array(found.layout.configured)
@@ -195,10 +195,10 @@ def history_at(pressure_bar: float, first: int, last: int) -> History:
 def test_only_nights_of_another_duty_are_compared_and_each_once() -> None:
     files = Files(low=310.0)
     history = history_at(200.0, AT, AT + 3)
-    done = with_duty(history, (), dt.date.min, files)  # type: ignore[arg-type]
+    done = with_duty(history, dt.date.min, files)  # type: ignore[arg-type]
     assert files.asked == [night_of(place) for place in range(AT, AT + 3)]
     assert np.flatnonzero(done.records["duty"]).tolist() == [AT, AT + 1, AT + 2]
-    again = with_duty(done, (), night_of(AT + 2), files)  # type: ignore[arg-type]
+    again = with_duty(done, night_of(AT + 2), files)  # type: ignore[arg-type]
     assert files.asked[3:] == [night_of(AT + 2)]
     assert (again.records["duty"] == done.records["duty"]).all()
     assert not history.records["duty"].any()
@@ -206,7 +206,7 @@ def test_only_nights_of_another_duty_are_compared_and_each_once() -> None:
 
 def test_a_slightly_other_mean_is_the_same_duty() -> None:
     files = Files(low=310.0)
-    with_duty(history_at(150.0, AT, N), (), dt.date.min, files)  # type: ignore[arg-type]
+    with_duty(history_at(150.0, AT, N), dt.date.min, files)  # type: ignore[arg-type]
     assert files.asked == []
 
 
