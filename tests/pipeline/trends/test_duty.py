@@ -21,7 +21,6 @@ from pipeline.trends.baselines import blocks as baseline_blocks
 from pipeline.trends.baselines.blocks import BlockFiles
 from pipeline.trends.baselines.duty import with_duty
 from pipeline.trends.figures.indicators import DEVIATION, REFERENCE
-from pipeline.trends.nights.decisions import Decision
 from pipeline.trends.nights.history import History
 from pipeline.trends.nights.records import BALANCED, OUTSIDE, Layout
 from pipeline.trends.rows.trend_rows import trend_rows
@@ -47,7 +46,7 @@ HIGH = np.array([0] * 16 + [10] * 4)
 Change = Callable[[History], History]
 
 
-def outside(found: History, _: tuple[Decision, ...] = ()) -> History:
+def outside(found: History) -> History:
     records = found.records.copy()
     records["duty"][AT:] = OUTSIDE
     records["pressure_histogram"][AT:] = HIGH
