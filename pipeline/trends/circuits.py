@@ -36,18 +36,10 @@ def circuits_of(specs: Iterable[MotorSpec]) -> list[list[MotorSpec]]:
 
 @dataclass(frozen=True, slots=True)
 class Circuit:
-    """Motors of one oil circuit, and what is known of them before their nights are read.
+    """Motors of one oil circuit, and what is known of each before its nights are read.
 
-    Attributes
-    ----------
-    specs
-        The motors.
-    decisions
-        By motor, what people said of it.
-    records
-        By motor, what is remembered of its trends.
-    hashes
-        By motor, of all that shapes its trends beyond the tables.
+    By motor: what people said of it, what is remembered of its trends, and the hash of all that
+    shapes them beyond the tables.
     """
 
     specs: tuple[MotorSpec, ...]

@@ -170,16 +170,7 @@ def _part(
 class Part:
     """A motor before comparison with the others of its oil circuit.
 
-    Attributes
-    ----------
-    history
-        Its nights.
-    eras, indicators
-        From `eras_of` and `indicators_of`.
-    flow
-        Contribution of its drain flow to the comparison with the other motors.
-    views
-        Views that the other motors have of it, the earliest first.
+    `flow` is its contribution to the comparison, `views` how the others see it, the earliest first.
     """
 
     history: History

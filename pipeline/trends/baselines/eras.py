@@ -28,22 +28,10 @@ Array = NDArray[np.float64]
 class Era:
     """A stretch of nights between two events that begin everything anew.
 
-    Attributes
-    ----------
-    segment
-        Its nights.
-    known_from
-        Place of the first night on which it is known what is frozen; the end of the segment where
-        it never is.
-    own
-        The motor's own reference conditions; None while they are not known.
-    model
-        θ of the first good nights together; None likewise.
-    temperature
-        Correction of loss factors for temperature, of the first good nights that tell it; None
-        where they do not.
-    temperature_from
-        Place of the last of those nights; the end of the segment while there are too few.
+    `known_from` is the first night that knows `own`, the motor's own reference conditions, and
+    `model`, θ of the first good nights together; the end of the segment where none does.
+    `temperature` is the correction of loss factors by the good nights up to `temperature_from`,
+    None where they do not tell it; that is the end of the segment while there are too few.
     """
 
     segment: Segment

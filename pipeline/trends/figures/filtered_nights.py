@@ -150,12 +150,8 @@ def _state_of(record: Any, free: Mask) -> tuple[FilterState, Array]:
 class Filtered:
     """A linear combination of the filtered coefficients over a motor's nights, shape (n,) each.
 
-    Attributes
-    ----------
-    value, half
-        The figure and half-width of its 95 % interval; nan in nights without information.
-    n_nights
-        Nights behind it since the last event.
+    With the half-width of its 95 % interval, nan in nights without information, and the number of
+    nights behind it since the last event.
     """
 
     value: Array

@@ -37,40 +37,15 @@ WIDEST_ALONE = 0.02
 REFERENCE = "reference_leakage_l_per_min", "reference_leakage_lower", "reference_leakage_upper"
 REFERENCE_CONDITIONS = "reference_pressure_bar", "reference_temperature_c", "reference_speed_rpm"
 OWN = "own_pressure_bar", "own_temperature_c", "own_speed_rpm"
-FIT_COLUMNS = (
-    "motor_id",
-    "night",
-    "is_primary",
-    "status",
-    "reason",
-    "flushing_mode",
-    "columns",
-    "coefficients",
-    "coefficient_covariance",
-    "coefficient_response",
-    "night_factor",
-    "interval_status",
-    "reference_verdict",
-    "reference_reason",
-    "model_hash",
-    "model_misfit_statistics",
-    *REFERENCE,
-    *REFERENCE_CONDITIONS,
-    *OWN,
-    *SINGLE.values(),
-)
-PARAMETER_COLUMNS = (
-    "motor_id",
-    "night",
-    "flushing_mode",
-    "parameter",
-    "value",
-    "lower",
-    "upper",
-    "verdict",
-    "reason",
-)
-OPERATION_COLUMNS = ("motor_id", "night", "kept_hours", *OPERATED, *HISTOGRAMS)
+KEY = ("motor_id", "night")
+FITTED = ("is_primary", "status", "reason", "flushing_mode", "interval_status", "model_hash")
+STATISTICS = ("columns", "coefficients", "coefficient_covariance", "coefficient_response")
+VERDICTS = ("reference_verdict", "reference_reason", "model_misfit_statistics")
+AT_REFERENCE = (*REFERENCE, *REFERENCE_CONDITIONS, *OWN, *SINGLE.values())
+FIT_COLUMNS = (*KEY, *FITTED, *STATISTICS, "night_factor", *VERDICTS, *AT_REFERENCE)
+FIGURE = ("parameter", "value", "lower", "upper", "verdict", "reason")
+PARAMETER_COLUMNS = (*KEY, "flushing_mode", *FIGURE)
+OPERATION_COLUMNS = (*KEY, "kept_hours", *OPERATED, *HISTOGRAMS)
 # Value, ends, verdict and reason of a coefficient that a night has not.
 NOTHING_SAID = (None,) * 5
 
@@ -245,9 +220,7 @@ def _fill_figures(
     """Each coefficient where it is identified; otherwise why not."""
     said = {
         (night, mode, name): tuple(rest)
-        for night, mode, name, *rest in parameters.select(
-            "night", "flushing_mode", "parameter", "value", "lower", "upper", "verdict", "reason"
-        ).iter_rows()
+        for night, mode, name, *rest in parameters.select(PARAMETER_COLUMNS[1:]).iter_rows()
         if mode is not None
     }
     columns = []

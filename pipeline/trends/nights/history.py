@@ -32,19 +32,10 @@ NO_LOG = f"{NO_NEW_DATA.replace('_', ' ')}: no log covers this night"
 
 @dataclass(frozen=True)
 class History:
-    """A motor's nights.
+    """A motor's nights, one record each, increasing, with people's decisions on it.
 
-    Attributes
-    ----------
-    spec, layout
-        The motor, and what its records hold.
-    records
-        One a night, increasing, shape (n,).
-    words
-        By place: why figures of a night do not count. Of nights that are not to be published anew
-        there may be none.
-    decisions
-        Those of people on the motor.
+    `words` has by place why figures of a night do not count; of nights that are not to be published
+    anew there may be none.
     """
 
     spec: MotorSpec

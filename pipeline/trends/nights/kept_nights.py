@@ -156,15 +156,7 @@ def write_month(output: Path, motor_id: str, month: str, key: str, kept: KeptMon
 class TableFolders:
     """The folders of the tables that trends are made from, looked at once for many motors.
 
-    Parameters
-    ----------
-    output
-        Output folder.
-
-    Attributes
-    ----------
-    months
-        By YYYY-MM, when the folder of each table was last changed, where that tells.
+    `months` has by YYYY-MM when the folder of each table was last changed, where that tells.
     """
 
     output: Path

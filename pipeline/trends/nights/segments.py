@@ -27,15 +27,7 @@ FIRST_NIGHTS = "first nights"
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """Nights that are compared with one baseline.
-
-    Attributes
-    ----------
-    first, end
-        Places of its nights in the history, half open.
-    reason
-        What it begins with, in words.
-    """
+    """Nights that are compared with one baseline, half open, and what they begin with, in words."""
 
     first: int
     end: int

@@ -35,13 +35,7 @@ Places = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanations:
-    """The explanations of a motor's changes, each made when it is asked for.
-
-    Attributes
-    ----------
-    history, eras
-        Its nights, and what is frozen with each baseline.
-    """
+    """The explanations of a motor's changes, each made when it is asked for."""
 
     history: History
     eras: tuple[Era, ...]
@@ -160,13 +154,7 @@ class View:
 
 @dataclass(frozen=True, slots=True)
 class OilCircuit:
-    """The motors of an oil circuit: what the others say of a motor's common factor.
-
-    Attributes
-    ----------
-    views
-        By motor, how the others saw it: the earliest view first.
-    """
+    """The motors of an oil circuit, by how the others saw each, the earliest view first."""
 
     views: Mapping[str, Sequence[View]]
 

@@ -64,16 +64,10 @@ def _misfit_of_night(numbers: bytes) -> Misfit:
 
 @dataclass(frozen=True, slots=True)
 class ModelCourse:
-    """Whether a motor's model still describes it; shape (n,) each.
+    """A motor's model over its nights; shape (n,) each.
 
-    Attributes
-    ----------
-    history, segments
-        Its nights, and those that one baseline serves.
-    first
-        Misfit of the first ten nights, over the mean leakage, from when it was known; else nan.
-    state
-        insufficient, ok or warning: it has grown by what disproves a model.
+    `first` is the misfit of the first ten nights, over the mean leakage, from when it was known,
+    else nan; `state` is insufficient, ok, or warning where it has grown by what disproves a model.
     """
 
     history: History

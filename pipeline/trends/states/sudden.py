@@ -150,15 +150,7 @@ def _kind(steps: Mapping[str, _Step], n_paths: int, behind: Posterior | None) ->
 
 @dataclass(frozen=True, slots=True)
 class _Step:
-    """Step of a path in a night.
-
-    Attributes
-    ----------
-    size
-        Logarithm of the step.
-    scatter
-        Scatter of the nights before, at least that of `LEAST_SCATTER`.
-    """
+    """Logarithm of the step of a path in a night, and scatter of the nights before it."""
 
     size: float
     scatter: float

@@ -22,20 +22,9 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Watched:
-    """An indicator and what watching it has shown.
+    """An indicator and what watching it has shown; `series` is what was watched, shape (n,).
 
-    Attributes
-    ----------
-    indicator
-        Its figures over all nights.
-    series
-        What was watched, shape (n,).
-    segments
-        Nights by baseline.
-    found
-        Its states, segment by segment; places are those of the history.
-    settings
-        How it was watched.
+    `found` holds its states over all segments; places are those of the history.
     """
 
     indicator: Indicator

@@ -77,7 +77,7 @@ def told(change: Change, wear: float = 0.4, limits: str = "") -> Standing:
 
 
 def test_a_loss_factor_that_is_the_dutys_is_no_rise() -> None:
-    plain, found = told(lambda one, _: one), told(balanced(0.0, 0.02, 0.0))
+    plain, found = told(lambda one: one), told(balanced(0.0, 0.02, 0.0))
     for name in (SLEEVE, DEVIATION, REFERENCE):
         assert plain.states[name][N - 1] in ("warning", "alarm")
         assert found.states[name][N - 1] == "ok"
@@ -139,7 +139,7 @@ def test_duty_wins_over_a_common_change_and_that_over_the_model() -> None:
 
 
 def test_no_path_is_named_where_the_model_has_changed() -> None:
-    found = told(lambda one, _: one)
+    found = told(lambda one: one)
     behind = path_behind(found, SLEEVE, N - 1)
     assert path_named(found, SLEEVE, N - 1, behind) == "balance_sleeve"
     changed = replace(found, model=replace(found.model, state=("warning",) * N))
